@@ -1,7 +1,8 @@
-"""The map: positions on a grid, refined where positions that serve meet positions that do not.
+"""Map of cart positions from which the plan can be carried out, and the best of them.
 
-A square is reachable if all its corners serve; squares at the edge are halved twice. The map therefore errs
-on the side of refusal, by half a finest square along its edge.
+Positions on a grid are judged in separate processes, refined where positions that serve meet others. A square
+is reachable if all its corners serve; squares at the edge are halved twice. The map therefore errs on the
+side of refusal, by half a finest square along its edge.
 """
 
 from __future__ import annotations
@@ -135,7 +136,7 @@ def map_places(
 
 
 def _inward(node: Node) -> list[Node]:
-    """The inner neighbours on the coarsest grid, nearest first; outer ones are not judged yet."""
+    """Inner neighbours on the coarsest grid, nearest first; outer ones are not judged yet."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
     return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]

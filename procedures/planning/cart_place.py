@@ -1,4 +1,4 @@
-"""Judges one position of the cart as the path check would: can the whole procedure be done from there?"""
+"""Judgement of one cart position, as by the path check: can the whole procedure be done from there?"""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ class CartCase:
         return _verdict(turned.check, dict(turned.turns_rad))
 
     def setting_at(self, move: CartMove) -> ArmSetting:
-        """The arm as it stands to the head from there."""
+        """The arm relative to the head, from this position."""
         pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 
@@ -124,7 +124,7 @@ class CartCase:
         return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
-        """The axis with a pose that no branch reaches at any turn: cheap, and done before the search."""
+        """First axis with a pose that no branch reaches at any turn; cheap, hence before the search."""
         own = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(own)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
@@ -148,7 +148,7 @@ class CartCase:
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
-        """Raises ARM-001 to ARM-003 for a pose, or an approach to it, that no branch reaches."""
+        """Raise ARM-001 to ARM-003 for a pose, or an approach to it, that no branch reaches."""
         visits: list[Visit] = [target_visit(setting, one) for one in axis.targeted]
         if setting.strategy.localizes_per_trajectory and not _by_joints(setting):
             own = setting.kinematics.branch_of(setting.start_rad)
@@ -162,7 +162,7 @@ class CartCase:
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
     def _unseen_by_tracker(self, setting: ArmSetting, move: CartMove) -> str:
-        """What the tracker cannot see with the arm at home: its frame, or spheres; empty if none."""
+        """Frame or spheres that the tracker cannot see with the arm at home; empty if none."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
@@ -181,7 +181,7 @@ class CartCase:
 
 
 def _by_joints(setting: ArmSetting) -> bool:
-    """Whether the strategy's orientations depend on the branch: then one says nothing about the others."""
+    """Whether the strategy's orientations depend on the branch: one then tells nothing about others."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 

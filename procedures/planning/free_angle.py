@@ -1,6 +1,11 @@
-"""The wrist over the poses of one trajectory: distance from its singularity, and how far it turns.
+"""Choice of a trajectory's free angle: turns about its axis until everything is visible and well reachable.
 
-Near the singularity small pose errors become large turns of two joints, and the effect of the joints' own
+Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used, or
+else the clearest. If none serves, smaller steps are tried next to turns that lack only a little clearance.
+The choice is a result, not a change of the plan: entry, target and axis stay as they are. If no turn serves,
+other strategies may.
+
+Near the wrist's singularity, small pose errors become large turns of two joints, and the effect of joint
 errors on the tool varies from pose to pose. Registration removes what localizations and target have in
 common, so the wrist should have the same configuration at both.
 """

@@ -1,10 +1,15 @@
-"""Where a guide stops before the skin, and the instrument length from there to the target.
+"""The guide in front of an entry: where it stops, the depth stop, and its share in the target error.
 
     upper end of the bore            lower end      skin          target
             |--------- length ---------|-- stand-off --|--- depth ---|
     stop ---'------------------- depth stop to tip ------------------'
 
 The tip frame of the guide is that of the mandrel with which it was calibrated, `reach` beyond the lower end.
+
+The instrument may be anywhere within the play, independently at both ends of the bore: uniformly in a disc of
+radius r, half the play, with variance r^2 / 4 along either axis. Beyond the lower end the difference of both
+grows with distance. As the bore passes through the calibrated end of the mandrel, the effect of a direction
+error grows with the distance from there to the target.
 """
 
 from __future__ import annotations
@@ -20,7 +25,7 @@ from ronna_hw.tool_record import GuideBore
 
 
 def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
-    """The trajectory, with the rest position of the tip frame on it while the guide is held outside."""
+    """The trajectory with the position on it of the tip frame of the held guide."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
     return planned.trajectory.held(beyond_mm, plan.standoff_mm)
 
@@ -36,7 +41,7 @@ def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> fl
 
 
 def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """The trajectories whose depth stop would be beyond the instrument's end, and where."""
+    """Trajectories whose depth stop would be beyond the instrument's end, with its position."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:
@@ -58,7 +63,7 @@ def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: Guid
 def direction_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, stated_rad: float, held: Array
 ) -> Array:
-    """The same for the bore's direction, whose error has the standard deviation `stated_rad`."""
+    """Covariance (3, 3) at the target from the bore's direction, of standard deviation `stated_rad`."""
     away_mm = held_trajectory(plan, planned, bore).beyond_mm
     across_mm2 = (stated_rad * away_mm) ** 2 / 2.0
     return np.asarray(held @ np.diag([across_mm2, across_mm2, 0.0]) @ held.T)

@@ -1,7 +1,11 @@
-"""The head as one ellipsoid, from its CT: an obstacle for the arm.
+"""The head in the CT: its shape as an obstacle, trajectories into it, their angle to the skull.
 
-Everything denser than air and thick enough is included. Thin objects (posts and cables, the shell of a
-headrest, the tips of ears) are removed first, so that they do not inflate the ellipsoid.
+The shape is one ellipsoid around everything denser than air and thick enough. Thin objects (posts and cables,
+the shell of a headrest, the tips of ears) are removed first, so that they do not inflate it.
+
+A trajectory must lead from the air outside, through the skin, to a target inside. Swapped or foreign points
+show up here, by HU alone: the target is in air, the line before the entry passes through the head, or most of
+the path inside is air.
 """
 
 from __future__ import annotations
@@ -120,16 +124,16 @@ BEFORE_ENTRY_MM = (
 SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
 SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
-AIR_RUN_MM = 5.0  # that is the room outside, not a fold of the skin
-SKIN_RUN_MM = 5.0  # and that is the head, not a cover on it
+AIR_RUN_MM = 5.0  # of the room outside: a fold of the skin is shorter
+SKIN_RUN_MM = 5.0  # of the head: a cover on it is thinner
 OFF_SKIN_MM = 10.0  # more than a coarse slice or thick hair
 
 
 def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
-    """The finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
+    """Finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
-    What is beyond the CT is unknown and refuses nothing, but if the line before the entry is entirely outside
-    the CT, a warning says so, as it does of an entry out in the air.
+    Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
+    is a warning, as is an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
     wrong, unseen = _wrong(volume, entry, target)
@@ -142,7 +146,7 @@ def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotInt
 
 
 def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
-    """Problems, and whether the line before the entry is entirely outside the CT."""
+    """Problems of a trajectory, and whether the line before its entry is entirely outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
     wrong = []
@@ -163,7 +167,7 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
 
 
 def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
-    """A warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
+    """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
     off_mm = _first_run_mm(steps, sampled_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
@@ -178,7 +182,7 @@ def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
 def standoff_in_skin(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
-    """The finding that a guide held this far before the entry would end inside the skin, or None.
+    """Finding that a guide held this far before the entry would end inside the skin, or None.
 
     Unknown if the CT ends before the skin does.
     """
@@ -208,7 +212,7 @@ def _steps(first_mm: float, last_mm: float) -> Array:
 
 
 def _first_run_mm(steps_mm: Array, held: NDArray[np.bool_], length_mm: float) -> float | None:
-    """Where it holds for the first time over this length; None if nowhere."""
+    """Start of the first run of at least this length; None if there is none."""
     run = round(length_mm / SAMPLING_MM)
     return next((float(steps_mm[k]) for k in range(len(held) - run + 1) if held[k : k + run].all()), None)
 

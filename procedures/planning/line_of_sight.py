@@ -1,7 +1,10 @@
-"""Do both cameras of the stereo head see every sphere, or is another sphere in the way?
+"""What stereo head and tracker see from the planned poses.
 
-Spheres are compared by their outlines as seen from a camera: two outlines must not touch, whichever sphere is
-nearer, because a bright neighbour behind the rim is as harmful as one in front.
+Stereo head: spheres are compared by their outlines in a camera. Two outlines must not touch, whichever sphere
+is nearer, because a bright neighbour behind the rim is as harmful as one in front.
+
+Tracker: an estimate past the bodies of the path check. It can explain why nothing is seen, but never prove
+that something is: only a reading does.
 """
 
 from __future__ import annotations
@@ -37,7 +40,7 @@ class StereoSight:
 
     @classmethod
     def of(cls, calibration: StereoHeadCalibration) -> Self:
-        """From the calibration record of the stereo head."""
+        """Read the cameras' positions from the calibration record of the stereo head."""
         return cls(_centre(calibration.left), _centre(calibration.right))
 
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:

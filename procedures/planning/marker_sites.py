@@ -1,7 +1,9 @@
-"""Proposes positions for three or four markers on a head such that all their distances differ by a margin.
+"""Marker positions on a head: with the least error at the planned targets, or with distinct distances.
 
-The thesis advises such a template for so few markers. Among the possible sites, those with the least expected
-error at the centre of the head are chosen (eq. 39).
+Markers serve a target best if their centroid is near it and they are far from the principal axes through it:
+eq. 39. For comparison, freehand choices are drawn at random over the same skin. The arm's own errors, which
+depend on the pose of the head, are not included. For three or four markers, the thesis advises a template
+whose distances all differ by a margin.
 """
 
 from __future__ import annotations
@@ -151,7 +153,7 @@ class _Target(Strict):
 
 
 class _Head(Strict):
-    """What is needed from a scene; the rest is the simulator's."""
+    """Head of a scene file; the rest is the simulator's."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -180,7 +182,7 @@ def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
 
 
 def write_template(path: Path, template: MarkerTemplate) -> None:
-    """Write it as TOML."""
+    """Write a template as TOML."""
     import tomli_w
 
     write_whole(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())
@@ -196,7 +198,7 @@ MOST_ROUNDS = 20  # of exchanges; three to five is usual
 
 
 class ExpectedError(Strict):
-    """For one target."""
+    """Expected error at one target."""
 
     target: str = Field(description="Trajectory of the plan.")
     expected_mm: float = Field(description="Rms error with the proposed markers.")
@@ -317,7 +319,7 @@ def _free_sites(
 
 
 def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
-    """The set after moving markers to other positions as long as that lowers the error."""
+    """Move single markers to other positions as long as that lowers the error."""
 
     def cost(points: Array) -> Array:
         return np.asarray(np.square(tre_principal_axes_mm(targets, points, 1.0)).sum(axis=-1))

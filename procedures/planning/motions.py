@@ -30,8 +30,8 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 class Motion:
     """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
 
-    `plan` is at working speed, of which the arm drives it at `speed_fraction`. `clear` if another sweep
-    judges it: that which it was chosen by, or that of the line it goes `back` on.
+    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `clear` says that another sweep
+    covers it: the one that chose it, or that of the line it retraces (`back`).
     """
 
     start: str
@@ -93,7 +93,7 @@ def unclear(
 
 
 def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """Why home or the gauge cannot be driven to from here, at whatever angles of the trajectories."""
+    """Reasons why home or gauge cannot be reached, whatever the trajectories' angles."""
     for name, joints_rad in _fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
@@ -199,7 +199,7 @@ def _to(
 
 
 def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """The way back: the same poses, and the same limits of speed."""
+    """The line in reverse, with the same poses and speed limits."""
     began = setting.kinematics.forward(line.start_rad)
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
 
@@ -215,7 +215,7 @@ def _home(
 
 
 def _collision_in_words(motion: Motion, bad: Closest, standoff_mm: float | None = None) -> str:
-    """`standoff_mm` is that of the target at the motion's end, which is the plan's to change."""
+    """Describe a collision; `standoff_mm` is the plan's for the target at the motion's end."""
     leads = (
         "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )

@@ -1,4 +1,7 @@
-"""Joint angles for one pose: branch, whole turns, and the straight line that leads there."""
+"""Whether the arm can execute the whole procedure: every pose, approach and line in one branch.
+
+Poses are checked in the order of the procedure: all localizations, then every target.
+"""
 
 from __future__ import annotations
 
@@ -111,7 +114,7 @@ def check_paths(
 
 
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """The same for axes that have already been turned."""
+    """Check axes that have already been turned; otherwise as `check_paths`."""
     best: PathCheck | None = None
     for branch in branches_for(setting, axes, fiducials_mm):
         checked = drive(setting, axes, fiducials_mm, branch)

@@ -1,4 +1,4 @@
-"""Checks a plan against the CT series, the fiducials found in it, and the arm's reach."""
+"""Check of a plan against the CT series, the fiducials found in it, and the arm's reach."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
 
 
 def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
-    """What may make the correspondence of fiducials (n, 3) in mm ambiguous; empty if nothing does."""
+    """Warnings of an ambiguous layout of fiducials (n, 3) in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)
         if smallest >= LEAST_SIDE_DIFFERENCE_MM:
@@ -101,9 +101,9 @@ KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 class PlanCheck:
     """Result of a check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
 
-    `motions` are those of the whole procedure as the arm would execute them, if an arm was given and reaches
-    everything; `turns_rad` gives each trajectory's turn about its axis, `paths` the joints. `distances` are
-    those from every trajectory to every structure; the `head` tells their sides.
+    If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
+    each trajectory's turn about its axis, and `paths` the joints. `distances` are from every trajectory to
+    every structure; `head` tells the sides of trajectories.
     """
 
     plan: Plan
@@ -156,7 +156,7 @@ class PlanCheck:
 
 @dataclass(frozen=True)
 class _Driven:
-    """What the arm can do of a plan."""
+    """Motions of the arm for a plan, or what prevents them."""
 
     unmet: tuple[RonnaError, ...] = ()
     motions: tuple[PreviewedMotion, ...] = ()
@@ -219,7 +219,7 @@ def check_plan(
 
 
 def _in_this_series(plan: Plan, volume: Volume) -> Judged:
-    """The plan belongs to this series, and every trajectory leads into the head in it."""
+    """Check that the plan belongs to this series, in which every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",
@@ -239,7 +239,7 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
 
 
 def _this_patient(plan: Plan, volume: Volume) -> Judged:
-    """The patient's position is as planned, with enough fiducials to notice one that moves."""
+    """Check the patient's position, and for enough fiducials to notice one that moves."""
     findings: list[RonnaError] = []
     warnings: list[str] = []
     if not volume.patient_position:
@@ -258,9 +258,9 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
 
 
 def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
-    """The CT shows as many fiducials (n, 3) as were implanted, in a distinguishable layout.
+    """Check the number of fiducials (n, 3) in the CT, and that their layout is distinguishable.
 
-    For the x-shaped frame, it shows the frame; anything else that looks like a sphere is reported.
+    The x-shaped frame must be found; further spheres are reported.
     """
     if plan.fiducials is FiducialKind.XFRAME:
         return _the_frame(points_mm)
@@ -294,7 +294,7 @@ def _driven(
     arm: ArmSetting,
     sight: StereoSight | None,
 ) -> _Driven:
-    """What keeps the arm from carrying out the plan; else its motions, if there is a scene, and turns."""
+    """Check the arm's paths; return their obstacles, or the motions, if there is a scene, and turns."""
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
@@ -336,7 +336,7 @@ def _driven(
 
 
 def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
-    """Warnings of bodies closer than the margin when a motion begins: they may stay or move away."""
+    """Warn of bodies closer than the margin at the start of a motion; they may stay or move away."""
     named: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
@@ -351,7 +351,7 @@ def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
 
 
 def _unknown(plan: Plan) -> list[RonnaError]:
-    """Whatever the plan requires that this version does not have."""
+    """Tools of the plan that this version does not know."""
     found: list[RonnaError] = []
     if plan.tool not in KNOWN_TOOLS:
         found.append(
@@ -361,7 +361,7 @@ def _unknown(plan: Plan) -> list[RonnaError]:
 
 
 def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
-    """The depth stop must fit on the instrument."""
+    """Trajectories whose depth stop does not fit on the instrument."""
     return [
         StopBeyondInstrument(
             f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
@@ -373,7 +373,7 @@ def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
 
 
 def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:
-    """Points beyond the outer faces of the outermost voxels; indices name voxel centres."""
+    """Points outside the CT, beyond the outer faces of the outermost voxels."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5
     for one in plan.trajectories:

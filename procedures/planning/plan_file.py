@@ -1,4 +1,8 @@
-"""Reads and writes `plan.toml`. All mistakes in a file are reported at once."""
+"""The plan file `plan.toml`: new, read, written and sealed. All mistakes in a file are reported at once.
+
+Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
+must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
+"""
 
 from __future__ import annotations
 
@@ -48,7 +52,7 @@ LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 
 
 def in_another_unit(plan: Plan) -> list[PlanMistakes]:
-    """One mistake for each such value of a plan."""
+    """Mistakes for values of a plan that are typical of another unit."""
     found = [
         PlanMistakes(
             f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
@@ -76,7 +80,7 @@ def in_another_unit(plan: Plan) -> list[PlanMistakes]:
 
 
 def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
-    """The same for one structure."""
+    """Mistakes for values of a structure that are typical of another unit."""
     found = []
     if structure.margin_mm < LEAST_MARGIN_MM:
         found.append(
@@ -116,7 +120,7 @@ def ct_digest(volume: Volume) -> str:
 
 
 def sealed(plan: Plan, author: str, volume: Volume) -> Plan:
-    """The plan with a seal. Raises pydantic's ValidationError for an author without a name."""
+    """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
     open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
     unsealed = plan.model_copy(update={"seal": open_seal})
     return unsealed.model_copy(
@@ -125,13 +129,13 @@ def sealed(plan: Plan, author: str, volume: Volume) -> Plan:
 
 
 def require_unaltered(plan: Plan, name: str) -> None:
-    """Raises PLAN-023 if a plan does not match its seal."""
+    """Raise PLAN-023 if a plan does not match its seal."""
     if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
         raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
 
 
 def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
-    """The finding that a sealed plan was made on other voxels, or None."""
+    """Finding that a sealed plan was made on other voxels, or None."""
     if plan.seal is None:
         return None
     digest = ct_digest(volume)
@@ -173,7 +177,7 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
 
 
 def plan_of(content: bytes, name: str) -> Plan:
-    """The plan in the content of a file with this name. Raises like `read_plan`."""
+    """Parse the content of a plan file with this name. Raises like `read_plan`."""
     return parse_plan(toml_of(content, name, PlanUnreadable), name)
 
 
@@ -224,7 +228,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
 
 
 def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
-    """The line naming the trajectory or the structure, if it has a name; otherwise by its number."""
+    """Name the trajectory or structure in the line, or else give its number."""
     match place:
         case ("trajectories" | "structures" as table, int(index), *_):
             kind, key = NAMED[table]
@@ -241,7 +245,7 @@ def _to_add(mistake: Mapping[str, Any]) -> str:
 
 
 def _ids(content: dict[str, Any]) -> Counter[str]:
-    """How often each id occurs; uses the raw content, as other mistakes may prevent parsing the model."""
+    """Count the ids in the raw content, as other mistakes may prevent parsing the model."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
         return Counter()
@@ -263,7 +267,7 @@ TRAJECTORY = """
 def new_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """The text of a plan on the series `source`, with its spheres (n, 3) LPS mm as a comment."""
+    """Text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
     return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

@@ -1,4 +1,4 @@
-"""Who holds a plan: a case running on it, so that it cannot be overwritten, or a planner."""
+"""Locks of a plan: a running case keeps it from being overwritten, a planner from other planners."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 @dataclass(frozen=True)
 class HeldPlan:
-    """Content of a plan file when a case took hold of it, whatever has been written since."""
+    """Content of a plan file when a case locked it."""
 
     content: bytes
 
     @property
     def sha256(self) -> str:
-        """Of the file."""
+        """SHA-256 of the file."""
         return hashlib.sha256(self.content).hexdigest()
 
 
@@ -76,7 +76,7 @@ def plan_in_use(path: Path) -> bool:
 
 
 class PlannerLock:
-    """Only one of several planners may change a plan: from the first successful `take` until `leave`."""
+    """Lock that lets one planner change a plan, from the first successful `take` until `leave`."""
 
     def __init__(self, plan: Path) -> None:
         self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
@@ -84,7 +84,7 @@ class PlannerLock:
         self._has_left = False
 
     def take(self) -> bool:
-        """Whether no other planner holds the plan; also true where files cannot be locked."""
+        """Take the lock; False if another planner holds it. True where files cannot be locked."""
         if self._has_left:
             return False
         if self._file is None:
@@ -111,7 +111,7 @@ class PlannerLock:
 
 
 def _locked(path: Path, kind: int) -> int:
-    """The file at the path once it is locked; one that was replaced in the meantime does not count."""
+    """Open and lock the file at this path, again if it was replaced meanwhile."""
     while True:
         file = _opened(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -125,7 +125,7 @@ def _locked(path: Path, kind: int) -> int:
 
 
 def _opened(path: Path) -> int:
-    """Writable if possible: on a network file system only then can it be locked exclusively."""
+    """Open writable if possible, as exclusive locks on a network file system require."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:

@@ -102,7 +102,7 @@ class PlannedTrajectory(Strict):
 
     @property
     def trajectory(self) -> Trajectory:
-        """The same for the strategies, angle in radians."""
+        """This trajectory for the strategies, angle in radians."""
         return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
 
 
@@ -248,7 +248,7 @@ def span(points: ArrayLike) -> float:
 
 
 def in_metres(points: ArrayLike) -> bool:
-    """Whether points (n, 3), read as millimetres, are so close together that only metres make sense of them.
+    """Whether points (n, 3), given as millimetres, are so close together that they must be metres.
 
     One point alone, as drawn first, says nothing about its unit.
     """

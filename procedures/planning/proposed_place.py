@@ -1,4 +1,4 @@
-"""The proposed position as a case reads it, and the cart's deviation from it."""
+"""The proposed cart position as a case reads it, and the cart's deviation from it."""
 
 from __future__ import annotations
 
@@ -42,12 +42,12 @@ class BesideProposal:
 
     @property
     def off_mm(self) -> float:
-        """Distance from it."""
+        """Distance from the proposal."""
         return math.hypot(self.x_mm, self.y_mm)
 
 
 class ProposedPlace(Strict):
-    """What a case needs from `place.json`; the map itself is ignored."""
+    """The part of `place.json` that a case needs; the map itself is ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -63,7 +63,7 @@ class ProposedPlace(Strict):
     turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
     def beside(self, robot_from_ct: Transform) -> BesideProposal:
-        """The cart's deviation if it sees the CT at this pose ROBOT <- CT."""
+        """Deviation of a cart that sees the CT at this pose ROBOT <- CT."""
         assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
         then = Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
@@ -81,7 +81,7 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, beside: BesideProposal) -> bool:
-        """Whether it is close enough: rotated no more than was tried, within the tolerance found there."""
+        """Whether a deviation is within the tolerance, rotated no more than was tried."""
         less, more = self.turns_deg
         turned = abs(beside.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
@@ -94,14 +94,14 @@ TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are t
 
 @dataclass(frozen=True)
 class PlaceFile:
-    """What a file proposes, and the SHA-256 of that file."""
+    """A proposal and the SHA-256 of its file."""
 
     place: ProposedPlace
     sha256: str
 
 
 def read_place(path: Path) -> PlaceFile | None:
-    """Read it; None if nothing is proposed. Raises PLAN-022."""
+    """Read a proposal; None without a file. Raises PLAN-022."""
     try:
         content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
         return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())

@@ -1,4 +1,4 @@
-"""The arm's surroundings when a motion is planned: the head in the CT, its spheres, and what is around."""
+"""Surroundings of the arm when a motion is planned: head and spheres in the CT, x-shaped frame, room."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ class PlanningScene:
     head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """The same, with this much additional clearance required while the stereo head is mounted."""
+        """This scene with additional clearance required while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(
@@ -75,7 +75,7 @@ COARSE_MM = 1.25  # around them: error of the coarse localization
 
 
 def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """Its rods in the CT frame; none for free spheres. Raises REG-012 if it is not among the spheres."""
+    """Rods of the x-shaped frame, CT frame; none for free spheres. Raises REG-012 if it is not found."""
     if fiducials is not FiducialKind.XFRAME:
         return ()
     place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout

@@ -1,4 +1,4 @@
-"""Structures that trajectories must avoid, above all vessels, as points, and how close they come."""
+"""Structures that trajectories must avoid, above all vessels: their distances, gaps and errors."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class StructureDistance:
 
 
 def structure_distances(plan: Plan) -> tuple[StructureDistance, ...]:
-    """From every trajectory to every structure."""
+    """Distances from every trajectory to every structure."""
     return tuple(
         _distance(structure, one.id, one.entry_mm, one.target_mm)
         for structure in plan.structures or ()

@@ -1,7 +1,7 @@
-"""The error expected at a target during planning: what the registration of the case will predict.
+"""Error expected at a target during planning, and the strategy that minimizes it.
 
-The case predicts from what it has measured of the spheres; here only the markers in the CT are known, or,
-with an arm, also the poses found by a path check. The stereo measurement itself is not known yet.
+The case predicts from its measurements of the spheres; here only the markers in the CT are known and, with an
+arm, the poses found by a path check. The stereo measurement itself is not known yet.
 """
 
 from __future__ import annotations

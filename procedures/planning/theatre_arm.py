@@ -61,7 +61,7 @@ class TheatreArm:
 def theatre_arm(
     config: Path, robot_from_ct: SixNumbers, home_deg: SixNumbers | None, strategy: Strategy
 ) -> TheatreArm:
-    """From a theatre file, with the CT at a pose in $ROBROOT (mm, deg) and the arm starting at `home_deg`."""
+    """Read a theatre file, with the CT at a pose in $ROBROOT (mm, deg) and the arm starting at `home_deg`."""
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")

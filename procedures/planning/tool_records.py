@@ -1,4 +1,4 @@
-"""The records of the tools that can be mounted, from the theatre file, and whether they are consistent."""
+"""Records of the tools that can be mounted, from the theatre file, and their consistency."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.errors import UnknownTool
 from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
 
-# Far below the error of any tip; what writing and reading a number changes is smaller still.
+# Far below the error of any tip, and above the rounding of a written number.
 SAME_TIP_MM = 0.001
 SAME_TIP_RAD = math.radians(0.001)
 RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
@@ -22,7 +22,7 @@ GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 @dataclass(frozen=True)
 class GuideRecord:
-    """What is known of the guide: its record, and what a guide's record always has."""
+    """The guide's record, with the parts that a guide must have."""
 
     record: ToolRecord
     bore: GuideBore
@@ -31,9 +31,9 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """By name, and the flange on which they must have been measured.
+    """Records by name, and the flange on which the tools must have been measured.
 
-    `calibrating`: no patient, and the tip is what is measured; its record may be of a former one.
+    While `calibrating` the tip, its record may refer to a former one.
     """
 
     records: Mapping[str, ToolRecord]
@@ -42,12 +42,12 @@ class ToolRecords:
 
     @classmethod
     def of(cls, file: TheatreFile, *, calibrating: bool = False) -> ToolRecords:
-        """Those of a theatre file."""
+        """Read the records of a theatre file."""
         return cls(file.tools, file.flange, calibrating)
 
     @property
     def guide(self) -> GuideRecord:
-        """Raises TOOL-002 if there is none, or one that is not that of a guide."""
+        """Record of the guide. Raises TOOL-002 if there is none, or if it is not that of a guide."""
         found = self.records.get(GUIDE)
         if found is None:
             raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
@@ -60,7 +60,7 @@ class ToolRecords:
         return GuideRecord(found, found.bore, found.gauge)
 
     def check(self, calibrations: Calibrations, moment: datetime) -> None:
-        """Raises CAL-001 for a record that is not valid at that moment, TOOL-002, TOOL-003."""
+        """Raise CAL-001 for a record that is not valid at this moment, TOOL-002, TOOL-003."""
         for name, record in self.records.items():
             record.check_valid_at(moment)
             check_flange(record, self.flange)
@@ -76,7 +76,7 @@ class ToolRecords:
             check_tip(guide, calibrations)
 
     def check_frames(self, calibrations: Calibrations, tracked: Sequence[str]) -> None:
-        """Raises DEV-003 if a record names a frame that is not among the tools of the tracker."""
+        """Raise DEV-003 if a record names a frame that is not among the tracker's tools."""
         named = {"calibration.tracker_frame": calibrations.tracker_frame.tool} | {
             f"tools.{name}.frame": record.frame.tool
             for name, record in self.records.items()
@@ -91,7 +91,7 @@ class ToolRecords:
 
 
 def check_flange(record: ToolRecord, flange: str) -> None:
-    """Raises TOOL-003 unless a tool was measured on that flange."""
+    """Raise TOOL-003 unless a tool was measured on this flange."""
     if record.flange != flange:
         raise ForeignTool(
             f"tool record {record.identifier} belongs to another flange",
@@ -101,7 +101,7 @@ def check_flange(record: ToolRecord, flange: str) -> None:
 
 
 def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
-    """Raises TOOL-003 unless a tool's record refers to this calibration of its tip, with these numbers."""
+    """Raise TOOL-003 unless a tool's record refers to this calibration of its tip, with these numbers."""
     tip = calibrations.tool_tip
     if record.tip != tip.identifier:
         raise ForeignTool(

@@ -158,7 +158,7 @@ class ArmSetting:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def in_branch(self, branch: Branch) -> ArmInBranch:
-        """The arm as a strategy needs it."""
+        """This arm in a branch, for strategies."""
         return ArmInBranch(
             self.kinematics,
             flange_from_guide=self.flange_from_tool,
@@ -181,7 +181,7 @@ class Axes:
 
     @classmethod
     def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
-        """As the strategy chooses them, at the planned free angles."""
+        """Axes as chosen by the strategy, at the planned free angles."""
         along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
         return cls(along, tuple(trajectories))
 
@@ -191,7 +191,7 @@ class Axes:
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
-        """What is done along one axis."""
+        """The part of the procedure along one axis."""
         return Axes(
             tuple(one for one in self.localized if one.identifier == identifier),
             tuple(one for one in self.targeted if one.identifier == identifier),
@@ -222,7 +222,7 @@ def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: 
 def localizations_along(
     setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """The poses of all fiducials (n, 3) in CT mm along one axis; raises like `visits_of`."""
+    """Poses of all fiducials (n, 3) in CT mm along one axis. Raises like `visits_of`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
@@ -240,7 +240,7 @@ def localizations_along(
 
 
 def target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
-    """The pose at a target: the guide held outside the skin."""
+    """Pose at a target, with the guide held outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
     name = trajectory.identifier
     return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)

@@ -1,7 +1,7 @@
-"""The decision points and failure branches of a case: what may happen, what notices it, and how it ends.
+"""Decision points and failure branches of a case: event, detection, action and ending.
 
-This table is the only one: steps take their questions from it, the page of the state chart shows it, and a
-test reaches every row. No branch moves the arm again unasked.
+The only such table: steps take their questions from it, the page of the state chart shows it, and a test
+reaches every row. No branch moves the arm again unasked.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 
 class Ending(StrEnum):
-    """How a branch ends."""
+    """Ending of a branch."""
 
     HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
     ASK = "ask"  # the operator decides; what is not agreed to is held
@@ -38,7 +38,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True)
 class Branch:
-    """One row. `errors` are what it holds with, or holds with when the answer is no."""
+    """One row of the table. `errors` are those that hold the case, at once or when the answer is no."""
 
     event: str
     detected_by: str
@@ -56,7 +56,7 @@ class Branch:
         trajectory: str | None = None,
         answers: tuple[str, ...] | None = None,
     ) -> Question:
-        """What the operator is asked, with all answers by default. Raises ValueError when nothing is."""
+        """Build the question, by default with all answers. Raises ValueError if the branch has none."""
         if self.topic is None:
             raise ValueError(f"no question is defined for: {self.event}")
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
@@ -68,12 +68,12 @@ AGAIN, AS_IT_STANDS = "placed again", "as it stands"
 
 
 def use(strategy: str) -> str:
-    """The answer that agrees to another strategy."""
+    """Answer that agrees to another strategy."""
     return f"use {strategy}"
 
 
 def from_stage(task: str) -> str:
-    """The answer that continues from that stage of the work through the guide."""
+    """Answer that continues the work through the guide from a stage."""
     return f"from {task}"
 
 
@@ -369,31 +369,33 @@ ABORTED = Branch(
 )
 
 BRANCHES = (
-    *(
-        SPHERE_COUNT,
-        CT_DISAGREEMENT,
-        SIGHT_LOST,
-        GUARD_UNMET,
-        HEAD_UNSEEN,
-        AMBIGUOUS,
-        MIRRORED_CT,
-        UNMATCHED_SPHERE,
-        SPHERE_FAILED,
-        WRONG_SPHERE,
-    ),
-    *(
-        CART_MISPLACED,
-        CART_UNLOCKED,
-        REFERENCE_MOVED,
-        CART_MOVED,
-        MOVE_FOLLOWED,
-        MOVED_SPHERE,
-        FIT_DISAGREES,
-        BEYOND_MARGIN,
-        UNREACHABLE,
-        NOT_CLEAR_NOW,
-        ARM_FAULT,
-    ),
-    *(KEPT_REGISTRATION, WRONG_TOOL, TOOL_BESIDE_GAUGE, WRONG_STOP, WORK_BEGUN),
-    *(GUIDE_PUSHED, INSTRUMENT_INSIDE, ABORTED),
+    SPHERE_COUNT,
+    CT_DISAGREEMENT,
+    SIGHT_LOST,
+    GUARD_UNMET,
+    HEAD_UNSEEN,
+    AMBIGUOUS,
+    MIRRORED_CT,
+    UNMATCHED_SPHERE,
+    SPHERE_FAILED,
+    WRONG_SPHERE,
+    CART_MISPLACED,
+    CART_UNLOCKED,
+    REFERENCE_MOVED,
+    CART_MOVED,
+    MOVE_FOLLOWED,
+    MOVED_SPHERE,
+    FIT_DISAGREES,
+    BEYOND_MARGIN,
+    UNREACHABLE,
+    NOT_CLEAR_NOW,
+    ARM_FAULT,
+    KEPT_REGISTRATION,
+    WRONG_TOOL,
+    TOOL_BESIDE_GAUGE,
+    WRONG_STOP,
+    WORK_BEGUN,
+    GUIDE_PUSHED,
+    INSTRUMENT_INSIDE,
+    ABORTED,
 )

@@ -1,4 +1,7 @@
-"""The clinical steps, in the order of a case. A new step is one new module and its entry here."""
+"""Clinical steps in the order of a case, and the questions that each may ask.
+
+A new step is a new module and an entry here.
+"""
 
 from __future__ import annotations
 
@@ -56,7 +59,7 @@ CLINICAL_STEPS: Steps = (
 
 
 def clinical_steps(*, measure_targets: bool = False) -> Steps:
-    """The steps of a case; on a phantom, those that measure the targets come before the exchange of tools."""
+    """Steps of a case; to measure targets on a phantom, they include that before the exchange of tools."""
     if not measure_targets:
         return CLINICAL_STEPS
     place = CLINICAL_STEPS.index(tool_change.STEP)
@@ -78,14 +81,14 @@ AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 @dataclass(frozen=True)
 class PlannedQuestion:
-    """A question by its topic, and what must have happened for it; empty where it belongs to the course."""
+    """Topic of a question and the condition under which it is asked; empty if it always is."""
 
     topic: Topic
     condition: str = ""
 
     @property
     def answers(self) -> tuple[str, ...]:
-        """The first goes on, the last is what silence means."""
+        """Possible answers: the first continues, the last is assumed on silence."""
         return ANSWER_WORDS[self.topic]
 
     def __str__(self) -> str:
@@ -93,7 +96,7 @@ class PlannedQuestion:
 
 
 def planned_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
-    """Those of its course in their order, then those of its branches; not what any step may meet."""
+    """Questions of a step's normal course in order, then of its branches, but not those of any step."""
     course = [PlannedQuestion(topic) for topic in spec.asks]
     if spec.moves:
         course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))

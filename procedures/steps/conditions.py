@@ -12,9 +12,9 @@ REMOUNTED = "; with the arm home, run global_localization: it is mounted there a
 
 
 def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries that tool, and it is on no axis. What is unchecked is read again.
+    """The arm carries this tool and is on no axis; an unchecked tool is identified first.
 
-    `remedy` names the step that mounts it in place of the guide, where no earlier one is listed.
+    `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
     """
 
     def unmet(context: StepContext) -> tuple[str, ...]:
@@ -40,7 +40,7 @@ def exchangeable(context: StepContext) -> tuple[str, ...]:
 
 
 def localizable(context: StepContext) -> tuple[str, ...]:
-    """Nothing that the localizations descend from is repeated when they could not be made again."""
+    """Refuse to repeat what localizations depend on while the guide is mounted: they could not be redone."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
             "the arm carries the guide: if this result changed, the spheres could not be localized again; "
@@ -50,7 +50,7 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 
 def away_from_head(context: StepContext) -> tuple[str, ...]:
-    """Nobody leans on the cart, or works at the clamp, while the arm reaches over the head."""
+    """The arm is home: nobody works at cart or clamp while it reaches over the head."""
     place = context.workcell.place
     if place.is_home:
         return ()
@@ -76,7 +76,7 @@ LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, sk
 
 
 def require_recent(context: StepContext, what: str, read_s: float) -> None:
-    """Raise TOOL-007 when what was read at that theatre time is relied on too late."""
+    """Raise TOOL-007 if a reading taken by hand at this theatre time is too old to rely on."""
     age_s = context.setting.clock.now_s() - read_s
     if age_s > LONGEST_S:
         raise ReadingTooOld(

@@ -1,4 +1,4 @@
-"""What a step would move, by the motions that the path check has previewed, and those over the gauge.
+"""Dry run: the motions that a step would make, from the previews of the path check, and those over the gauge.
 
 Nothing is asked or moved.
 """
@@ -38,7 +38,7 @@ OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less 
 
 
 def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
-    """One line for each motion of a step, from the arm's present position; None before the path check."""
+    """Describe each motion of a step from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
         return None
@@ -62,7 +62,7 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
 
 @dataclass(frozen=True)
 class _PlannedArm:
-    """The arm as it will be, with the guide mounted."""
+    """The arm with the guide mounted, for previews."""
 
     kinematics: Kinematics
     limits: MotionLimits
@@ -73,7 +73,7 @@ class _PlannedArm:
 
 
 def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """The motions over the gauge, from home: another tool may be mounted and no path be recorded."""
+    """Preview the motions over the gauge from home; no path is recorded for them."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
@@ -92,7 +92,7 @@ def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
-    """The sphere that the stereo head is over when a localization was interrupted, counted from 0."""
+    """Index of the sphere below the stereo head after an interrupted localization; None if there is none."""
     if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.tool_pose().translation_mm
@@ -129,6 +129,6 @@ def _described(motion: MotionPreview) -> str:
 
 
 def _place(name: str) -> str:
-    """A place as people count: spheres from 1."""
+    """Name a place with spheres counted from 1."""
     before, sphere, number = name.partition(SPHERE)
     return f"{before}/sphere {int(number) + 1}" if sphere else name

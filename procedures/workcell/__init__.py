@@ -1,4 +1,4 @@
-"""The only way in which procedures look and move: arm, mounted tool, surroundings, stereo head, tracker."""
+"""The workcell: the only way in which procedures look and move."""
 
 from procedures.workcell.arm_place import Insertion
 from procedures.workcell.tools import MountedTool

@@ -1,4 +1,4 @@
-"""Brings the tool centre onto a sphere: approach along the tool axis, look, servo, back off the same way."""
+"""Centring of the tool on a sphere: approach along the tool axis, look, servo, back off the same way."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ if TYPE_CHECKING:
 def settled_around(
     expected: Transform, settle: Callable[[Transform], object], arm: ArmView
 ) -> Iterator[Transform]:
-    """Settle onto one pose after another around the expected one, and give those taken.
+    """Settle onto the poses of the search pattern around the expected one, yielding those reached.
 
-    The search leads beyond the checked path: poses refused before the arm moves are passed over. Raises
-    STE-009 after the last, and what trips the arm.
+    The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
+    the last, and errors that trip the arm.
     """
     passed = 0
     for number in count():
@@ -50,7 +50,7 @@ def settled_around(
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Why a motion was refused before the arm moved; None when it is done. One that trips the arm raises."""
+    """Make a motion; return a refusal from before the arm moved, or None. Raises if the arm trips."""
     try:
         move()
     except LimitError as error:
@@ -64,15 +64,15 @@ Array = NDArray[np.float64]
 
 SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
 EXACT = ServoSettings()
-# From whatever side, steps smaller than the backlash end anywhere in it. The residual is recorded with the
-# pose, so a larger one costs nothing: 0.02 deg of dead way in every joint displace the tool by up to 0.4 mm.
+# From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
+# so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.
 WITHIN_BACKLASH = ServoSettings(tolerance_mm=0.5)
-OF_LIGHT = (NoContrast, NotTrusted)  # what another exposure may help against, beside saturation
+OF_LIGHT = (NoContrast, NotTrusted)  # besides saturation, problems that another exposure may solve
 
 
 @dataclass(frozen=True)
 class CentredSphere:
-    """One sphere, measured: `point_mm` in the robot frame, `residuals_mm` the servo's way to it."""
+    """A measured sphere: `point_mm` (3,) in the robot frame, `residuals_mm` of the servo's steps."""
 
     fiducial: int
     point_mm: Array
@@ -87,9 +87,9 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """How spheres are centred: direction in which each joint arrives, area of the sensors, approach.
+    """Centring of spheres: direction in which each joint arrives, area of the sensors, approach.
 
-    With `arriving` None each joint arrives from whatever side it stands.
+    With `arriving` None, each joint arrives from any side.
     """
 
     workcell: Workcell
@@ -98,10 +98,10 @@ class Centring:
     approach_mm: float
 
     def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
-        """Centre one sphere that is expected at a pose ROBOT <- TOOL.
+        """Centre the sphere expected at a pose ROBOT <- TOOL.
 
-        Raises PRO-008 when it is not there, STE-011 when nothing but light is seen, STE-007 and STE-008 when
-        the servo does not end; the arm then rests where it looked last, see `back_off`.
+        Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
+        servo does not converge; the arm then rests where it looked last, see `back_off`.
         """
         try:
             return self._onto(fiducial, expected, near)
@@ -109,7 +109,7 @@ class Centring:
             self.workcell.sensors.expose(1.0)
 
     def back_off(self) -> None:
-        """Back along the tool axis from where the arm looked last."""
+        """Back off along the tool axis from the last look."""
         self.workcell.line_to(self._before(self.workcell.tool_pose()))
 
     def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
@@ -147,7 +147,7 @@ class Centring:
         )
 
     def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
-        """Look in the servo's area, on the whole sensors, around in a spiral, then in other light."""
+        """Look in the servo's area, on the whole sensors, in a spiral around, then with other exposures."""
         workcell = self.workcell
         workcell.sensors.read_around_tool(self.area_px)
         try:
@@ -180,7 +180,7 @@ class Centring:
     def _in_other_light(
         self, looks: int, exposures: Sequence[float], refusal: RonnaError
     ) -> tuple[Look, int]:
-        """Look again with other exposures; raises the refusal when none shows the sphere."""
+        """Look with other exposures. Raises the refusal if none shows the sphere."""
         workcell = self.workcell
         for share in exposures:
             workcell.sensors.expose(share)
@@ -193,7 +193,7 @@ class Centring:
         raise refusal
 
     def _settle(self, pose: Transform) -> None:
-        """Take a pose; where it is asked for, each joint arrives from the same side as at the target."""
+        """Move to a pose; with `arriving`, each joint arrives from its side."""
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 

@@ -1,4 +1,4 @@
-"""Motions and looks that the workcell refuses."""
+"""Errors of motions and looks that the workcell refuses."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One look of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
+"""Looks of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from ronna_hw.devices import StereoPair
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
-# What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
+# Errors that mean no sphere, or another object; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
-CLOCK_ERROR_S = 0.1  # theatre time; between the clocks of cameras and theatre. The arm rests for longer
+CLOCK_ERROR_S = 0.1  # theatre time, between the clocks of cameras and theatre; the arm rests for longer
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
 
 
 @dataclass(frozen=True)
 class Look:
-    """What one look gave; `point` is None when no sphere could be measured in both images."""
+    """Result of one look; `point` is None unless a sphere was measured in both images."""
 
     reading: StereoReading
     left: SphereImage | None
@@ -46,12 +46,12 @@ class Look:
 
     @property
     def reason(self) -> str:
-        """What kept it from giving a point, in words."""
+        """Reason for a missing point, in words."""
         return "" if self.problem is None else self.problem.what
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
-    """The area of that size whose middle is where the tool centre point appears, inside the sensor."""
+    """Area of this size about the image of the tool centre point, inside the sensor."""
     columns, rows = camera.sensor_px
     width, height = min(size_px[0], columns), min(size_px[1], rows)
     (x, y), _ = Camera(camera).project((0.0, 0.0, 0.0))
@@ -61,15 +61,15 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
 
 
 def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
-    """The area of the whole sensor."""
+    """Area of the whole sensor."""
     columns, rows = camera.sensor_px
     return AreaOfInterest(0, 0, columns, rows)
 
 
 def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
-    """Take a pair and measure the sphere in it; one that did not come whole, or is old, is taken again.
+    """Take a pair and measure the sphere in it; an incomplete or old pair is taken again.
 
-    Raises STE-012 when none does: to search for the sphere elsewhere would not help.
+    Raises STE-012 if none is usable: a search elsewhere would not help.
     """
     for _ in range(1 + FURTHER_TRIES):
         reading = _grabbed(stereo, clock)
@@ -94,7 +94,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
 
 
 def _grabbed(stereo: StereoPair, clock: Clock) -> StereoReading:
-    """A pair; STALE when it was exposed before it was asked for, when the arm was elsewhere."""
+    """Grab a pair; STALE if it was exposed before the request, when the arm was elsewhere."""
     asked_s = clock.now_s()
     reading = stereo.grab_pair()
     sides = (side for side in (reading.left, reading.right) if side is not None)
@@ -119,7 +119,7 @@ def _offset(centre_px: float, size: int, whole: int) -> int:
 
 
 class Sensors:
-    """Area and exposure of both cameras."""
+    """Area and exposure of both cameras of the stereo head."""
 
     def __init__(self, stereo: Callable[[], StereoPair], head: StereoHeadCalibration) -> None:
         self._stereo = stereo
@@ -127,7 +127,7 @@ class Sensors:
         self._exposure_share = 1.0  # of the configured one
 
     def read_around_tool(self, size_px: tuple[int, int]) -> None:
-        """Read the part of each sensor, columns and rows, where the tool centre appears: faster than all."""
+        """Read only this many columns and rows around the tool centre, which is faster."""
         left, right = (area_around_tool(side, size_px) for side in (self._head.left, self._head.right))
         self._stereo().set_areas(left, right)
 
@@ -136,7 +136,7 @@ class Sensors:
         self._stereo().set_areas(whole_sensor(self._head.left), whole_sensor(self._head.right))
 
     def expose(self, share: float) -> None:
-        """Expose both sensors by that share of the configured time."""
+        """Expose both sensors for a share of the configured time."""
         if share != self._exposure_share:
             self._stereo().scale_exposure(share)
             self._exposure_share = share
@@ -151,7 +151,7 @@ Picture = NDArray[np.uint8]
 
 
 def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
-    """Both images side by side as PNG, with the outlines that were fitted; a missing side is left out."""
+    """Both images side by side as PNG with the fitted outlines, without a missing side."""
     sides = (("left", seen.reading.left, seen.left), ("right", seen.reading.right, seen.right))
     drawn = [_draw(name, image, sphere, height_px) for name, image, sphere in sides if image is not None]
     height = min((picture.shape[0] for picture in drawn), default=height_px)

@@ -1,4 +1,4 @@
-"""The mounted tool, according to the last reading of the controller's inputs."""
+"""The tool on an arm: its mount, by the controller's inputs, and its poses, by the arm's calibration."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from ronna_hw.frames import Frame, Transform
 
 
 class MountedTool(StrEnum):
-    """The mounted tool, as far as it has been checked."""
+    """The mounted tool according to the last check."""
 
     UNKNOWN = "unchecked tool"
     STEREO_HEAD = "stereo head"
@@ -28,7 +28,7 @@ class MountedTool(StrEnum):
 
 
 class ToolMount:
-    """The mount of one arm. `tool` is what was found there last."""
+    """Mount of one arm; `tool` is the tool last found there."""
 
     def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
         self.tool = MountedTool.UNKNOWN
@@ -38,11 +38,11 @@ class ToolMount:
 
     @property
     def checked_number(self) -> int | None:
-        """The number of the tool that was found last; None while that is not known."""
+        """Number of the tool last found; None if unknown."""
         return None if self.tool is MountedTool.UNKNOWN else self._number(self.tool)
 
     def check(self, tool: MountedTool) -> int:
-        """The tool's number; raises PRO-009 when another is mounted."""
+        """Check that a tool is mounted, and return its number. Raises PRO-009 for another tool."""
         expected = self._number(tool)
         self.tool = MountedTool.UNKNOWN
         mounted = self._reported = self._read_number()
@@ -56,7 +56,7 @@ class ToolMount:
         return mounted
 
     def identify(self) -> MountedTool:
-        """Whichever tool is mounted; unchecked when it is none of ours or cannot be read."""
+        """Identify the mounted tool; UNKNOWN unless it is one of ours."""
         self.tool = MountedTool.UNKNOWN
         with contextlib.suppress(RonnaError):
             mounted = self._reported = self._read_number()
@@ -65,7 +65,7 @@ class ToolMount:
         return self.tool
 
     def flange_from(self, tool: MountedTool) -> Transform:
-        """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
+        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
         if tool is MountedTool.UNKNOWN:
             known = (f"{each}, number {self._number(each)}" for each in list(MountedTool)[1:])
             raise WrongTool(
@@ -84,14 +84,14 @@ class ToolMount:
         return self._calibrations.tool_tip.tool_number if guide else STEREO_HEAD_NUMBER
 
 
-# From which side each joint comes, +1 or -1: what is known of its backlash then counts. None: not known.
+# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
 Sides = Sequence[int] | None
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
-    """The arm with its deviations; the nominal one without a record.
+    """The arm with the deviations of its record, or nominal without one.
 
-    Raises CAL-013 for another arm's record, ARM-009 for an arm that calibrations could not find by its name.
+    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
     kinematics_named(kinematics.name)
     if record is None:
@@ -106,7 +106,7 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
 
 
 def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
-    """Raise CAL-013 for the record of another arm of the model; `serial` is empty where none is reported."""
+    """Raise CAL-013 for the record of another arm of this model; `serial` is empty if not reported."""
     if record is not None and record.serial and serial and record.serial != serial:
         raise AnotherArm(
             f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
@@ -115,13 +115,13 @@ def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
 
 @dataclass(frozen=True)
 class CarriedTool:
-    """A tool on an arm: between poses ROBOT <- TOOL and joint angles."""
+    """A tool on an arm: conversion between poses ROBOT <- TOOL and joint angles."""
 
     arm: CalibratedArm
     flange_from_tool: Transform
 
     def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Where the tool is at joint angles; `arrived` says from which side each joint came, where known."""
+        """Pose of the tool at joint angles; `arrived` is the side from which each joint came, if known."""
         return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
@@ -131,7 +131,7 @@ class CarriedTool:
     def commanded(
         self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
     ) -> Transform:
-        """What the controller, which knows no calibration, must be told to bring the tool to a pose.
+        """Pose to command to the controller, which knows no calibration, to bring the tool to a pose.
 
         `here_rad` measures the joints, in whose branch the arm stays.
         """

@@ -1,4 +1,8 @@
-"""Tracker readings while the arm is at rest: a number of distinct measurements, and their mean."""
+"""Tracker readings while the arm rests: a number of distinct frames, and mean poses.
+
+A tracker with the definition of the x-shaped frame loaded reports the frame on the head as one pose instead
+of as strays. The markers of that pose are added to the strays, so that watches of the spheres need not care.
+"""
 
 from __future__ import annotations
 
@@ -18,11 +22,11 @@ from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
-ALIKE_MM = 0.05  # between a loaded definition and the frame: a definition is text of two digits
+ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals
 
 
 def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
-    """The tool whose markers are those of the x-shaped frame, in its order; None without one."""
+    """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
     frame = np.array(SPHERE_CENTRES_MM)
     for name, markers in markers_mm.items():
         if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
@@ -31,7 +35,7 @@ def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | 
 
 
 def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
-    """The reading with the spheres of the frame on the head among its strays, where it is seen as a tool."""
+    """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
     name = name_of_frame(tracker.markers_mm)
     if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
         return frame
@@ -41,14 +45,14 @@ def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFra
 
 
 FRAMES = 60  # one second of a 60 Hz tracker
-FRAME_S = 1 / 60
+FRAME_S = 1 / 60  # period of the tracker's frame counter
 LEAST_FRAMES_WITH_TOOL = 30
 READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
-    """Nominal pose ROBOT <- MARKER of the reference frame on the arm."""
+    """Pose ROBOT <- MARKER of the reference frame, by the arm."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     flange = workcell.flange_pose(joints_rad)
     return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
@@ -60,22 +64,22 @@ def frames_at_rest(
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
 ) -> tuple[list[TrackerFrame], int]:
-    """As `fresh_frames`, with the tracking begun for them and ended after them."""
+    """Track, read `fresh_frames` and end the tracking."""
     tracker.activate()
     try:
         return fresh_frames(tracker, clock, progress, count)
     finally:
-        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
+        if tracker.state is not Lifecycle.FAULT:  # a fault ended the tracking, and must be reported
             tracker.deactivate()
 
 
 def fresh_frames(
     tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
-    """So many measurements, each another one, and how many readings were lost on the way.
+    """Read distinct frames; also return the number of readings lost.
 
     A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 if the
-    tracker returns too few in time, and the driver's own error when the line is too bad.
+    tracker returns too few in time, and the driver's error if too many are lost.
     """
     limit_s = clock.now_s() + READING_LIMIT_S
     frames: list[TrackerFrame] = []
@@ -102,7 +106,7 @@ def fresh_frames(
 
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
-    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it. Raises PRO-007."""
+    """Mean pose TRACKER <- MARKER of a tool over the frames that show it. Raises PRO-007 for too few."""
     shown = _shown(frames, tool)
     if len(shown) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
@@ -115,7 +119,7 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
 
 
 def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
-    """What most frames without the tool have in common, and what to do about it."""
+    """Most frequent reason for frames without the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]
     outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
     disturbed = sum(
@@ -130,13 +134,13 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
 
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
-    """Mean pose TRACKER <- MARKER of the reference frame; None when fewer than `least` frames show it."""
+    """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
     shown = _shown(frames, tool)
     return _mean_of(shown) if len(shown) >= least else None
 
 
 def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
-    """Rotations and places of the reference frame in the frames that show it."""
+    """Rotations and positions of a tool in the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [
         (one.rotation, one.position_mm)
@@ -146,7 +150,7 @@ def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vect
 
 
 def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
-    """Mean of their poses TRACKER <- MARKER; at least one."""
+    """Mean pose TRACKER <- MARKER of at least one."""
     from scipy.spatial.transform import RigidTransform, Rotation
 
     quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*shown, strict=True))

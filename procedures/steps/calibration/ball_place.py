@@ -1,4 +1,4 @@
-"""Where the ball is before the head has seen it: as the operator says, or as the tracker sees it."""
+"""The ball of a calibration: its coarse position, by the operator or by the tracker, and the way over it."""
 
 from __future__ import annotations
 
@@ -33,26 +33,26 @@ ALONE_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
 
 
 class BallPlace(StepResult, kind="ball_place"):
-    """Coarse place of the ball and of other balls, robot frame."""
+    """Coarse position of the ball and of other balls, robot frame."""
 
     ball_mm: Numbers3 = Field(description="The ball to measure.")
     others_mm: tuple[Numbers3, ...] = Field(description="Other balls to keep clear of.")
 
     @classmethod
     def among(cls, points_mm: Array, number: int) -> Self:
-        """One of the balls (n, 3)."""
+        """Choose one of the balls (n, 3)."""
         x, y, z = points_mm[number].tolist()
         others = tuple((float(u), float(v), float(w)) for u, v, w in np.delete(points_mm, number, axis=0))
         return cls(ball_mm=(x, y, z), others_mm=others)
 
     @property
     def reference(self) -> Rotation:
-        """Orientation robot <- tool that looks straight down on the ball, mount turned outwards."""
+        """Orientation robot <- tool looking straight down on the ball, with the mount turned outwards."""
         return tool_orientation(DOWN, np.array(self.ball_mm), 0.0)
 
     @property
     def first_look(self) -> PlannedLook:
-        """The ball in the tool centre, looked at from above."""
+        """Look from above with the ball in the tool centre."""
         pose = Transform.of(
             Frame.ROBOT,
             Frame.TOOL,
@@ -64,20 +64,17 @@ class BallPlace(StepResult, kind="ball_place"):
 
 @dataclass(frozen=True)
 class StatedPlace:
-    """The place that the operator states, in the robot frame."""
+    """Position stated by the operator, robot frame."""
 
     ball_mm: Numbers3
 
     def run(self, _context: StepContext) -> Outcome[BallPlace]:
-        """Take it as it is."""
+        """Accept the position as stated."""
         return Outcome(BallPlace(ball_mm=self.ball_mm, others_mm=()), "as stated")
 
 
 def run(context: StepContext) -> Outcome[BallPlace]:
-    """By the tracker: the ball nearest to the head in its present pose. Raises CAL-009.
-
-    The arm rests, as the localization by the tracker wants it.
-    """
+    """Choose the isolated ball, seen by the tracker, that is nearest to the head. Raises CAL-009."""
     points = context.result(GlobalLocalization).points_mm
     alone = standing_alone(points)
     if not alone:
@@ -90,7 +87,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
 
 
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
-    """The step; with a stated place the tracker is not asked."""
+    """Build the step; with a stated position, the tracker is not asked."""
     if stated_mm is not None:
         return StepSpec(
             BallPlace, "Use the given ball position", Phase.PREPARATION, StatedPlace(stated_mm).run
@@ -99,7 +96,7 @@ def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
 
 
 def standing_alone(points_mm: Array) -> list[int]:
-    """Numbers of the balls (n, 3) that are far enough from every other one."""
+    """Indices of the balls (n, 3) that are far enough from every other one."""
     return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ALONE_MM]
 
 
@@ -121,10 +118,10 @@ def bring_over_ball(
     ball: str = "the ball",
     if_missing: str | None = None,
 ) -> BallWatcher:
-    """Confirmed by the operator, the head over the ball, and the ball in view.
+    """Bring the head over the ball, once confirmed, until the ball is in view.
 
-    Before anything moves so many poses about the ball must be within reach. Raises CAL-010, PRO-002 unless
-    confirmed, STE-009 when the ball is not there, with the advice `if_missing`.
+    Before anything moves, `poses` poses around the ball must be within reach. Raises CAL-010, PRO-002 unless
+    confirmed, STE-009 with the advice `if_missing` if the ball is not found.
     """
     workcell = context.workcell
     ball_mm = np.array(place.ball_mm)

@@ -1,4 +1,4 @@
-"""One look of the stereo head: from its present pose, or after moving over the ball."""
+"""Steps of the stereo head's calibration: a look at the ball, looks from all sides, looks of a check."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ from ronna_hw.calibration import Numbers3, StereoHeadCalibration
 
 
 class LookedAtBall(StepResult, kind="ball_look"):
-    """What one pair showed."""
+    """Result of one stereo pair."""
 
     position_mm: Numbers3 | None = Field(description="The ball in the tool frame, if measured.")
     left: Outline | None = Field(description="Its outline in the left image.")
@@ -38,7 +38,7 @@ class LookedAtBall(StepResult, kind="ball_look"):
 
 
 def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
-    """A look without motion: only the cameras are connected. Raises CAL-001, STE-010."""
+    """Look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
     workcell = context.workcell
     head, stereo = workcell.calibrations.stereo_head, workcell.stereo
     head.check_valid_at(context.setting.today())
@@ -52,7 +52,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
 
 
 def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
-    """A look over the ball, and back home."""
+    """Look from over the ball, and return home."""
     context.result(CheckedSetUp)
     bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
     seen = context.workcell.look()
@@ -61,7 +61,7 @@ def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
 
 
 def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
-    context.setting.memory.keep(seen)  # for whoever wants to see the pictures
+    context.setting.memory.keep(seen)  # for a display of the pictures
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     point = seen.point
     return Outcome(
@@ -76,7 +76,7 @@ def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
 
 
 def look_step(*, over_ball: bool) -> StepSpec[LookedAtBall]:
-    """The step, with motion or without."""
+    """Build the step, with motion or without."""
     if not over_ball:
         return StepSpec(LookedAtBall, "Look", Phase.OPERATION, run_where_it_stands)
     return StepSpec(
@@ -91,7 +91,7 @@ def look_step(*, over_ball: bool) -> StepSpec[LookedAtBall]:
 
 
 class ObservedBall(StepResult, kind="ball_observation"):
-    """The looks that a calibration is computed from."""
+    """Looks from which a calibration is computed."""
 
     observed: ObservationSet = Field(description="Contents of `observations.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -99,13 +99,13 @@ class ObservedBall(StepResult, kind="ball_observation"):
 
 @dataclass(frozen=True)
 class BallObservation:
-    """How many poses, and how many visits of each orientation of the check."""
+    """Number of poses, and of visits to each orientation of the check."""
 
     poses: int
     visits: int
 
     def run(self, context: StepContext) -> Outcome[ObservedBall]:
-        """Raises PRO-002 unless confirmed, STE-009 without a ball, CAL-010 or CAL-002 with too few looks."""
+        """Measure the ball. Raises PRO-002, STE-009 without a ball, CAL-010 or CAL-002 for too few looks."""
         context.result(CheckedSetUp)
         place, workcell = context.result(BallPlace), context.workcell
         total = self.poses + self.visits * CHECK_ORIENTATIONS
@@ -147,7 +147,7 @@ class BallObservation:
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
-    """The step for so many poses, and so many visits of each orientation of the check."""
+    """Build the step for a number of poses, and of visits to each orientation of the check."""
     return StepSpec(
         ObservedBall,
         "Measure the ball",
@@ -162,7 +162,7 @@ def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
 def check_look(
     watcher: BallWatcher, variants: Sequence[PlannedLook], seen: Sequence[Observation]
 ) -> Observation | None:
-    """A look of the check: the first that can be taken, and from then on always at its joint angles."""
+    """Take a look of the check: the first variant that works, and from then on always its joint angles."""
     for one in seen:
         if one.orientation is not None and one.orientation == variants[0].orientation:
             return watcher.observe_at(one.joints_rad, one.orientation)
@@ -174,7 +174,7 @@ def check_look(
 
 
 def refuse_too_few(watcher: BallWatcher, count: int) -> None:
-    """Raise CAL-010 when most looks could not be taken, CAL-002 when they showed no ball."""
+    """Raise CAL-010 if most looks were out of reach, CAL-002 if they showed no ball."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
         raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
@@ -184,13 +184,13 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
 def _homeward(context: StepContext) -> list[str]:
     try:
         context.workcell.go_home()
-    except NotClear as error:  # raised before anything moved; what was seen is worth keeping
+    except NotClear as error:  # raised before anything moved; the looks are worth keeping
         return [f"the arm stays where it is: {error.what}"]
     return []
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):
-    """The looks of a check."""
+    """Looks of a check."""
 
     calibration: str = Field(description="Name of the calibration being checked.")
     looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
@@ -198,13 +198,13 @@ class VisitedBaseline(StepResult, kind="baseline_visit"):
 
 @dataclass(frozen=True)
 class BaselineVisit:
-    """The baseline, and how often each of its orientations is visited."""
+    """A baseline, and the number of visits to each of its orientations."""
 
     baseline: Baseline
     visits: int
 
     def run(self, context: StepContext) -> Outcome[VisitedBaseline]:
-        """Raises STE-010, CAL-008, CAL-001, PRO-002 unless confirmed, STE-003 without a ball."""
+        """Measure the ball from the baseline's poses. Raises STE-010, CAL-008, CAL-001, PRO-002, STE-003."""
         context.result(CheckedSetUp)
         workcell, head = context.workcell, self.baseline.stereo_head
         for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
@@ -248,7 +248,7 @@ class BaselineVisit:
 
 
 def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCalibration) -> None:
-    """Where the head is on the flange may differ: a calibration of the arm determines that again."""
+    """Raise CAL-008 for other cameras; the head's pose on the flange may have been calibrated anew."""
     if (in_use.left, in_use.right) != (baseline.left, baseline.right):
         raise NotTheBaseline(
             "the theatre's calibration of the cameras is not that of the baseline",
@@ -260,7 +260,7 @@ def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCal
 
 
 def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
-    """The step for a baseline."""
+    """Build the step for a baseline."""
     return StepSpec(
         VisitedBaseline,
         "Measure the ball again",

@@ -1,4 +1,4 @@
-"""What the steps of a calibration are made from, so that a replay makes the same ones again."""
+"""Steps of each calibration in order, and the recipe from which a replay makes the same steps again."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def head_look(ball_mm: Numbers3 | None) -> Steps:
 
 
 def look_where_it_stands() -> Steps:
-    """One look; nothing moves."""
+    """Look once; nothing moves."""
     return (look_step(over_ball=False),)
 
 
@@ -45,7 +45,7 @@ def arm_looks(count: int, validation: int) -> Steps:
 
 
 def frame_looks(count: int, validation: int) -> Steps:
-    """Set up, and turn the reference frame before the tracker."""
+    """Set up, and rotate the reference frame in view of the tracker."""
     return (set_up.STEP, turning_step(count, validation))
 
 
@@ -64,7 +64,7 @@ MOST_LOOKS = 1000  # no command takes half of it
 
 
 class Calibrated(StrEnum):
-    """What a calibration is of."""
+    """Subject of a calibration."""
 
     HEAD = "stereo head"
     ARM = "arm"
@@ -73,7 +73,7 @@ class Calibrated(StrEnum):
 
 
 class Recipe(Strict):
-    """The steps of one calibration."""
+    """Parameters of the steps of one calibration."""
 
     of: Calibrated = Field(description="What is calibrated.")
     looks: int = Field(ge=0, le=MOST_LOOKS, description="Measurements, poses or readings to compute from.")
@@ -86,7 +86,7 @@ class Recipe(Strict):
 
     @property
     def steps(self) -> Steps:
-        """In their order."""
+        """Steps in order."""
         match self.of:
             case Calibrated.HEAD:
                 return head_calibration(self.looks, self.more, self.ball_mm)
@@ -99,7 +99,7 @@ class Recipe(Strict):
 
     @property
     def starts(self) -> frozenset[str]:
-        """The records that this calibration only starts from, by their names: they may have expired."""
+        """Names of the records that this calibration only starts from, so they may have expired."""
         match self.of:
             case Calibrated.HEAD:
                 return frozenset(Calibrations.model_fields)
@@ -110,7 +110,7 @@ class Recipe(Strict):
 
     @classmethod
     def read(cls, plain: object) -> Recipe:
-        """As it was recorded. Raises PRO-024 for one that this version does not know."""
+        """Read a recorded recipe. Raises PRO-024 for one unknown to this version."""
         try:
             return cls.model_validate(plain, strict=False)
         except ValidationError as error:

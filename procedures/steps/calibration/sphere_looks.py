@@ -1,4 +1,4 @@
-"""Measure every isolated sphere from the poses that determine most of the arm."""
+"""Looks at every isolated sphere from the poses that determine most of the arm's calibration."""
 
 from __future__ import annotations
 
@@ -34,16 +34,16 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
 
-MOST_SPHERES = 6  # more add travel and hardly knowledge
+MOST_SPHERES = 6  # more add travel and little information
 CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken
-CHOICE = 1.5  # planned looks for each wanted one where there are few spheres
+CHOICE = 1.5  # planned looks for each wanted one if there are few spheres
 SPARE = 1.15  # planned looks for each wanted one: some show a sphere half hidden
-GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns, whatever is counted
+GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns
 NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look, its covariance
 
 
 class ObservedSpheres(StepResult, kind="sphere_looks"):
-    """The looks that a calibration or check of the arm is computed from."""
+    """Looks from which a calibration or check of the arm is computed."""
 
     observed: ArmLooks = Field(description="Contents of `looks.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -51,7 +51,7 @@ class ObservedSpheres(StepResult, kind="sphere_looks"):
 
 @dataclass(frozen=True)
 class _Planned:
-    """A look that can be reached; `look` is what it would be worth."""
+    """A look within reach; `look` is its expected content."""
 
     pose: PlannedLook
     look: SphereLook
@@ -59,13 +59,13 @@ class _Planned:
 
 @dataclass(frozen=True)
 class SphereLooks:
-    """How many looks to identify the arm with, none for a check, and how many to judge it by."""
+    """Number of looks to identify the arm with (0 for a check), and to validate it by."""
 
     count: int
     validation: int
 
     def run(self, context: StepContext) -> Outcome[ObservedSpheres]:
-        """Raises CAL-009, CAL-010 with too few poses, CAL-014 for a check, PRO-002 unless confirmed."""
+        """Measure the spheres. Raises CAL-009, CAL-010 for too few poses, CAL-014 for a check, PRO-002."""
         set_up = context.result(CheckedSetUp)
         workcell = context.workcell
         if self.count == 0:
@@ -93,7 +93,7 @@ class SphereLooks:
             seen += self._looks_at(context, places[number], mine, len(seen) / len(plan), remarks)
         try:
             workcell.go_home()
-        except NotClear as error:  # raised before anything moved; what was seen is worth keeping
+        except NotClear as error:  # raised before anything moved; the looks are worth keeping
             remarks.append(f"the arm stays where it is: {error.what}")
         observed = ArmLooks(
             created=context.setting.began,
@@ -110,7 +110,7 @@ class SphereLooks:
         )
 
     def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
-        """The most telling looks, and evenly spread ones to judge by."""
+        """Choose the most telling looks, and evenly spread ones for validation."""
         telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
         wanted = telling_count + judging_count
         each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
@@ -153,7 +153,7 @@ class SphereLooks:
             context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
         except (LimitError, SphereNotInView) as error:
             if workcell.arm.observe().state is not Lifecycle.ACTIVE:
-                raise  # not refused before it began: tripped
+                raise  # tripped, not refused before it began
             remarks.append(f"{_named(place)} was left out: {error.what}")
             return []
         seen: list[SphereLook] = []
@@ -182,7 +182,7 @@ class SphereLooks:
 
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
-    """The step for so many looks."""
+    """Build the step for a number of looks."""
     return StepSpec(
         ObservedSpheres,
         "Measure the spheres",
@@ -195,7 +195,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
 
 
 def flanks_of(number: int) -> Flanks:
-    """From which side each joint arrives at look `number`: all patterns come alike."""
+    """Side from which each joint arrives at look `number`; all patterns are equally frequent."""
     pattern = int(GOLDEN * number % 1.0 * 64)
     sides: list[Side] = [1 if pattern >> axis & 1 else -1 for axis in range(6)]
     a, b, c, d, e, f = sides
@@ -203,7 +203,7 @@ def flanks_of(number: int) -> Flanks:
 
 
 def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
-    """Isolated spheres within reach, the nearest to the head first."""
+    """Isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     alone = standing_alone(points_mm)
     if not alone:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")

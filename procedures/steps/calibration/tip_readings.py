@@ -1,4 +1,7 @@
-"""Exchange the head for the guide, bring its tip to where the ball was, and have the dials read."""
+"""Steps of the guide tip's calibration: the stand's ball by the stereo head, then a divot by dials.
+
+Head and tip visit the same orientations.
+"""
 
 from __future__ import annotations
 
@@ -37,7 +40,7 @@ TURN_RAD = float(np.radians(40.0))
 
 
 class ObservedStand(StepResult, kind="stand_ball"):
-    """The ball of the stand, as the stereo head sees it."""
+    """Looks of the stereo head at the stand's ball."""
 
     looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -45,12 +48,12 @@ class ObservedStand(StepResult, kind="stand_ball"):
 
 @dataclass(frozen=True)
 class StandBall:
-    """In how many orientations."""
+    """Number of orientations."""
 
     count: int
 
     def run(self, context: StepContext) -> Outcome[ObservedStand]:
-        """Raises CAL-010 or CAL-002 with too few looks, PRO-002 unless confirmed, STE-009 without a ball."""
+        """Measure the ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without a ball."""
         context.result(CheckedSetUp)
         place, workcell = context.result(BallPlace), context.workcell
         plan = self._plan(place, BallWatcher(workcell, np.array(place.ball_mm)))
@@ -110,12 +113,12 @@ class StandBall:
                 got=f"{len(reached)} of {wanted}",
                 action="Put the stand nearer to the middle of the workspace, with free space around it.",
             )
-        # The first are spread evenly; a chain of neighbours through all of them would leave out one side.
+        # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
         return [*in_short_order(reached[: self.count]), *reached[self.count :]]
 
 
 def _stated(context: StepContext) -> Outcome[BallPlace]:
-    """Position of the stand according to the theatre file. Raises CAL-009."""
+    """Take the stand's position from the theatre file. Raises CAL-009."""
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
         raise NoBall(
@@ -126,12 +129,12 @@ def _stated(context: StepContext) -> Outcome[BallPlace]:
 
 
 def stand_place_step() -> StepSpec[BallPlace]:
-    """The step that takes the stand's position from the theatre file."""
+    """Build the step that takes the stand's position from the theatre file."""
     return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _stated)
 
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
-    """The step for so many orientations."""
+    """Build the step for a number of orientations."""
     return StepSpec(
         ObservedStand,
         "Measure the stand's ball",
@@ -146,28 +149,28 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
 Array = NDArray[np.float64]
 
 DIVOT = "divot"
-HOVER_MM = 40.0  # back along the guide, on the way to the divot and from it
+HOVER_MM = 40.0  # back along the guide, before and after the divot
 READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
 MOST_TRIES = 3  # at one orientation: the second is near, unless something gives way
 
 
 class ReadTip(StepResult, kind="tip_readings"):
-    """What the calibration of the tip is computed from."""
+    """Readings from which the tip's calibration is computed."""
 
     observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 @dataclass(frozen=True)
 class TipReadings:
-    """How many of the orientations are kept to judge by."""
+    """Number of orientations kept for validation."""
 
     validation: int
 
     def run(self, context: StepContext) -> Outcome[ReadTip]:
-        """Raises PRO-002 unless confirmed, PRO-009 for another tool, CAL-018 for impossible readings."""
+        """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
         context.result(CheckedSetUp)
-        context.have_instrument_out()  # of an earlier try
+        context.have_instrument_out()  # of an earlier attempt
         place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
         number = exchange_for(context, MountedTool.GUIDE)
         context.setting.room.prepare_stand(DIVOT)
@@ -189,7 +192,7 @@ class TipReadings:
         return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
     def _observed(self, context: StepContext, stand: ObservedStand) -> TipLooks:
-        """Before the first reading."""
+        """Looks before the first reading."""
         workcell = context.workcell
         calibrations = workcell.calibrations
         return TipLooks(
@@ -206,13 +209,13 @@ class TipReadings:
 
 @dataclass
 class _Reading:
-    """Brings the tip to the divot, by what is known of it so far, and has the dials read."""
+    """Readings of the divot; the tip is brought there by the readings so far."""
 
     context: StepContext
     observed: TipLooks
 
     def take(self, look: int) -> None:
-        """One orientation; again where the first reading shows the tip far from the divot."""
+        """Read one orientation, again if the first reading shows the tip far from the divot."""
         for _ in range(MOST_TRIES):
             reading = self._read(look)
             others = tuple(one for one in self.observed.readings if one.look != look)
@@ -227,7 +230,7 @@ class _Reading:
         hover_rad = workcell.joints_at(back, over.joints_rad)
         workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
-        workcell.hold()  # hands raise the divot: only a motion that is asked for leads on
+        workcell.hold()  # hands raise the divot: only the next motion may move the arm
         workcell.instrument.goes_in(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
             Task(
@@ -250,7 +253,7 @@ class _Reading:
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
-        """ROBOT <- TOOL, as the workcell has the guide, with its tip where the head saw the ball."""
+        """Pose ROBOT <- TOOL of the guide with its tip where the head saw the ball."""
         workcell = self.context.workcell
         head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
@@ -262,14 +265,14 @@ class _Reading:
         return Transform(Frame.ROBOT, Frame.FLANGE, wanted) @ guide
 
     def _tip_mm(self, guide: Transform, head: Transform) -> Array:
-        """The tip in the tool frame of the head: by the readings so far, before the first by the record."""
+        """Tip in the tool frame of the head, by the readings so far, at first by the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
         return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
 
 
 def readings_step(validation: int) -> StepSpec[ReadTip]:
-    """The step; so many readings are kept to judge by."""
+    """Build the step with a number of readings for validation."""
     return StepSpec(
         ReadTip,
         "Read the divot at the tip of the guide",

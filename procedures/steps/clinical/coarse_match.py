@@ -1,4 +1,4 @@
-"""Which sphere of the CT is which in the room, by what the plan says of them and how the patient lies."""
+"""Match of the spheres in CT and room, with the plan's layout and the patient's position as priors."""
 
 from __future__ import annotations
 
@@ -20,9 +20,9 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 Array = NDArray[np.float64]
 
-SIGMA_CT_MM = 0.10  # per axis: what the localizer promises on a poor series, with reserve
+SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve
 SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
-# The side that is up, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
+# Upward direction, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
 UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
 
 
@@ -50,10 +50,7 @@ def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[Rigid
 
 
 def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
-    """By the frame or the template, or all that were implanted.
-
-    Spheres in the CT (n, 3) and in the room (m, 3), mm.
-    """
+    """Match spheres in the CT (n, 3) and in the room (m, 3), mm, by frame, template or implanted number."""
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
@@ -71,7 +68,7 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
 
 
 def matched(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
-    """By their distances and the prior alone."""
+    """Match by distances and prior alone."""
     return match(
         image,
         physical,

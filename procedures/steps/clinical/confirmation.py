@@ -1,7 +1,7 @@
-"""Look again after a target: are head, base and guide as they were before the guide went there?
+"""Look after a target: are head, base and guide as they were before the guide went there?
 
-What has moved since the look before is found here. Nobody knows when it did: every target worked at since is
-in doubt, and said to be. What no longer holds leads nothing to another target.
+A move since the look before is found here. As nobody knows when it happened, every target worked at since is
+reported as in doubt, and results that no longer hold are not used for another target.
 """
 
 from __future__ import annotations
@@ -28,9 +28,9 @@ from procedures.workcell import MountedTool
 
 
 def run(context: StepContext) -> Outcome[ConfirmedTarget]:
-    """Read the guide on its gauge, then look at head and base from home.
+    """Check the guide on its gauge, then head and base from home.
 
-    Raises PRO-019 and PRO-020 where targets remain that cannot follow what has moved.
+    Raises PRO-019 or PRO-020 if something has moved and remaining targets cannot follow it.
     """
     for model in context.spec.reads:
         context.result(model)
@@ -52,7 +52,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
 
 
 def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
-    """The guide on its gauge. One that has changed is not led to what remains before it was checked again."""
+    """Check the guide on its gauge; a changed guide must be checked again before remaining targets."""
     try:
         found = read_on_gauge(context)
     except REFUSED as problem:
@@ -70,7 +70,7 @@ def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
 
 
 def _room(context: StepContext, remain: bool) -> RoomLook:
-    """Head and base by the tracker. What hangs on one that has moved is void, where targets remain."""
+    """Check head and base by the tracker; a move voids the results that need it, if targets remain."""
     setting, where = context.setting, f"after {context.trajectory}"
     watch = room_watch(context)
     reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)

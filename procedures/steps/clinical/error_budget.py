@@ -1,4 +1,13 @@
-"""Does a registration agree with its own error budget, and which sphere has moved when it does not?"""
+"""The error budget of a registration: residual gate, arm, tool frame, held guide, tables for the operator.
+
+The arm's own errors are propagated joint by joint between spheres and target, so that what they share
+cancels. They are those of the arm's record, limited to those of an uncalibrated arm in proportion. If a
+strategy does not control the approach, the last step of the servo leaves each joint on an unknown side of its
+backlash; the residual of the servo itself is measured.
+
+The guide turns with the head except about its own axis, and the arm holds it with other joints after a
+followed move: some of the errors that spheres and target had in common then remain.
+"""
 
 from __future__ import annotations
 
@@ -31,10 +40,10 @@ from ronna_hw.frames import Transform
 Array = NDArray[np.float64]
 
 REPEATABILITY_MM = 0.03  # per axis: robot at rest, and the servo's tolerance
-# The arm's error varies slowly with its joints: neighbours share it, far points do not, so its share of a
-# residual is not that of independent points of one sigma. The gate alone allows more of it; the
-# prediction and the weights of the fit keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm
-# a sphere is found to have moved (9 times of 10) from 1.2 mm on, not from 1.0; twice the sigma: from 1.8.
+# The arm's error varies slowly with its joints: neighbouring points share it, distant ones do not, so they
+# are not independent points of one sigma. Only the gate allows for this; prediction and weights of the fit
+# keep the stated sigma. The price: with 4 spheres and a sigma of 0.1 mm, a moved sphere is found (9 times of
+# 10) from 1.2 mm instead of 1.0; with twice the sigma from 1.8.
 GATE_ARM_RESERVE = 1.5
 ALIKE_MM = 1e-6  # shared displacements that differ by less are one
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
@@ -63,7 +72,7 @@ def residual_gate(
 def moved_spheres(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> tuple[int, ...]:
-    """Pairs without one of which the others pass the gate, the likeliest first; see `residual_gate`."""
+    """Pairs whose omission lets the others pass the gate, the likeliest first; see `residual_gate`."""
     found: list[tuple[float, int]] = []
     for index in range(len(image_mm) if len(image_mm) > FEWEST_PAIRS else 0):
         keep = np.arange(len(image_mm)) != index
@@ -106,13 +115,13 @@ def _allowed_mm2(measured_mm2: Array, arm_mm: float) -> Array:
 
 
 def arm_covariance_mm2(arm_mm: float) -> Array:
-    """(3, 3) mm2 of one point at rest, from the arm's sigma per axis."""
+    """Covariance (3, 3) mm2 of one point at rest, from the arm's sigma per axis."""
     return np.asarray(np.eye(3) * (arm_mm**2 + REPEATABILITY_MM**2))
 
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Orientation robot <- tool, joints, and the target (3,) mm, after the head has `turned` (3, 3)."""
+    """Guide at a target: rotation robot <- tool, joints and tip (3,) mm, after the head `turned` (3, 3)."""
 
     rotation: Array
     joints_rad: Numbers6
@@ -120,7 +129,7 @@ class HeldGuide:
     turned: Array
 
     def before(self, source: SharedErrors | OwnErrors) -> SharedErrors | OwnErrors:
-        """The source with its errors at the target turned back to the head as it was localized."""
+        """Turn a source's errors at the target back to the head as it was localized."""
         back = self.turned.T
         if isinstance(source, SharedErrors):
             return replace(source, at_target_mm=back @ source.at_target_mm)
@@ -130,7 +139,7 @@ class HeldGuide:
 def held_guide(
     context: StepContext, planned: PlannedTrajectory, robot_from_ct: Transform, moved: Transform | None
 ) -> HeldGuide:
-    """At a target by a registration from before the head `moved`, if it has. Raises ARM-001 to ARM-003."""
+    """How the guide will be held, by a registration from before the head `moved`. Raises ARM-001 to 003."""
     path, tip_mm = context.result(CheckedPaths).targets[planned.id], robot_from_ct.apply(planned.target_mm)
     pose = path.tool_pose.transform
     if moved is None:
@@ -145,7 +154,7 @@ def held_guide(
 def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[SharedErrors | OwnErrors, ...]:
-    """Of localizations of spheres (n, 3) mm, robot frame, as planned, and of the tip at a target."""
+    """Errors of the arm at planned localizations of spheres (n, 3) mm, robot frame, and at a target's tip."""
     paths = context.result(CheckedPaths)
     joints_rad = _planned_rad(context, fiducials)
     signs = arriving(context, paths)
@@ -164,9 +173,9 @@ def arm_errors(
 
 
 def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:
-    """Covariances (n, 3, 3) of spheres where no strategy says on which side of its backlash a joint rests.
+    """Covariances (n, 3, 3) of the spheres from backlash on unknown sides, for a calibrated arm.
 
-    Of a calibrated arm: what is said of one that is not calibrated has it already.
+    The stated error of an uncalibrated arm includes it.
     """
     arm = context.workcell.calibrations.arm
     if arm is None or arriving(context, context.result(CheckedPaths)) is not None:
@@ -177,14 +186,14 @@ def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm
 
 
 def _planned_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """Joints (n, axes) of the localizations as planned."""
+    """Joints (n, axes) of the planned localizations."""
     localizations = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     planned = {one.fiducial: one.joints_rad for one in localizations}
     return np.array([planned[index] for index in fiducials])
 
 
 def displaced_spheres_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """How far each standard deviation of the tool frame displaces the spheres, (n, 3, 3) mm, robot frame."""
+    """Displacement of the spheres by each standard deviation of the tool frame, (n, 3, 3) mm, robot frame."""
     planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
     sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
@@ -195,7 +204,7 @@ NOTHING = "-"
 
 
 def budget_table(predicted: Prediction) -> Evidence:
-    """What the predicted error is made of, largest first, and what it leaves out."""
+    """Table of the shares of a predicted error, largest first, and of what it leaves out."""
     shares = sorted(predicted.budget, key=lambda share: -share.rms_mm)
     return Evidence(
         title=f"Predicted error at {predicted.target}",
@@ -209,7 +218,7 @@ def budget_table(predicted: Prediction) -> Evidence:
 
 
 def two_way_table(table: TwoWayTable) -> Evidence:
-    """Every sphere of the CT and what the room says about it; distances in mm."""
+    """Table of every sphere of the CT against the room; distances in mm."""
     return Evidence(
         title="CT to room and room to CT"
         + ("" if table.agrees_both_ways else ": the two directions do NOT agree")

@@ -1,7 +1,7 @@
-"""A head that has moved by little: the tracker measures how, and the registration follows when agreed to.
+"""Small move of the head: the tracker measures it, and the registration follows if the operator agrees.
 
-The arm is home then, where the localization was made: there the frame on the arm says that neither cart nor
-tracker has moved, and nothing hides the head. Nothing is followed but one rigid, small move that is over.
+The arm is home, where the localization was made: there the frame on the arm shows that neither cart nor
+tracker has moved, and nothing hides the head. Only a single rigid, small and completed move is followed.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from ronna_hw.text.beyond import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
-# Beyond this nothing is offered: paths and angles were chosen for the head as it lay, and a clamp that let a
-# head go further is not trusted to hold it now.
+# Limits of a followed move, with `MOST_FOLLOWED_MM`: paths and angles were chosen for the head as it lay, and
+# a clamp that let it go further is not trusted to hold it now.
 MOST_FOLLOWED_RAD = math.radians(2.0)
 AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
-STEADY_MM = 0.03  # per axis: what the tracker drifts between two readings of one place; an estimate
+STEADY_MM = 0.03  # per axis: drift of the tracker between two readings of one place; an estimate
 
 
 @dataclass(frozen=True)
 class MeasuredMove:
-    """The move with its fit, in the robot frame."""
+    """A measured move and its fit, in the robot frame."""
 
     fit: RigidMove
     record: FollowedMove
 
     def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
-        """What following it adds to the error at a place (3,) of before, robot frame, by source."""
+        """Errors by source that following adds at a place (3,) from before the move, robot frame."""
         return {
             "measured head movement": self.fit.error_mm(place_mm),
             "cart and tracker stability": self.record.base_mm,
@@ -56,11 +56,10 @@ class MeasuredMove:
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
-    """Measure and have agreed to; None if the head is where it was localized.
+    """Measure the move and have it agreed to; None if the head is where it was localized.
 
-    `places_mm` (n, 3) are the targets that it is for, robot frame, before the move. Raises PRO-022, and
-    PRO-001 while the arm is not home; PRO-019 and PRO-020 when cart, tracker or head have moved and nothing
-    follows: then the localization is void.
+    `places_mm` (n, 3) are the targets served, robot frame, before the move. Raises PRO-001 unless the arm is
+    home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.
     """
     try:
         move = _measured(context)

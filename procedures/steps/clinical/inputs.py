@@ -1,6 +1,6 @@
-"""Before every step and motion: CT, plan and proposed place are still those that results were made from.
+"""Guard of the inputs: CT, plan and proposed place are still those that the results were computed from.
 
-A file that nobody touched is not read again; a touched one is compared by its content.
+Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
 """
 
 from __future__ import annotations
@@ -31,12 +31,12 @@ Stamps = tuple[Stamp, ...]
 
 
 class UnchangedInputs:
-    """A guard. A change ends the running step and supersedes everything that descends from what was read."""
+    """Guard of CT, plan and cart position; a change ends the step and voids all results computed from it."""
 
     name = "CT, plan and cart position"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
-        """Raises OSError."""
+        """Remember the files as they are. Raises OSError."""
         self._engine = engine
         self._inputs: dict[Path, type[StepResult]] = {
             clinical.series: ImportedCt,
@@ -46,7 +46,7 @@ class UnchangedInputs:
         self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
 
     def unmet(self) -> str | None:
-        """Why they cannot be read. Raises PRO-021 when one has changed."""
+        """Describe an unreadable input. Raises PRO-021 for a changed one."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             try:
@@ -71,7 +71,7 @@ class UnchangedInputs:
         return None
 
     def close(self) -> None:
-        """As a recorder of the run: what was written again after the last look."""
+        """Note inputs rewritten since the last look, when the run is closed."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
@@ -82,7 +82,7 @@ class UnchangedInputs:
 
 
 def note_same_content(engine: Engine, path: Path, record: Record) -> None:
-    """A plan or position written again with the same content: the standing result counts as made from it.
+    """Note that a plan or position was rewritten with equal content: the standing result remains valid.
 
     Raises PRO-003.
     """
@@ -99,7 +99,7 @@ def _proposed(result: StepResult) -> bool:
 
 
 def _changed(result: StepResult, path: Path) -> str:
-    """What is different now, or why it cannot be read; empty when it is the same."""
+    """Describe how an input differs, or why it cannot be read; empty if it is the same."""
     try:
         if isinstance(result, ImportedCt):
             return result.differences(read_series(path))

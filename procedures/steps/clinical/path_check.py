@@ -1,4 +1,7 @@
-"""Check every pose and motion of the whole procedure before it moves: sight, reach, clearance, one branch."""
+"""Path check of the whole procedure before it moves: sight, reach, clearance, one branch of the arm.
+
+A trajectory that cannot be served is put to the operator: nothing is replaced or left out without consent.
+"""
 
 from __future__ import annotations
 
@@ -42,88 +45,11 @@ from ronna_hw.text.counting import counted
 Array = NDArray[np.float64]
 
 
-@dataclass
-class PathSearch:
-    """Searches until everything that remains is reached.
-
-    `centres_mm` (n, 3) are the fiducials in the CT. `left_out` says by trajectory why, `replaced` by which
-    strategy it is served instead.
-    """
-
-    context: StepContext
-    setting: ArmSetting
-    centres_mm: Array
-    sight: StereoSight
-    left_out: dict[str, str] = field(default_factory=dict)
-    replaced: dict[str, Strategy] = field(default_factory=dict)
-    _tried: dict[str, set[str]] = field(default_factory=dict)
-
-    def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
-        """The paths of what remains; raises PLAN-007 for what cannot be reached when nothing is agreed."""
-        self.setting = with_best_chosen(self.setting, trajectories, self.centres_mm, self.sight)
-        while True:
-            remain = [one for one in trajectories if one.identifier not in self.left_out]
-            turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)
-            if turned.check.passed:
-                return turned
-            self._decide(turned.check, remain)
-
-    def _setting(self) -> ArmSetting:
-        if not self.replaced:
-            return self.setting
-        return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
-
-    def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
-        reasons = unreached(check, trajectories)
-        would = {one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons}
-        others = [one.identifier for one in trajectories if one.identifier not in reasons]
-        for name, reason in reasons.items():
-            self._ask(check, name, reason, would, others)
-
-    def _ask(
-        self,
-        check: PathCheck,
-        name: str,
-        reason: str,
-        would: dict[str, tuple[Strategy, ...]],
-        others: Sequence[str],
-    ) -> None:
-        """Another strategy, without this trajectory, or not at all. Raises PLAN-007 when it is not at all."""
-        # One registration for all cannot be made by two strategies.
-        offered = would[name] if self.setting.strategy.localizes_per_trajectory else ()
-        answers = (*(use(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
-        if answers == (HOLD,):
-            check.require(advice(would))
-        now = self.replaced.get(name, self.setting.strategy)
-        served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
-        remain = f"; {', '.join(others)} would remain without it" if others else ""
-        question = UNREACHABLE.question(
-            f"{name} cannot be reached with {now.name} at any angle about its axis",
-            f"{reason}{served}{remain}",
-            name,
-            answers,
-        )
-        answer = self.context.choose(question)
-        agreed = [one for one in offered if answer == use(one.name)]
-        if agreed:
-            self._tried.setdefault(name, set()).add(agreed[0].name)
-            self.replaced[name] = agreed[0]
-        elif answer == LEAVE_OUT:
-            self.left_out[name] = reason
-            self.replaced.pop(name, None)
-        else:
-            check.require(advice(would))
-
-    def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
-        tried = self._tried.get(trajectory.identifier, set())
-        return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
-
-
 SPHERE = "/fiducial "  # in the name of a pose, before its number
 
 
 class ClosestApproach(Values):
-    """Where two bodies come nearest."""
+    """Closest approach of two bodies."""
 
     first: str = Field(description="One body.")
     second: str = Field(description="The other.")
@@ -132,14 +58,14 @@ class ClosestApproach(Values):
 
     @classmethod
     def of(cls, closest: Closest) -> ClosestApproach:
-        """As the clearance check has it."""
+        """Convert a result of the clearance check."""
         return cls(
             first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
         )
 
 
 class MotionPreview(Values):
-    """One motion, from one named pose to another."""
+    """Preview of a motion from one named pose to another."""
 
     start: str = Field(description="Name of the pose it begins at.")
     end: str = Field(description="Name of the pose it ends at.")
@@ -155,7 +81,7 @@ class MotionPreview(Values):
 
     @classmethod
     def of(cls, motion: PreviewedMotion) -> MotionPreview:
-        """As the planner previewed it."""
+        """Convert a preview of the planner."""
         preview = motion.preview
         return cls(
             start=motion.motion.start,
@@ -171,14 +97,14 @@ class MotionPreview(Values):
 
 
 def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
-    """Those of one localization, by way of home too: of a trajectory, or the one that serves all."""
+    """Motions of one localization, incl. those via home: for a trajectory, or the one that serves all."""
     own = f"{trajectory}/" if trajectory else ""
     over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
     return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
 def in_one_line(motions: Sequence[MotionPreview]) -> str:
-    """At least one: how many, how long, how fast and how close."""
+    """Summarize at least one motion: number, duration, speed, clearance."""
     near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
     return (
         f"{counted(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
@@ -188,7 +114,7 @@ def in_one_line(motions: Sequence[MotionPreview]) -> str:
 
 
 class LocalizationPose(Values):
-    """How one sphere will be localized."""
+    """Pose in which one sphere will be localized."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
@@ -197,7 +123,7 @@ class LocalizationPose(Values):
 
 
 class TargetPose(Values):
-    """How the guide comes to where it is held for one target, by the coarse registration."""
+    """Pose in which the guide is held for one target, and its approach, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
@@ -233,13 +159,13 @@ class CheckedPaths(StepResult, kind="path_check"):
         return self.left_out
 
     def strategy_of(self, trajectory: str) -> str:
-        """Name of the strategy of one trajectory."""
+        """Name of a trajectory's strategy."""
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """The localizations that serve a trajectory; for None the one set of a strategy that localizes once.
+        """Localizations for a trajectory; for None, the only set of a strategy that localizes once.
 
-        Raises KeyError when there are none for this trajectory, or more than one set.
+        Raises KeyError if there are none for this trajectory, or several sets.
         """
         if trajectory is not None:
             return self.localizations[trajectory]
@@ -249,7 +175,7 @@ class CheckedPaths(StepResult, kind="path_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
-    """Choose joints for every localization and target that remain; PLAN-007 with every pose that fails."""
+    """Choose joints for every remaining localization and target. Raises PLAN-007 naming all failing poses."""
     correspondence = context.result(Correspondence)
     localization = context.result(LocalizedFiducials)
     plan = context.result(CheckedPlan)
@@ -348,6 +274,83 @@ def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
         for reached in check.reached
         if reached.visit.kind is VisitKind.TARGET
     }
+
+
+@dataclass
+class PathSearch:
+    """Search for paths that asks the operator about trajectories that cannot be reached.
+
+    `centres_mm` (n, 3) are the fiducials in the CT. By trajectory, `left_out` has the reason and `replaced`
+    the strategy that serves it instead.
+    """
+
+    context: StepContext
+    setting: ArmSetting
+    centres_mm: Array
+    sight: StereoSight
+    left_out: dict[str, str] = field(default_factory=dict)
+    replaced: dict[str, Strategy] = field(default_factory=dict)
+    _tried: dict[str, set[str]] = field(default_factory=dict)
+
+    def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
+        """Paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
+        self.setting = with_best_chosen(self.setting, trajectories, self.centres_mm, self.sight)
+        while True:
+            remain = [one for one in trajectories if one.identifier not in self.left_out]
+            turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)
+            if turned.check.passed:
+                return turned
+            self._decide(turned.check, remain)
+
+    def _setting(self) -> ArmSetting:
+        if not self.replaced:
+            return self.setting
+        return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
+
+    def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
+        reasons = unreached(check, trajectories)
+        would = {one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons}
+        others = [one.identifier for one in trajectories if one.identifier not in reasons]
+        for name, reason in reasons.items():
+            self._ask(check, name, reason, would, others)
+
+    def _ask(
+        self,
+        check: PathCheck,
+        name: str,
+        reason: str,
+        would: dict[str, tuple[Strategy, ...]],
+        others: Sequence[str],
+    ) -> None:
+        """Offer another strategy, or to leave a trajectory out. Raises PLAN-007 if neither is agreed."""
+        # One registration for all cannot be made by two strategies.
+        offered = would[name] if self.setting.strategy.localizes_per_trajectory else ()
+        answers = (*(use(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
+        if answers == (HOLD,):
+            check.require(advice(would))
+        now = self.replaced.get(name, self.setting.strategy)
+        served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
+        remain = f"; {', '.join(others)} would remain without it" if others else ""
+        question = UNREACHABLE.question(
+            f"{name} cannot be reached with {now.name} at any angle about its axis",
+            f"{reason}{served}{remain}",
+            name,
+            answers,
+        )
+        answer = self.context.choose(question)
+        agreed = [one for one in offered if answer == use(one.name)]
+        if agreed:
+            self._tried.setdefault(name, set()).add(agreed[0].name)
+            self.replaced[name] = agreed[0]
+        elif answer == LEAVE_OUT:
+            self.left_out[name] = reason
+            self.replaced.pop(name, None)
+        else:
+            check.require(advice(would))
+
+    def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
+        tried = self._tried.get(trajectory.identifier, set())
+        return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
 
 
 STEP = StepSpec(

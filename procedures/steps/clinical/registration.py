@@ -1,4 +1,4 @@
-"""Register the CT to the robot, and predict the error at every target that the registration is for.
+"""Registration of the CT to the robot, with a prediction of the error at every target it serves.
 
 The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
 """
@@ -71,7 +71,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Pairs:
-    """What is fitted, by sphere: index and place in the CT, place in the room, covariance of both."""
+    """Spheres to fit: index and position in the CT, position in the room, covariances."""
 
     fiducials: tuple[int, ...]
     image_mm: Array
@@ -126,9 +126,9 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with the covariances of all that is known; gate the residual; predict; have it accepted.
+    """Fit with all known covariances, gate the residual, predict, and have the prediction accepted.
 
-    With the guide mounted it is repeated because the head has moved: the tracker measures how.
+    With the guide mounted, the step is repeated because the head has moved: the tracker measures the move.
     """
     plan = context.result(CheckedPlan)
     arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
@@ -181,9 +181,9 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
 
 
 def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
-    """The pairs as they are, or without the one sphere that alone explains why they disagree, if agreed to.
+    """The pairs, or, if agreed, without the one sphere that alone explains a disagreement.
 
-    Raises PRO-007 when no sphere does, or more than one would: which one has moved is then anybody's guess.
+    Raises PRO-007 if no sphere explains it, or more than one would.
     """
     gate = pairs.gate(arm_mm)
     if gate.passed:
@@ -215,7 +215,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
 def _beyond_margin(
     context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
-    """Which trajectories are left out, and why; PRO-007 when not agreed to, or when none remains."""
+    """Trajectories to leave out, with reasons. Raises PRO-007 unless that is agreed and others remain."""
     left_out: dict[str, str] = {}
     for trajectory, predicted in zip(trajectories, predictions, strict=True):
         if predicted.rms_mm <= trajectory.margin_mm:
@@ -244,10 +244,9 @@ def predict_tip_error(
     planned: PlannedTrajectory,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Error of the instrument's tip at a target, from all that is known of spheres, arm, guide, instrument.
+    """Predict the error of the instrument's tip at a target from those of spheres, arm, guide and instrument.
 
-    What spheres and target share is counted as what is left of it; a `move` that is followed has an error of
-    its own.
+    Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
     """
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
@@ -293,7 +292,7 @@ def predict_tip_error(
 
 
 def _advice(moved: list[int], spheres: int) -> str:
-    """What to do about spheres, named by their index in the CT, without one of which the others agree."""
+    """Advice about spheres, by index in the CT, each of which alone would explain the disagreement."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:
@@ -303,7 +302,7 @@ def _advice(moved: list[int], spheres: int) -> str:
 
 
 def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
-    """Every sphere of the CT against the measurements of tracker and stereo head, and the reverse."""
+    """Compare every sphere of the CT with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
     return verify_two_way(
@@ -321,7 +320,7 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 
 
 def _outside(context: StepContext) -> tuple[str, ...]:
-    """With the guide mounted the head is measured again, at home."""
+    """The guide is on no axis: with it mounted, the head is measured at home."""
     return context.workcell.place.why_held
 
 

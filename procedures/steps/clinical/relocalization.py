@@ -1,11 +1,11 @@
-"""Fine localization of every matched sphere by visual servo, oriented as the strategy says.
+"""Fine localization of every matched sphere by visual servo, in the orientation of the strategy.
 
-The tool centre is moved onto a sphere until the residual is below the tolerance. Recorded is the nominal
-tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
-helps to find the next one. It is checked before: a wrong sphere must not lead the head on to the next one.
+The tool centre is moved onto a sphere until the residual is below the tolerance; recorded is the nominal tool
+pose plus the last residual. The offset of the coarse position found at one sphere helps to find the next. It
+is checked first: a wrong sphere must not lead the head on.
 
-Where the strategy asks for it, every position that is looked from is approached with each joint turning the
-way it will turn on its way to the target, so that backlash is the same in all of them and cancels.
+If the strategy asks for it, each joint arrives at every look as it will arrive at the target, so that
+backlash is equal in all of them and cancels.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
+    """Localize all matched spheres again. Raises PRO-008 for a missing one, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     course = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
@@ -84,7 +84,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
-        if spheres:  # the pose is displaced by what was seen: so is the head beside which the arm goes there
+        if spheres:  # the pose is displaced by the offset found, and so is the head that the arm must clear
             surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
             sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
@@ -126,11 +126,10 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
 
 
 def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Direction in which each joint arrives at the spheres; None when the strategy does not control it.
+    """Direction in which each joint arrives at the spheres; None if the strategy does not control it.
 
-    It is that in which the joint will arrive at the target. Where one registration serves all targets, a
-    calibrated arm arrives from one side: its backlash is known and counts only where it is known on which
-    side a joint rests.
+    It is that in which the joint will arrive at the target. If one registration serves all targets, a
+    calibrated arm arrives from one side: its known backlash helps only if the side is known as well.
     """
     if context.key.trajectory is None and context.workcell.calibrations.arm is not None:
         return ONE_SIDE
@@ -143,7 +142,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
 
 
 def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
-    """The operator agrees to do without a sphere; raises `problem` when not, or when too few remain."""
+    """Have the operator agree to do without a sphere. Raises `problem` if not, or if too few remain."""
     if remain < FEWEST_SPHERES:
         raise problem
     question = SPHERE_FAILED.question(
@@ -157,9 +156,9 @@ def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: in
 
 
 def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:
-    """A sphere whose offset differs from those before is another one, or the patient moved.
+    """Raise PRO-007 for a sphere with another offset: it is another sphere, or the patient moved.
 
-    What all spheres share is the error of tool frame and tracker frame: it alone bounds the first offset.
+    The spheres share the error of tool frame and tracker frame, which alone bounds the first offset.
     """
     *before, last = offsets_mm
     limit_mm = context.setting.settings.coarse_fine_limit_mm
@@ -180,9 +179,9 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
 
 
 def _shared_mm(context: StepContext) -> float:
-    """How far tool frame and tracker frame may put the coarse position off: both turn with the tool.
+    """Bound on the error of coarse positions from tool frame and tracker frame, which turn with the tool.
 
-    The tracker looks in one orientation, the stereo head in another: at most the error counts twice.
+    Tracker and stereo head look in different orientations, so the error counts at most twice.
     """
     records = context.workcell.calibrations
     tool_mm = ErrorSizes.stated(context.setting.settings, records.arm).tool_mm

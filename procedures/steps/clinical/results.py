@@ -1,6 +1,6 @@
-"""Results that several steps and the comparison of the room share: measured spheres, registration, last look.
+"""Results that the comparison of the room reads: localized spheres, registration, look after a target.
 
-They are apart from their steps because those check the room, which reads them.
+They are apart from their steps, which themselves compare the room.
 """
 
 from __future__ import annotations
@@ -31,14 +31,14 @@ NOT_PREDICTED = (
 
 
 class LeftOutSphere(Values):
-    """A sphere that a registration does without, as the operator agreed."""
+    """A sphere left out of a registration, as agreed by the operator."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     reason: str = Field(description="Why.")
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
-    """The spheres in the room, finely, as the stereo head sees them. One entry for each sphere."""
+    """Fine positions of the spheres in the room, by the stereo head; one entry for each sphere."""
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
@@ -69,19 +69,19 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
     @property
     def points_mm(self) -> Array:
-        """The spheres (n, 3) in the robot frame."""
+        """Spheres (n, 3), robot frame, mm."""
         return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
 
 
 class ErrorShare(Values):
-    """What one source contributes to a predicted error; the squares of all shares add up to its square."""
+    """Share of one source in a predicted error; the squares of all shares add up to its square."""
 
     source: str = Field(description="Such as `CT` or `guide tip`.")
     rms_mm: float = Field(description="Root mean square at the target.")
 
 
 class Prediction(Values):
-    """Error to expect at the tip of the guide at one target."""
+    """Predicted error at one target."""
 
     target: str = Field(description="Name of the trajectory.")
     rms_mm: float = Field(description="Root mean square.")
@@ -93,8 +93,7 @@ class Prediction(Values):
 
 
 class FollowedMove(Values):
-    """How the head has moved since the re-localization, as measured by the tracker and accepted by the
-    operator."""
+    """Move of the head since the re-localization, measured by the tracker and accepted by the operator."""
 
     robot_from_robot: FramedPose = Field(
         description="From the head's previous pose to its present one, robot frame."
@@ -111,7 +110,7 @@ class FollowedMove(Values):
 
 
 class RegisteredRobot(StepResult, kind="registration"):
-    """Pose of the CT in the robot frame, and how good it is where it is needed."""
+    """Pose of the CT in the robot frame, with its predicted error at the targets."""
 
     robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
     pairs: int = Field(description="Spheres it was fitted to.")
@@ -138,11 +137,11 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def trajectories(self) -> frozenset[str]:
-        """The trajectories that it is for."""
+        """Trajectories that it serves."""
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
-        """The prediction at a target; raises KeyError."""
+        """The prediction at a target. Raises KeyError."""
         for one in self.predictions:
             if one.target == target:
                 return one
@@ -177,7 +176,7 @@ class LinkHealth(Values):
 
 
 def link_health(context: StepContext) -> LinkHealth:
-    """Read it; right before the stream is ended."""
+    """Read the health of the link; call it right before the stream is ended."""
     statistics = asdict(context.workcell.link_statistics())
     fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)

@@ -1,4 +1,4 @@
-"""Retreat along the axis, then park. An instrument is out before."""
+"""Retreat along the axis, once the instrument is out, then parking."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ class Retreated(StepResult, kind="retreat", version=2):
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
-    """Back out along the trajectory, then to the pose where the case began."""
+    """Withdraw along the trajectory, then go home."""
     workcell = context.workcell
-    # The surroundings are those of the way in. No record is read before the guide is away from the head: a
+    # The surroundings remain those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
     if workcell.place.on_axis:
         context.have_instrument_out()

@@ -1,4 +1,8 @@
-"""Before and after the motions of a step: have head, cart and tracker stayed where they were localized?"""
+"""Comparison of the room with its localization, before and after the motions of a step.
+
+Have head, cart and tracker stayed in place? If not, the results that depend on what moved are voided, and the
+targets that nobody has confirmed since are in doubt.
+"""
 
 from __future__ import annotations
 
@@ -33,10 +37,10 @@ ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks
 
 
 def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLook:
-    """Read the tracker and compare with the global localization and the readings since.
+    """Compare a reading of the tracker, taken at rest, with the localization and the readings since.
 
-    The arm rests meanwhile. Raises PRO-019 and PRO-020; then the localization is superseded, or the
-    registrations that may follow the move, and all that descends from them.
+    Raises PRO-019, PRO-020 and PRO-022; a move voids the localization, or the registrations that may follow
+    it, and everything computed from them.
     """
     setting, void = context.setting, partial(void_moved, context)
     look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
@@ -48,7 +52,7 @@ def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLo
 def require_unmoved(context: StepContext, where: str) -> None:
     """Look carefully, with the arm home, before a guide goes to the head.
 
-    Raises PRO-022 where head or base cannot be compared, and as `check_room`.
+    Raises PRO-022 if head or base cannot be compared, and as `check_room`.
     """
     look = check_room(context, where, CAREFUL_FRAMES)
     if look.head_mm is None:
@@ -65,24 +69,24 @@ def require_unmoved(context: StepContext, where: str) -> None:
 
 @dataclass(frozen=True)
 class ExpectedSight:
-    """What the tracker is expected to see past the guide, from the bodies that the arm is given."""
+    """Expected view of the tracker past the guide, from the bodies of the clearance check."""
 
     context: StepContext
     sight: TrackerSight
     surroundings: Surroundings
 
     def hidden_at(self, joints_rad: JointVector) -> bool:
-        """Whether fewer spheres than are needed would be seen with the arm there."""
+        """Whether too few spheres are visible with the arm at these joints."""
         arm = self.context.workcell.arm.kinematics
         return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
 
     def hidden_now(self) -> bool:
-        """The same for the arm's present pose."""
+        """Whether too few spheres are visible with the arm in its present pose."""
         return self.hidden_at(self.context.workcell.joints_rad())
 
 
 def expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
-    """Of the standing localization's spheres, past the guide; the watch knows it from here on."""
+    """Build the expected view of the localized spheres, and give it to the watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
     watch.approach = Approach(expected.hidden_now)
@@ -91,7 +95,7 @@ def expected_sight(context: StepContext, surroundings: Surroundings) -> Expected
 
 @contextmanager
 def head_must_show(context: StepContext) -> Iterator[None]:
-    """Within, the head may go unseen for a bounded time only; then the case suspends."""
+    """Bound, within the block, the time for which the head may be unseen before the case suspends."""
     watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
     if approach is None:
@@ -105,9 +109,9 @@ def head_must_show(context: StepContext) -> Iterator[None]:
 
 
 def room_watch(context: StepContext) -> RoomWatch:
-    """The watch over the standing localization; a new one begins with that.
+    """Return the watch over the standing localization; begin one for a new localization.
 
-    Where the registration has followed a move of the head, its spheres are watched where they are since.
+    If the registration has followed a move of the head, the spheres are expected where they are since.
     """
     localized = context.result(GlobalLocalization)
     name = context.identifier(GlobalLocalization)
@@ -156,23 +160,23 @@ def frame_at_home(context: StepContext) -> Array | None:
 
 
 def unconfirmed(context: StepContext) -> tuple[str, ...]:
-    """The targets worked at, or begun to be, since the last look that showed nothing."""
+    """Targets with work begun or done since the last look that showed no change."""
     confirmed = context.done_for(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
     return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
-    """Record a finding on the unconfirmed targets; unless `again`, on those without a look only."""
+    """Record a finding on the unconfirmed targets; unless `again`, only on those without any look."""
     looked = () if again else context.done_for(ConfirmedTarget)
     if targets := tuple(name for name in unconfirmed(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 
 
 def void_moved(context: StepContext, moved: RonnaError) -> None:
-    """Void the registrations that may follow a small move, with the guide mounted; else the localization.
+    """Void the registrations that may follow a small move with the guide mounted, else the localization.
 
-    A cart that has moved was not locked. Nobody knows when something moved: unconfirmed targets are in doubt.
+    A moved cart voids its lock as well. Unconfirmed targets are in doubt, as nobody knows when it moved.
     """
     doubt(context, moved.summary)
     may_follow = (

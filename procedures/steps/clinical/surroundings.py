@@ -1,4 +1,4 @@
-"""The surroundings that the arm is given: the head, as far as the case knows where it is, and the room."""
+"""Surroundings for the arm's clearance check: the head, where the case has it, and the room."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the 
 
 
 def planning_scene_of(context: StepContext) -> PlanningScene:
-    """The head as the CT shows it, the spheres on it, and the theatre file's bodies."""
+    """Scene of a step: the head in the CT, its spheres, and the theatre file's bodies."""
     around = context.setting.surroundings
     return planning_scene(around, context.result(CheckedPlan), context.result(LocalizedFiducials))
 
@@ -28,7 +28,7 @@ def planning_scene_of(context: StepContext) -> PlanningScene:
 def planning_scene(
     around: CollisionConfig, plan: CheckedPlan, localized: LocalizedFiducials
 ) -> PlanningScene:
-    """As `planning_scene_of`, of these results."""
+    """Scene from these results."""
     return PlanningScene(
         around,
         plan.head,
@@ -45,8 +45,8 @@ def surround_stereo_head(
 ) -> None:
     """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
 
-    `near_rad` is where it works: see `Workcell.surround`. With a trajectory its corridor into the head is
-    open. `offset_mm` (3,) is how far from there the stereo head has seen the head, as the arm has it.
+    `near_rad` is where the arm works, see `Workcell.surround`. With a trajectory, its corridor into the head
+    is open. `offset_mm` (3,) is the displacement of the head as seen by the stereo head.
     """
     workcell = context.workcell
     robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displaced(offset_mm)
@@ -57,7 +57,7 @@ def surround_stereo_head(
 def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: JointVector) -> Surroundings:
     """Set the arm's surroundings while the guide is mounted, from this trajectory's registration.
 
-    `near_rad` is where it works: see `Workcell.surround`.
+    `near_rad` is where the arm works, see `Workcell.surround`.
     """
     workcell = context.workcell
     trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory

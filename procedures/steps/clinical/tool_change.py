@@ -1,4 +1,4 @@
-"""Exchange the stereo head for the guide, with the arm parked and its correction stream off."""
+"""Exchange of the stereo head for the guide, with the arm parked and its correction stream off."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from procedures.workcell import MountedTool
 
 
 class MountedGuide(StepResult, kind="tool_change"):
-    """The guide that was found mounted."""
+    """The guide found mounted."""
 
     tool_number: int = Field(description="As the controller's inputs report it.")
     calibration: str = Field(description="Name of the tip calibration in use.")
@@ -27,7 +27,7 @@ class MountedGuide(StepResult, kind="tool_change"):
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
-    """Park, stop RSI, have the tool changed, then read the mounted tool from the controller's inputs."""
+    """Park, end the stream, have the tool changed, and read the mounted tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (

@@ -1,4 +1,9 @@
-"""People exchange the tool on the parked arm; the controller's inputs show when the right one is mounted."""
+"""The mounted tool: exchanged by hand on the parked arm, and seen in place by the tracker.
+
+The controller's inputs show whether the right tool is mounted. The tracker compares the frame on the tool
+with frame M on the mount in the same readings, so neither the arm, nor the tracker's position, nor any
+calibration matters. This gross check precedes any motion: a longer tool would hit the gauge.
+"""
 
 from __future__ import annotations
 
@@ -19,9 +24,9 @@ from ronna_hw.tool_record import ToolFrame
 
 
 def exchange_for(context: StepContext, tool: MountedTool) -> int:
-    """End the correction stream and have a tool mounted until it is; its number. One already there stays on.
+    """End the correction stream and have a tool mounted, unless it is already; return its number.
 
-    Raises PRO-002, or PRO-009 when it is not mounted.
+    Raises PRO-002, or PRO-009 if it is not mounted in the end.
     """
     workcell = context.workcell
     workcell.rest()
@@ -29,7 +34,7 @@ def exchange_for(context: StepContext, tool: MountedTool) -> int:
     if tool is MountedTool.GUIDE:
         number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
     value = f"{name}, tool {number}"
-    if workcell.tool is tool:  # of an exchange that was interrupted: mounted again, it would lose its seat
+    if workcell.tool is tool:  # after an interrupted exchange: remounting would change its seat
         context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
     else:
         context.setting.room.change_tool(number, name)
@@ -49,16 +54,14 @@ def exchange_for(context: StepContext, tool: MountedTool) -> int:
     raise AssertionError("the last mounting has returned or raised")
 
 
-SEEN_LIMIT_MM = (
-    1.0  # of any sphere on the tool: a gross check, above the tracker's error; the gauge sees the rest
-)
+SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
 FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 
 def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:
-    """Largest distance of a sphere of the tool from its recorded position, mm. Raises TOOL-006.
+    """Largest distance of a sphere on the tool from its recorded position, mm. Raises TOOL-006.
 
-    None where a frame is hidden that need not be seen.
+    None if a frame is hidden and `must_see` is not set.
     """
     workcell = context.workcell
     reference = workcell.calibrations.tracker_frame

@@ -1,4 +1,4 @@
-"""Work through the guide that was begun: what was done, and from which stage it continues."""
+"""Progress of the work through the guide: its stages, the depth stop, and where it continues."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ STOP_LIMIT_MM = 0.1
 
 
 class DepthStop(Values):
-    """How the stop was computed, and what its scale showed."""
+    """Computed setting and reading of the depth stop."""
 
     bore_mm: float = Field(description="Length of the guide's bore.")
     standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
@@ -37,12 +37,12 @@ class DepthStop(Values):
 
     @property
     def too_deep_mm(self) -> float:
-        """How much deeper than the target it lets the instrument go, as it was read."""
+        """Depth beyond the target that the reading allows; negative if short of it."""
         return self.read_mm - self.computed_mm
 
 
 def set_depth_stop(context: StepContext) -> DepthStop:
-    """Have it set, read and confirmed; raises TOOL-004 when it does not come right, PRO-002."""
+    """Have the depth stop set, read and confirmed. Raises TOOL-004 if it stays wrong, PRO-002."""
     checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
     plan, planned = checked.plan, checked.trajectory(context.trajectory)
     computed_mm = depth_stop_mm(plan, planned, bore)
@@ -99,7 +99,7 @@ BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 @dataclass(frozen=True)
 class WorkStage:
-    """One stage of the work through the guide: what hands do, and what is confirmed then."""
+    """Stage of the work through the guide: the task for hands, and the statement to confirm."""
 
     task: str
     topic: Topic
@@ -122,12 +122,11 @@ STAGES = (
 
 @dataclass
 class BegunWork:
-    """What was done through the guide, so that it continues there if the step was left.
+    """Work done through the guide, from which an interrupted step continues.
 
-    `before` are the tasks of stages that were done when the guide was led there earlier, and are not again.
-    `watched` says that the tracker saw the guide after each stage since, `pushed_mm` how far it was from its
-    place after one at most. `stop_read_s` is the theatre time at which the depth stop was read, until the
-    instrument goes in by it.
+    `before` are the tasks of stages done on an earlier visit, which are not repeated. `watched` says that the
+    tracker saw the guide after each stage since, `pushed_mm` is its largest displacement after one.
+    `stop_read_s` is the theatre time of the depth stop's reading until the instrument goes in.
     """
 
     trajectory: str
@@ -140,11 +139,11 @@ class BegunWork:
 
     @property
     def finished_before(self) -> bool:
-        """Whether nothing remained to be done."""
+        """Whether all stages were done on an earlier visit."""
         return len(self.before) == len(STAGES)
 
     def rely_on_stop(self, context: StepContext) -> None:
-        """The instrument goes in. Raises TOOL-007 when its stop was read too long ago: it is set anew."""
+        """Rely on the depth stop for insertion. Raises TOOL-007 if its reading is too old, to set it anew."""
         if self.stop_read_s is None:
             return
         try:
@@ -156,9 +155,9 @@ class BegunWork:
 
 
 def begun_work(context: StepContext) -> BegunWork:
-    """What was begun and left with the instrument inside; otherwise new work, with the depth stop set.
+    """Return work that was left with the instrument inside, otherwise new work with the depth stop set.
 
-    If work was done there before, the operator chooses the stage to continue from; raises PRO-002 otherwise.
+    If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
     memory, instrument = context.setting.memory, context.workcell.instrument
     trajectory = context.trajectory
@@ -183,7 +182,7 @@ def begun_work(context: StepContext) -> BegunWork:
 
 
 def done_in_words(known: Mapping[str, bool]) -> str:
-    """What was done there, in words."""
+    """Describe the work done."""
     stages = [stage for stage in STAGES if stage.task in known]
     return ", ".join(
         stage.confirms if known[stage.task] else f"begun and not confirmed: {stage.does}" for stage in stages
@@ -191,7 +190,7 @@ def done_in_words(known: Mapping[str, bool]) -> str:
 
 
 def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
-    """In words, where hands have worked through the guide and the target is not finished."""
+    """Describe the work begun at each unfinished target."""
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
@@ -199,11 +198,11 @@ def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
 
 
 def _done_before(context: StepContext) -> tuple[str, ...]:
-    """The tasks that are not done again; all of them where nothing remains but to say so."""
+    """Tasks not to be repeated, as the operator chooses; all of them if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
     if not (known := stages.at(context.trajectory)):
         return ()
-    # The instrument is out: however far it was, it goes in again.
+    # The instrument is out, and goes in again whatever was done with it.
     first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
     first = min(first, len(tasks) - 1)
     finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -66,6 +67,7 @@ def catalogue(force_check: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Modul
     source = source.replace(before, lines)
     source = source.replace("    fiducial_localization,\n", "    fiducial_localization,\n    force_check,\n")
     module = ModuleType("catalogue")
+    monkeypatch.setitem(sys.modules, "catalogue", module)
     exec(compile(source, "catalogue.py", "exec"), module.__dict__)
     return module
 
