@@ -27,8 +27,8 @@ from procedures.planning.errors import (
     WrongSeries,
 )
 from procedures.planning.head_in_ct import sampled_hu
-from procedures.planning.plan_file import parse_plan, read_plan, sealed, write_plan
-from procedures.planning.plan_lock import PlannerLock, plan_in_use, replaced_plan
+from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
+from procedures.planning.plan_lock import PlannerLock, plan_in_use, plan_replacement
 from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
@@ -201,12 +201,12 @@ class PlanDesk(Bell):
         self.altered()
 
     def _write(self, plan: Plan, author: str, draft: Draft) -> None:
-        plan = sealed(plan, author, self.volume)
+        plan = seal_plan(plan, author, self.volume)
         spheres = (
             f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
             for number, one in enumerate(draft.markers, start=1)
         )
-        with replaced_plan(self.file):  # a case that has begun since wins
+        with plan_replacement(self.file):  # a case that has begun since wins
             if self._is_of_others():
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",

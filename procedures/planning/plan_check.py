@@ -304,7 +304,7 @@ def _driven(
     )
     from procedures.planning.motions import previews_of
     from procedures.planning.paths import check_paths
-    from procedures.planning.target_error import with_best_chosen
+    from procedures.planning.target_error import choose_best_strategies
     from procedures.planning.visits import Axes
 
     fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
@@ -313,7 +313,7 @@ def _driven(
         own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
         turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
     else:
-        arm = with_best_chosen(arm, trajectories, fiducials, sight)
+        arm = choose_best_strategies(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
         would: dict[str, tuple[Strategy, ...]] = {}

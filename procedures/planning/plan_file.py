@@ -119,7 +119,7 @@ def ct_digest(volume: Volume) -> str:
     return digest.hexdigest()
 
 
-def sealed(plan: Plan, author: str, volume: Volume) -> Plan:
+def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
     """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
     open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
     unsealed = plan.model_copy(update={"seal": open_seal})
@@ -176,7 +176,7 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
     return parse_plan(content, path.name, sealed_only=sealed_only)
 
 
-def plan_of(content: bytes, name: str) -> Plan:
+def parse_plan_bytes(content: bytes, name: str) -> Plan:
     """Parse the content of a plan file with this name. Raises like `read_plan`."""
     return parse_plan(toml_of(content, name, PlanUnreadable), name)
 

@@ -27,7 +27,7 @@ class HeldPlan:
 
 
 @contextmanager
-def held_plan(path: Path) -> Iterator[HeldPlan]:
+def lock_plan(path: Path) -> Iterator[HeldPlan]:
     """Hold a plan file for a case, shared with other cases; released when the program ends, in any way.
 
     Raises PLAN-001.
@@ -43,7 +43,7 @@ def held_plan(path: Path) -> Iterator[HeldPlan]:
 
 
 @contextmanager
-def replaced_plan(path: Path) -> Iterator[None]:
+def plan_replacement(path: Path) -> Iterator[None]:
     """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-025, PLAN-026.
 
     A file that does not exist yet is held by no one.

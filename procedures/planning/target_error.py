@@ -123,7 +123,7 @@ def _guide(
     yield OwnErrors(DIRECTION, nothing, turned)
 
 
-def with_best_chosen(
+def choose_best_strategies(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> ArmSetting:
     """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.

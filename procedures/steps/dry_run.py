@@ -37,7 +37,7 @@ from ronna_hw.devices.readings import JointVector
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
-def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
+def planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
     """Describe each motion of a step from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:

@@ -14,7 +14,7 @@ from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.relocalization.errors import PairNotUsable
 from procedures.strategies.approach import ONE_SIDE
-from procedures.workcell.centring import refusal, settled_around
+from procedures.workcell.centring import refusal, search_poses
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
 from ronna_hw.arm.clearance.capsule import Capsule
@@ -51,7 +51,7 @@ class BallWatcher:
             self._settle(self._joints(pose, self.workcell.home_rad))
 
         settle(first.pose)
-        poses = settled_around(first.pose, settle, self.workcell.arm)
+        poses = search_poses(first.pose, settle, self.workcell.arm)
         while True:
             seen = self.workcell.look()
             if seen.point is not None:

@@ -26,7 +26,7 @@ if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell
 
 
-def settled_around(
+def search_poses(
     expected: Transform, settle: Callable[[Transform], object], arm: ArmView
 ) -> Iterator[Transform]:
     """Settle onto the poses of the search pattern around the expected one, yielding those reached.
@@ -160,7 +160,7 @@ class Centring:
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
         telling, pose = seen, expected
-        poses = settled_around(expected, self._settle, workcell.arm)
+        poses = search_poses(expected, self._settle, workcell.arm)
         try:
             while seen.point is None:
                 around = next(poses)

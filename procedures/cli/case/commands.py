@@ -116,14 +116,14 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
 
 
 def _dry(engine: Engine, argument: str, say: Say) -> None:
-    from procedures.steps.dry_run import would_move
+    from procedures.steps.dry_run import planned_motions
 
     key = _named(engine, argument)
     _why(engine, str(key), say)
     if not engine.order.spec(key).moves:
         say("this step moves nothing")
         return
-    motions = would_move(engine.case, key, engine.setting)
+    motions = planned_motions(engine.case, key, engine.setting)
     if motions is None:
         say("this step moves the arm; its motions are known after path_check")
         return

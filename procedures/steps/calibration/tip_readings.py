@@ -26,7 +26,7 @@ from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tool_mounting import exchange_for
+from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import carries, exchangeable
 from procedures.strategies.approach import ONE_SIDE
 from procedures.workcell import MountedTool
@@ -172,7 +172,7 @@ class TipReadings:
         context.result(CheckedSetUp)
         context.have_instrument_out()  # of an earlier attempt
         place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
-        number = exchange_for(context, MountedTool.GUIDE)
+        number = exchange_tool(context, MountedTool.GUIDE)
         context.setting.room.prepare_stand(DIVOT)
         context.confirm(
             Topic.CALIBRATION,

@@ -27,11 +27,11 @@ from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room import ROOM_READS, check_room, head_must_show
 from procedures.steps.clinical.work_progress import (
     STAGES,
-    BegunWork,
     DepthStop,
+    WorkProgress,
     WorkStage,
-    begun_work,
     done_in_words,
+    work_progress,
 )
 from procedures.steps.conditions import inserted
 from ronna_hw.text.beyond import beyond
@@ -88,7 +88,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     _check_room_again(context)
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:
-        begun = begun_work(context)
+        begun = work_progress(context)
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
             if stage.task not in begun.done:
@@ -119,7 +119,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     )
 
 
-def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
+def _not_watched(begun: WorkProgress) -> Outcome[ReachedTarget]:
     """Outcome of work finished earlier, when nothing watched the guide."""
     return Outcome(
         ReachedTarget(
@@ -134,7 +134,7 @@ def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
     )
 
 
-def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
+def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed as done, TOOL-007."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
@@ -161,7 +161,7 @@ def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
 
 
-def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: BegunWork) -> None:
+def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: WorkProgress) -> None:
     """Measure the guide after a stage; a guard suspends the case if it is displaced."""
     rest.look(context.workcell, context.setting.clock)
     begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)

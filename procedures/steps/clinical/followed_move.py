@@ -25,7 +25,7 @@ from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import FollowedMove
-from procedures.steps.clinical.room import MOST_FOLLOWED_MM, frame_at_home, watch_over
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM, build_watch, frame_at_home
 from procedures.workcell.tracker_look import FRAMES, frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
@@ -80,7 +80,7 @@ def _measured(context: StepContext) -> MeasuredMove | None:
             action="Send the arm home, then run the step again.",
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
-    watch = watch_over(workcell, "", localized, pairs)
+    watch = build_watch(workcell, "", localized, pairs)
     watch.refer(frame_at_home(context))
     context.progress(0.0, "measuring whether the head has moved")
     frames, _ = frames_at_rest(workcell.tracker, context.setting.clock)

@@ -21,7 +21,7 @@ from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tool_mounting import exchange_for
+from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
@@ -58,7 +58,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
         context.result(before)
     workcell = context.workcell
     if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
-        exchange_for(context, MountedTool.STEREO_HEAD)
+        exchange_tool(context, MountedTool.STEREO_HEAD)
     frames, lost = frames_at_rest(
         workcell.tracker,
         context.setting.clock,

@@ -21,7 +21,7 @@ from procedures.planning.free_angle import TurnedPaths, advice, alternatives, ch
 from procedures.planning.guide import held_trajectories
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, previews_of
-from procedures.planning.target_error import with_best_chosen
+from procedures.planning.target_error import choose_best_strategies
 from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
 from procedures.results.result import FramedPose, Numbers6, StepResult, Values
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
@@ -294,7 +294,7 @@ class PathSearch:
 
     def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
         """Paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
-        self.setting = with_best_chosen(self.setting, trajectories, self.centres_mm, self.sight)
+        self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
             remain = [one for one in trajectories if one.identifier not in self.left_out]
             turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)

@@ -17,8 +17,8 @@ from procedures.operator.topic import Topic
 from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
 from procedures.planning.plan_check import PlanCheck, check_plan
-from procedures.planning.plan_file import plan_of
-from procedures.planning.plan_lock import held_plan
+from procedures.planning.plan_file import parse_plan_bytes
+from procedures.planning.plan_lock import lock_plan
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
@@ -86,7 +86,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 def _as_held(context: StepContext) -> Plan:
     """Read the plan. Raises PRO-007 unless it is the one that the case was opened with."""
     path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
-    with held_plan(path) as held:
+    with lock_plan(path) as held:
         if held_sha256 not in (None, held.sha256):
             raise GateFailed(
                 "the plan has changed since the case was opened",
@@ -94,7 +94,7 @@ def _as_held(context: StepContext) -> Plan:
                 got=held.sha256,
                 action="Start a new run with this plan.",
             )
-        return plan_of(held.content, path.name)
+        return parse_plan_bytes(held.content, path.name)
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:

@@ -117,15 +117,15 @@ def room_watch(context: StepContext) -> RoomWatch:
     name = context.identifier(GlobalLocalization)
     watch = context.setting.memory.find(RoomWatch)
     if watch is None or watch.localization != name:
-        watch = watch_over(context.workcell, name, localized, context.result(Correspondence).pairs)
+        watch = build_watch(context.workcell, name, localized, context.result(Correspondence).pairs)
         watch.refer(frame_at_home(context))
         context.setting.memory.keep(watch)
-    followed = partial(that_followed, trajectory=context.key.trajectory)
-    watch.follow(spheres_followed(context.result_among(RegisteredRobot, followed)))
+    followed = partial(followed_registration, trajectory=context.key.trajectory)
+    watch.follow(followed_spheres(context.result_among(RegisteredRobot, followed)))
     return watch
 
 
-def watch_over(
+def build_watch(
     workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
 ) -> RoomWatch:
     """Build the watch over the localization of this name, over all its spheres unless `pairs` are matched."""
@@ -137,13 +137,15 @@ def watch_over(
     return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
 
 
-def that_followed(registrations: Sequence[RegisteredRobot], trajectory: str | None) -> RegisteredRobot | None:
+def followed_registration(
+    registrations: Sequence[RegisteredRobot], trajectory: str | None
+) -> RegisteredRobot | None:
     """The registration of a trajectory, else the last one, if it has followed a move of the head."""
     own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
     return own[-1] if own and own[-1].followed is not None else None
 
 
-def spheres_followed(registration: RegisteredRobot | None) -> Array | None:
+def followed_spheres(registration: RegisteredRobot | None) -> Array | None:
     """Spheres (n, 3) since a registration followed them, tracker frame; None if none did."""
     move = None if registration is None else registration.followed
     return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)

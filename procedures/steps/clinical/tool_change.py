@@ -13,7 +13,7 @@ from procedures.steps.clinical.results import LinkHealth, link_health
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.tool_mounting import exchange_for
+from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import exchangeable
 from procedures.workcell import MountedTool
 
@@ -37,7 +37,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     ):
         _park(context)  # else an exchange was begun, and not ended
     link = link_health(context)
-    mounted = exchange_for(context, MountedTool.GUIDE)
+    mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
         "use this tip calibration of the guide",

@@ -23,7 +23,7 @@ from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
 
 
-def exchange_for(context: StepContext, tool: MountedTool) -> int:
+def exchange_tool(context: StepContext, tool: MountedTool) -> int:
     """End the correction stream and have a tool mounted, unless it is already; return its number.
 
     Raises PRO-002, or PRO-009 if it is not mounted in the end.

@@ -121,7 +121,7 @@ STAGES = (
 
 
 @dataclass
-class BegunWork:
+class WorkProgress:
     """Work done through the guide, from which an interrupted step continues.
 
     `before` are the tasks of stages done on an earlier visit, which are not repeated. `watched` says that the
@@ -149,19 +149,19 @@ class BegunWork:
         try:
             require_recent(context, f"the depth stop for {self.trajectory}", self.stop_read_s)
         except ReadingTooOld:
-            context.setting.memory.drop(BegunWork)
+            context.setting.memory.drop(WorkProgress)
             raise
         self.stop_read_s = None
 
 
-def begun_work(context: StepContext) -> BegunWork:
+def work_progress(context: StepContext) -> WorkProgress:
     """Return work that was left with the instrument inside, otherwise new work with the depth stop set.
 
     If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
     memory, instrument = context.setting.memory, context.workcell.instrument
     trajectory = context.trajectory
-    begun = memory.find(BegunWork)
+    begun = memory.find(WorkProgress)
     if begun is not None and begun.trajectory == trajectory == instrument.inside:
         return begun
     context.have_instrument_out()
@@ -171,8 +171,8 @@ def begun_work(context: StepContext) -> BegunWork:
             f"the work at {trajectory} was finished when the guide was there earlier; the guide "
             "was not watched then"
         )
-        return BegunWork(trajectory, DepthStop.model_validate(set_before), before, list(before))
-    begun = BegunWork(trajectory, set_depth_stop(context), before, list(before))
+        return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
+    begun = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
     begun.stop_read_s = context.setting.clock.now_s()
     instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
     memory.keep(begun)
@@ -189,7 +189,7 @@ def done_in_words(known: Mapping[str, bool]) -> str:
     )
 
 
-def begun_elsewhere(engine: Engine) -> tuple[str, ...]:
+def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     """Describe the work begun at each unfinished target."""
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages

@@ -21,8 +21,8 @@ from console.planning.judging import Expected, Judged, judge
 from console.planning.verdict import expected, verdict
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
-from procedures.planning.plan_file import read_plan, sealed, write_plan
-from procedures.planning.plan_lock import held_plan
+from procedures.planning.plan_file import read_plan, seal_plan, write_plan
+from procedures.planning.plan_lock import lock_plan
 from ronna_hw.errors import RonnaError
 
 
@@ -116,7 +116,7 @@ def test_a_plan_is_read_only_while_a_case_runs_on_it(desk: PlanDesk, file: Path)
     draw(desk)
     save(desk)
     before, draft = file.read_bytes(), desk.draft
-    with held_plan(file):
+    with lock_plan(file):
         draw(desk, standoff_mm=31.0)
         desk.undo()
         assert desk.draft is draft
@@ -138,10 +138,10 @@ def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
     with ExitStack() as case:
 
         def meanwhile(*arguments: object) -> object:
-            case.enter_context(held_plan(file))
-            return sealed(*arguments)  # type: ignore[arg-type]
+            case.enter_context(lock_plan(file))
+            return seal_plan(*arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(desk_module, "sealed", meanwhile)
+        monkeypatch.setattr(desk_module, "seal_plan", meanwhile)
         with pytest.raises(PlanInUse, match="PLAN-026"):
             save(desk)
         assert file.read_bytes() == before

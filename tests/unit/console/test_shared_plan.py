@@ -14,7 +14,7 @@ from plan_desks import ENTRY, draw, save, scan
 from console.planning import desk as desk_module
 from console.planning.desk import PlanDesk
 from procedures.planning.errors import PlanInUse
-from procedures.planning.plan_lock import held_plan
+from procedures.planning.plan_lock import lock_plan
 
 
 def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(desk: PlanDesk, file: Path) -> None:
@@ -146,7 +146,7 @@ def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ende
     save(desk)
     draw(desk, standoff_mm=31.0)
     desk.close()
-    with held_plan(file):
+    with lock_plan(file):
         again = PlanDesk(scan(), file, None)
         assert again.draft.standoff_mm == 30.0
         assert again.keep() is None

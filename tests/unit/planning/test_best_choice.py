@@ -13,7 +13,7 @@ from procedures.calibration.arm.error_model import ArmModel
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ErrorSizes
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.target_error import predicted_arm_error_mm, with_best_chosen
+from procedures.planning.target_error import choose_best_strategies, predicted_arm_error_mm
 from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.best import CANDIDATES, BestOfEach
@@ -33,7 +33,7 @@ def test_the_strategy_with_the_least_predicted_error_is_chosen(
     make_arm: Callable[..., ArmSetting], sizes: ErrorSizes
 ) -> None:
     setting = make_arm(strategy=strategy_named("best"), sizes=sizes)
-    chosen = with_best_chosen(setting, [LEANING], FIDUCIALS, SIGHT).strategy
+    chosen = choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT).strategy
     assert isinstance(chosen, BestOfEach)
     predicted_mm = {}
     for one in CANDIDATES:
@@ -77,4 +77,4 @@ def _error_of_a_drawn_arm_mm(
 
 def test_a_fixed_strategy_stays_unchanged(make_arm: Callable[..., ArmSetting]) -> None:
     setting = make_arm()
-    assert with_best_chosen(setting, [LEANING], FIDUCIALS, SIGHT) is setting
+    assert choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT) is setting
