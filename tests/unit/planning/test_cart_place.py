@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
+from benchmarks.place_map import agreement, cart_case
 from procedures.planning.cart_place import CartCase, CartMove, Found
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
@@ -173,3 +174,17 @@ def test_a_position_from_which_the_tracker_cannot_see_the_frame_on_the_arm_is_re
     setting = _setting()
     judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judged(HERE, (_known(),))
     assert (judged.serves, judged.reason) == (not said, said)
+
+
+PLACES, WITHIN_MM = 100, 240.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.hazard(48)
+@pytest.mark.parametrize("turn_deg", [0.0, 15.0])
+def test_the_path_check_refuses_no_place_of_the_map_and_few_are_lost(turn_deg: float) -> None:
+    found = agreement(cart_case("mini"), PLACES, WITHIN_MM, turn_deg, workers=1)
+    assert found.refused == 0
+    assert found.lost <= 0.05 * PLACES
+    assert 0 < found.allowed < PLACES

@@ -3,15 +3,24 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from multiprocessing import active_children, get_context
+from typing import cast
 
 import numpy as np
+import psutil
 import pytest
+from waiting import HANG_LIMIT_S, eventually
 
-from procedures.planning.cart_map import map_places, propose_place
-from procedures.planning.cart_place import CartMove, Found, Verdict
+from procedures.planning.cart_map import judging, map_places, propose_place
+from procedures.planning.cart_place import CartCase, CartMove, Found, Verdict
 from procedures.planning.errors import NoPlace
 from procedures.planning.proposed_place import TURNED_SHARE
+from ronna_hw.host import worker_processes
+from ronna_hw.host.child_process import ChildNotReady
 
 WITHIN_MM = 240.0
 FOUND = Found(2, (("T1", 0.0),))
@@ -107,3 +116,44 @@ def test_a_map_without_any_usable_place_is_refused_with_the_commonest_reason() -
     judge, _ = _judge(lambda x, y: False)
     with pytest.raises(NoPlace, match="too far"):
         propose_place(map_places(WITHIN_MM, judge), judge)
+
+
+WORKERS = 2
+pytestmark = pytest.mark.slow
+
+
+@dataclass(frozen=True)
+class _Unjudged:
+    """A case whose positions take for ever."""
+
+    halted: bool
+
+    def judged(self, *_: object, search: bool) -> Verdict:
+        if self.halted:
+            os.kill(os.getpid(), signal.SIGSTOP)
+        while True:
+            signal.pause()
+
+
+def _judge_elsewhere(halted: bool) -> None:
+    with judging(cast("CartCase", _Unjudged(halted)), WORKERS) as judge:
+        judge([(CartMove(0.0, 0.0), (), False)] * 100)
+
+
+def test_halted_judges_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(worker_processes, "IDLE_TIMEOUT_S", 1.0)
+    before = set(active_children())
+    with pytest.raises(ChildNotReady, match="PRC-001: the worker processes do not finish"):
+        _judge_elsewhere(halted=True)
+    assert set(active_children()) <= before
+
+
+def test_judges_end_with_a_killed_search() -> None:
+    search = get_context("spawn").Process(target=_judge_elsewhere, args=(False,))
+    search.start()
+    seen = psutil.Process(search.pid)
+    eventually(lambda: len(seen.children()) == WORKERS)
+    judges = seen.children()
+    search.kill()
+    search.join()
+    assert psutil.wait_procs(judges, HANG_LIMIT_S)[1] == []

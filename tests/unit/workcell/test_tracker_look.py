@@ -1,5 +1,7 @@
 """The frame on the head gives the same spheres whether it is tracked as a tool or as strays."""
 
+from __future__ import annotations
+
 from dataclasses import dataclass, field
 from typing import Any
 

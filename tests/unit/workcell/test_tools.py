@@ -1,5 +1,7 @@
 """The tool on a calibrated arm: corrected poses, and refusal of another arm's record."""
 
+from __future__ import annotations
+
 import math
 from contextlib import nullcontext
 from pathlib import Path
