@@ -119,7 +119,6 @@ def test_a_map_without_any_usable_place_is_refused_with_the_commonest_reason() -
 
 
 WORKERS = 2
-pytestmark = pytest.mark.slow
 
 
 @dataclass(frozen=True)
@@ -140,6 +139,7 @@ def _judge_elsewhere(halted: bool) -> None:
         judge([(CartMove(0.0, 0.0), (), False)] * 100)
 
 
+@pytest.mark.slow
 def test_halted_judges_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(worker_processes, "IDLE_TIMEOUT_S", 1.0)
     before = set(active_children())
@@ -148,6 +148,7 @@ def test_halted_judges_end_the_search(monkeypatch: pytest.MonkeyPatch) -> None:
     assert set(active_children()) <= before
 
 
+@pytest.mark.slow
 def test_judges_end_with_a_killed_search() -> None:
     search = get_context("spawn").Process(target=_judge_elsewhere, args=(False,))
     search.start()

@@ -35,8 +35,6 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
 
-pytestmark = pytest.mark.hazard(36)
-
 CYCLE_S = 0.004
 WAY_MM = 50.0
 TOLD = re.compile(r"moves (\d+) mm( via home)?,\n.* in (\d+\.\d) s at up to (\d+) mm/s")
@@ -120,6 +118,7 @@ def points(cell: RecordingCell, plan: MotionPlan) -> list[JointVector]:
     return found
 
 
+@pytest.mark.hazard(36)
 @pytest.mark.parametrize("kind", KINDS)
 def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
     cell: RecordingCell, kind: str
@@ -137,6 +136,7 @@ def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
     assert float(said[4]) == pytest.approx(fastest_mm_s, rel=0.05, abs=1.0)
 
 
+@pytest.mark.hazard(36)
 def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:
     KINDS["insert"](cell)
     cell.workcell.withdraw("T1")
@@ -148,6 +148,7 @@ def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell)
     assert speeds_mm_s == pytest.approx([full_mm_s / 2.0, full_mm_s], rel=0.02)
 
 
+@pytest.mark.hazard(36)
 @pytest.mark.parametrize("kind", ["insert", "withdraw"])
 def test_after_a_stop_the_question_states_the_remaining_motion(cell: RecordingCell, kind: str) -> None:
     cell.arm.interruptions = 1
@@ -157,6 +158,7 @@ def test_after_a_stop_the_question_states_the_remaining_motion(cell: RecordingCe
     assert [int(TOLD.search(one.value)[1]) for one in (whole, rest)] == [50, 25]  # type: ignore[index]
 
 
+@pytest.mark.hazard(36)
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("kind", ["insert", "withdraw"])
 def test_a_guide_pushed_aside_during_a_stop_does_not_continue(cell: RecordingCell, kind: str) -> None:
