@@ -21,6 +21,53 @@ from ronna_hw.errors import RonnaError
 
 LARGEST_BAD_SHARE = 0.05  # of the cycles; the driver slows down at more than 3 in a row, far below this
 LEAST_CYCLES = 250  # one second: fewer mean little
+LEAST_FREE_BYTES = 200_000_000  # pictures, log and records of a long case are below a tenth of that
+MEGABYTE = 1_000_000
+LARGEST_STEP_S = 1.0  # a clock that is slewed stays below that between two checkpoints
+Void = Callable[[RonnaError], None]
+Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
+
+
+def standing_guards(
+    workcell: Workcell,
+    folder: Path,
+    clock: Clock,
+    find: Callable[[str], None],
+    doubt_tool: Callable[[str], None],
+) -> tuple[Guard, ...]:
+    """Build the guards that hold from the first step to the last.
+
+    `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
+    checked one.
+    """
+    return (
+        DiskSpace(folder),
+        WallClock(find),
+        ArmLink(workcell),
+        ToolStillMounted(workcell, doubt_tool),
+        LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
+    )
+
+
+def patient_watch(engine: Engine, void: Void) -> MotionWatch:
+    """Build the watch of the patient during motions; `void` voids results when the head has moved."""
+    setting = engine.setting
+    return MotionWatch(
+        setting.workcell,
+        setting.clock,
+        setting.memory,
+        setting.settings.watch_patient,
+        find=engine.find,
+        tell=lambda text: engine.events.publish(Advisory(text=text)),
+        void=void,
+        beside=engine.checkpoint.beside,
+    )
+
+
+def sight_guard(engine: Engine, void: Void) -> HeadInSight:
+    """Build the guard that bounds the approach to an unseen head; `void` as for `patient_watch`."""
+    setting = engine.setting
+    return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
 
 
 class ArmLink:
@@ -63,10 +110,6 @@ class ArmLink:
                 f"{LARGEST_BAD_SHARE:.0%}: close other programs on this computer, check cable and switch"
             )
         return self._verdict
-
-
-LEAST_FREE_BYTES = 200_000_000  # pictures, log and records of a long case are below a tenth of that
-MEGABYTE = 1_000_000
 
 
 class DiskSpace:
@@ -120,9 +163,6 @@ class ToolStillMounted:
         return f"{found}: mount the {workcell.tool} again"
 
 
-LARGEST_STEP_S = 1.0  # a clock that is slewed stays below that between two checkpoints
-
-
 class WallClock:
     """A step of the host's clock, against the monotonic one: it dates the records.
 
@@ -151,54 +191,6 @@ class WallClock:
                 f"the host's clock was changed by {step_s:+.1f} s: dates before and after do not agree; "
                 "durations and limits are not affected"
             )
-
-
-Void = Callable[[RonnaError], None]
-
-
-def standing_guards(
-    workcell: Workcell,
-    folder: Path,
-    clock: Clock,
-    find: Callable[[str], None],
-    doubt_tool: Callable[[str], None],
-) -> tuple[Guard, ...]:
-    """Build the guards that hold from the first step to the last.
-
-    `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
-    checked one.
-    """
-    return (
-        DiskSpace(folder),
-        WallClock(find),
-        ArmLink(workcell),
-        ToolStillMounted(workcell, doubt_tool),
-        LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
-    )
-
-
-def patient_watch(engine: Engine, void: Void) -> MotionWatch:
-    """Build the watch of the patient during motions; `void` voids results when the head has moved."""
-    setting = engine.setting
-    return MotionWatch(
-        setting.workcell,
-        setting.clock,
-        setting.memory,
-        setting.settings.watch_patient,
-        find=engine.find,
-        tell=lambda text: engine.events.publish(Advisory(text=text)),
-        void=void,
-        beside=engine.checkpoint.beside,
-    )
-
-
-def sight_guard(engine: Engine, void: Void) -> HeadInSight:
-    """Build the guard that bounds the approach to an unseen head; `void` as for `patient_watch`."""
-    setting = engine.setting
-    return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
-
-
-Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
 
 
 class UnchangedRecords:

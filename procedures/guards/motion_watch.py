@@ -72,7 +72,7 @@ class MotionWatch:
             return
         if self._room is not room or self._head.spheres_mm is not room.spheres_mm:
             self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
-        looking = _Looking(
+        thread = _WatchThread(
             self.workcell,
             self.clock,
             arm_moves,
@@ -84,10 +84,10 @@ class MotionWatch:
         )
         room.begin_motion(self.clock.now_s())
         try:
-            looking.begin()  # waits for a frame: may be interrupted as well
+            thread.begin()  # waits for a frame: may be interrupted as well
             yield
         except RonnaError as error:
-            seen = looking.end()
+            seen = thread.end()
             # The arm refuses a motion after an alarm before its begin: the alarm is what must be reported.
             if isinstance(error, MotionInterrupted | WrongState) or seen.moved_mm is not None:
                 self._conclude(seen, what)
@@ -96,9 +96,9 @@ class MotionWatch:
             try:
                 self.workcell.stop()  # first: the last frame may take its time
             finally:
-                looking.end()
+                thread.end()
             raise
-        self._conclude(looking.end(), what)
+        self._conclude(thread.end(), what)
 
     @property
     def _wanted(self) -> bool:
@@ -106,7 +106,7 @@ class MotionWatch:
             return self.workcell.tool is MountedTool.GUIDE
         return self.when is WatchPatient.ALWAYS
 
-    def _conclude(self, seen: _Looking, what: str) -> None:
+    def _conclude(self, seen: _WatchThread, what: str) -> None:
         if seen.moved_mm is not None:
             moved = self._named(seen.room, seen.moved_mm, what)
             self.void(moved)  # first: the watch goes on until this is written
@@ -143,7 +143,7 @@ class MotionWatch:
 
 
 @dataclass
-class _Looking:
+class _WatchThread:
     """Thread that reads frames until ended. `unseen_s` is theatre time since the head was last seen."""
 
     workcell: Workcell
@@ -181,7 +181,7 @@ class _Looking:
         if self._stopping is not None:  # the motion that would begin now is refused
             self._stopping.join()
 
-    def end(self) -> _Looking:
+    def end(self) -> _WatchThread:
         """Stop looking; the fields hold the findings."""
         self._ending.set()
         if self._thread.ident is not None:

@@ -106,7 +106,7 @@ def room_reading(
 
 
 def ghosts_of(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
-    """Which of the points (m, 3) are crossings of lines to known markers; all in the tracker's frame.
+    """Flag the points (m, 3) that are crossings of lines to known markers; all in the tracker's frame.
 
     The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the
     narrow limit: with the wide one, too much of the room about the head would count as crossings.

@@ -25,6 +25,11 @@ HEAD_NOTICEABLE_MM = 0.15
 # repeatability, 0.11 mm at most in 3,000 simulated pairs. From other sides, backlash adds up to 0.52 mm.
 BASE_NOTICEABLE_MM = 0.15
 GUIDE_NOTICEABLE_MM = 0.05  # on its gauge; beyond it, the guide is not as it was when its tip was calibrated
+CONFIRMATION = "confirmation"
+LOOKS_AT_ROOM = (
+    *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
+    CONFIRMATION,
+)
 
 
 class Subject(StrEnum):
@@ -40,7 +45,7 @@ class Subject(StrEnum):
 
 @dataclass(frozen=True)
 class Watched:
-    """How one subject is seen, by which steps, the smallest change noticed, and the results that need it.
+    """A watched subject: how and by which steps it is seen, the smallest change noticed, dependent results.
 
     Without `looked_at` it is seen before every step and motion. `noticeable_mm` is None if a change does not
     displace the guide against the head.
@@ -59,11 +64,6 @@ class Watched:
         return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
 
 
-CONFIRMATION = "confirmation"
-LOOKS_AT_ROOM = (
-    *("global_localization", "relocalization", "tool_change", "tool_check", "positioning"),
-    CONFIRMATION,
-)
 WATCHED = (
     Watched(
         Subject.HEAD,

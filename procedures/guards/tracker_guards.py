@@ -30,6 +30,17 @@ from ronna_hw.errors import RonnaError
 LATE_S = 0.1
 JUDGED = 5  # replies, by their median: two may be late, such as the first and one during a stall
 BETWEEN_LOOKS_S = 10.0  # theatre time while replies are late; a look then takes three of them
+FRAME_PATIENCE_S = 0.2  # theatre time: a passing hand is no finding (12 frames of a 60 Hz tracker)
+CLEAR_THE_LINE = (
+    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, "
+    "leave the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or "
+    "continue without sight"
+)
+ARM_IN_THE_WAY = (
+    "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "
+    "the trajectory (free_angle_deg in the plan), or continue without sight"
+)
+PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm itself is in the way
 
 
 def late_s(tracker: OpticalTracker) -> float | None:
@@ -86,9 +97,6 @@ class TrackerLink:
                     return
 
 
-FRAME_PATIENCE_S = 0.2  # theatre time: a passing hand is no finding (12 frames of a 60 Hz tracker)
-
-
 class LineOfSight:
     """Guard of the sight of the reference frame; while it is lost, it reads frames itself."""
 
@@ -124,18 +132,6 @@ class LineOfSight:
     def _validity(self) -> Validity:
         frame = self._tracker.observe().reading
         return Validity.OK if frame is None else frame.tool(self._frame).validity
-
-
-CLEAR_THE_LINE = (
-    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, "
-    "leave the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or "
-    "continue without sight"
-)
-ARM_IN_THE_WAY = (
-    "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "
-    "the trajectory (free_angle_deg in the plan), or continue without sight"
-)
-PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm itself is in the way
 
 
 @dataclass

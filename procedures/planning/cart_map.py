@@ -20,18 +20,23 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.planning.cart_place import CartCase, CartMove, Found, Verdict
+from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
 from procedures.planning.errors import NoPlace
 from procedures.planning.proposed_place import TURNED_SHARE
 from ronna_hw.host.worker_processes import fresh_processes, results
 
 Node = tuple[int, int]
-Judge = Callable[[Sequence[tuple[CartMove, tuple[Found, ...], bool]]], Sequence[Verdict]]
+Request = tuple[CartMove, tuple[PlaceSolution, ...], bool]  # position, known solutions, whether to search
+Judge = Callable[[Sequence[Request]], Sequence[Verdict]]
 
 COARSE = 4  # finest squares along the side of a coarsest one
 FINEST_MM = 15.0
 HALF_DIAGONAL = math.sqrt(0.5)  # of a square: how much closer than its centre the edge of the next one may be
 MOST_KNOWN = 3  # solutions from nearby that are tried before a position is refused
+CHUNK = 4  # positions per request: a request takes a millisecond, a position some tenths of a second
+TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way, at the best position and around it
+SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 
 @dataclass(frozen=True, eq=False)
@@ -78,14 +83,16 @@ class _Search:
     turn_rad: float
     verdicts: dict[Node, Verdict] = field(default_factory=dict)
 
-    def ask(self, nodes: Sequence[Node], known: Callable[[Node], tuple[Found, ...]], search: bool) -> None:
+    def ask(
+        self, nodes: Sequence[Node], known: Callable[[Node], tuple[PlaceSolution, ...]], search: bool
+    ) -> None:
         new = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
         asked = [
             (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad), known((i, j)), search) for i, j in new
         ]
         self.verdicts.update(zip(new, self.judge(asked), strict=True))
 
-    def known_at(self, nodes: Sequence[Node]) -> tuple[Found, ...]:
+    def known_at(self, nodes: Sequence[Node]) -> tuple[PlaceSolution, ...]:
         found = [self.verdicts[node].found for node in nodes if node in self.verdicts]
         return tuple(dict.fromkeys(one for one in found if one is not None))[:MOST_KNOWN]
 
@@ -151,10 +158,6 @@ def _middles(i: int, j: int, size: int) -> list[Node]:
     return [(i + half, j), (i, j + half), (i + half, j + half), (i + size, j + half), (i + half, j + size)]
 
 
-Asked = tuple[CartMove, tuple[Found, ...], bool]
-CHUNK = 4  # positions per request: a request takes a millisecond, a position some tenths of a second
-
-
 @contextmanager
 def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
     """Judges many positions at once; with `workers` 1 in this process, None uses every processor.
@@ -167,20 +170,16 @@ def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
         return
     with fresh_processes(count) as pool:
 
-        def there(asked: Sequence[Asked]) -> Sequence[Verdict]:
+        def in_processes(asked: Sequence[Request]) -> Sequence[Verdict]:
             parts = [asked[begin : begin + CHUNK] for begin in range(0, len(asked), CHUNK)]
             judged = results([pool.submit(_judged, case, part) for part in parts])
             return [verdict for part in judged for verdict in part]
 
-        yield there
+        yield in_processes
 
 
-def _judged(case: CartCase, asked: Sequence[Asked]) -> list[Verdict]:
-    return [case.judged(move, known, search=search) for move, known, search in asked]
-
-
-TURNS_DEG = (2.5, 5.0, 10.0, 15.0)  # tried either way, at the best position and around it
-SIDES = ((0.0, 0.0), (1.0, 0.0), (-1.0, 0.0), (0.0, 1.0), (0.0, -1.0))
+def _judged(case: CartCase, asked: Sequence[Request]) -> list[Verdict]:
+    return [case.judge(move, known, search=search) for move, known, search in asked]
 
 
 @dataclass(frozen=True, eq=False)
@@ -253,9 +252,6 @@ def _beside(best: CartMove, way_mm: float, way: tuple[float, float], turn_deg: f
     x, y = way
     turn_rad = best.turn_rad + math.radians(turn_deg)
     return CartMove(best.x_mm + x * way_mm, best.y_mm + y * way_mm, turn_rad)
-
-
-REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 
 def place_picture(found: PlaceProposal, case: CartCase) -> bytes:

@@ -17,6 +17,7 @@ from procedures.planning.visits import (
     ArmSetting,
     Axes,
     PathCheck,
+    Unmet,
     Visit,
     localizations_along,
     target_visit,
@@ -47,8 +48,8 @@ class CartMove:
 
 
 @dataclass(frozen=True)
-class Found:
-    """How a position serves: the arm's branch, and each trajectory's turn about its own axis."""
+class PlaceSolution:
+    """Solution at a position: the arm's branch, and each trajectory's turn about its axis."""
 
     branch: Branch
     turns_rad: tuple[tuple[str, float], ...]
@@ -58,7 +59,7 @@ class Found:
 class Verdict:
     """Whether a position serves, and how; otherwise the first pose that fails, and why."""
 
-    found: Found | None
+    found: PlaceSolution | None
     pose: str = ""
     reason: str = ""
 
@@ -84,8 +85,8 @@ class CartCase:
     robot_from_tracker: Transform | None = None
     stereo_from_marker: Transform | None = None
 
-    def judged(self, move: CartMove, known: Sequence[Found] = (), *, search: bool = True) -> Verdict:
-        """Whether a position serves. Solutions from elsewhere are tried first; then, with `search`, all."""
+    def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
+        """Judge a position. Solutions from elsewhere are tried first, then, with `search`, all."""
         setting = self.setting_at(move)
         hidden = self._unseen_by_tracker(setting, move)
         if hidden:
@@ -108,7 +109,7 @@ class CartCase:
         pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 
-    def _serves(self, setting: ArmSetting, found: Found) -> bool:
+    def _serves(self, setting: ArmSetting, found: PlaceSolution) -> bool:
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm).turned(dict(found.turns_rad))
         spheres = setting.robot_from_ct.apply(np.array(self.fiducials_mm))
         try:
@@ -144,7 +145,7 @@ class CartCase:
                     last = error
             else:
                 if last is not None:
-                    return Verdict(None, axis.identifier, f"{last.summary} [{last.code}]")
+                    return Verdict(None, axis.identifier, Unmet.by(axis.identifier, last).reason)
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
@@ -187,6 +188,6 @@ def _by_joints(setting: ArmSetting) -> bool:
 
 def _verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
     if check.passed and check.branch is not None:
-        return Verdict(Found(check.branch, tuple(sorted(turns_rad.items()))))
+        return Verdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
     first = check.unmet[0] if check.unmet else None
     return Verdict(None, first.pose if first else "", first.reason if first else "no branch works")

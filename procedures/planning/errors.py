@@ -246,5 +246,5 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
 
 
 def brief(finding: RonnaError, with_code: bool) -> str:
-    """What happened, with its values, without the advice."""
+    """Summary of a finding with its values, without the advice."""
     return f"{finding.code} {finding.summary}" if with_code else finding.summary

@@ -35,46 +35,10 @@ from ronna_hw.errors import LimitError
 
 LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
 MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
-
-
-@dataclass(frozen=True)
-class WristState:
-    """The least bend of the wrist over all poses and approaches, and its turn from target to spheres.
-
-    A whole turn counts as a change: the arm would have to make it in between.
-    """
-
-    least_bend_rad: float
-    largest_turn_change_rad: float
-
-    @classmethod
-    def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
-        """For the poses of one trajectory; the check must have reached its target."""
-        turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
-        for one in check.reached:
-            turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
-        changes = [
-            abs(target - sphere)
-            for target in turns[VisitKind.TARGET]
-            for sphere in turns[VisitKind.LOCALIZATION]
-        ]
-        bends = [
-            kinematics.wrist_bend_rad(joints)
-            for one in check.reached
-            for joints in (one.approach_rad, one.at_rad)
-        ]
-        return cls(min(bends), max(changes, default=0.0))
-
-    @property
-    def good(self) -> bool:
-        """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
-        return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
-
-
 Array = NDArray[np.float64]
-
 LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
 MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
 
 
 @dataclass(frozen=True)
@@ -207,7 +171,7 @@ def _ranked(
 def _seen_along(
     setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
 ) -> dict[str, Iterator[float]]:
-    """By axis, the turns in which every sphere is visible, in the strategy's order.
+    """Turns in which every sphere is visible, by axis and in the strategy's order.
 
     Usually the first will do, and checking the others takes most of the time, so each is computed on demand.
     """
@@ -230,7 +194,7 @@ def _hidden(
         try:
             visits = localizations_along(setting, one, fiducials_mm, branch)
         except LimitError as error:
-            unmet.append(Unmet(f"{one.identifier}/fiducials", f"{error.summary} [{error.code}]"))
+            unmet.append(Unmet.by(f"{one.identifier}/fiducials", error))
         else:
             unmet += sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
     return tuple(unmet)
@@ -240,7 +204,38 @@ def _turned(axis: Axes, turn_rad: float) -> Axes:
     return axis.turned({one.identifier: turn_rad for one in axis.each})
 
 
-BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
+@dataclass(frozen=True)
+class WristState:
+    """The least bend of the wrist over all poses and approaches, and its turn from target to spheres.
+
+    A whole turn counts as a change: the arm would have to make it in between.
+    """
+
+    least_bend_rad: float
+    largest_turn_change_rad: float
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
+        """Evaluate the poses of one trajectory, whose target the check must have reached."""
+        turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
+        for one in check.reached:
+            turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
+        changes = [
+            abs(target - sphere)
+            for target in turns[VisitKind.TARGET]
+            for sphere in turns[VisitKind.LOCALIZATION]
+        ]
+        bends = [
+            kinematics.wrist_bend_rad(joints)
+            for one in check.reached
+            for joints in (one.approach_rad, one.at_rad)
+        ]
+        return cls(min(bends), max(changes, default=0.0))
+
+    @property
+    def good(self) -> bool:
+        """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
+        return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
 
 
 def alternatives(
@@ -283,7 +278,7 @@ def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str,
 
 
 def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Which strategies would serve, by trajectory; None, for the usual advice, if none would."""
+    """Advice naming strategies that would serve, by trajectory; None, for the usual advice, if none would."""
     reaching = [
         f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
     ]

@@ -23,6 +23,10 @@ from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.tool_record import GuideBore
 
+Array = NDArray[np.float64]
+INSTRUMENT, DIRECTION = "instrument", "guide direction"
+SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
+
 
 def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
     """The trajectory with the position on it of the tip frame of the held guide."""
@@ -31,12 +35,12 @@ def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> 
 
 
 def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
-    """All trajectories of a plan."""
+    """Trajectories of a plan with the positions of the held guide."""
     return tuple(held_trajectory(plan, one, bore) for one in plan.trajectories)
 
 
 def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
-    """From the instrument's tip to the stop that rests on the guide when the tip is at the target."""
+    """Distance from the instrument's tip to its depth stop, which rests on the guide at the target."""
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
@@ -46,11 +50,6 @@ def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, 
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:
             yield one, stop_mm
-
-
-Array = NDArray[np.float64]
-INSTRUMENT, DIRECTION = "instrument", "guide direction"
-SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
 
 
 def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: GuideBore, held: Array) -> Array:

@@ -1,4 +1,4 @@
-"""What stereo head and tracker see from the planned poses.
+"""Lines of sight of stereo head and tracker at the planned poses.
 
 Stereo head: spheres are compared by their outlines in a camera. Two outlines must not touch, whichever sphere
 is nearer, because a bright neighbour behind the rim is as harmful as one in front.
@@ -29,6 +29,12 @@ Array = NDArray[np.float64]
 
 SPHERE_RADIUS_MM = 5.75
 CLEARANCE_MM = 3.0  # around each sphere, for the error of the coarse positions
+# The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
+# if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
+SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
+# The pyramid of a Polaris Spectra, as published: z, half x, half y of faces and knee, tracker frame, mm.
+VOLUME_MM = ((-2400.0, 656.4, 783.0), (-1532.0, 398.0, 572.0), (-950.0, 224.7, 240.6))
+FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its origin
 
 
 @dataclass(frozen=True)
@@ -77,14 +83,6 @@ def _touching(camera_mm: Array, spheres_mm: Array, looked_at: int) -> int | None
     return nearest if gaps[nearest] < 0.0 else None
 
 
-# The two sensors, tracker frame, mm: half a metre apart about the origin, along y. A sphere is measured only
-# if both see it. An estimate: manufacturers publish the outer size of their units, 0.6 m.
-SENSORS_MM = ((0.0, -250.0, 0.0), (0.0, 250.0, 0.0))
-# The pyramid of a Polaris Spectra, as published: z, half x, half y of faces and knee, tracker frame, mm.
-VOLUME_MM = ((-2400.0, 656.4, 783.0), (-1532.0, 398.0, 572.0), (-950.0, 224.7, 240.6))
-FRAME_MM = 100.0  # how far the spheres of the frame on the arm are from its origin
-
-
 @dataclass(frozen=True)
 class TrackerSight:
     """The tracker at the pose found by global localization; `spheres_mm` (n, 3) in its frame."""
@@ -93,7 +91,7 @@ class TrackerSight:
     spheres_mm: Array
 
     def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> NDArray[np.bool_]:
-        """Which spheres (n,) both sensors see past the arm and its tool. Static bodies hide none.
+        """Flag the spheres (n,) that both sensors see past the arm and its tool. Static bodies hide none.
 
         The head hid none of them when they were localized, nor do clamp and table.
         """

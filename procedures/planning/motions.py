@@ -1,4 +1,4 @@
-"""Every motion of the procedure with the mounted tool, previewed and checked for clearance.
+"""Motions of the procedure with the mounted tool, previewed and checked for clearance.
 
 A move between two approach points that is not clear goes via home if that is clear.
 """
@@ -98,7 +98,7 @@ def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
         except LimitError as error:
-            return (Unmet(name, f"{error.summary} [{error.code}]"),)
+            return (Unmet.by(name, error),)
     if setting.scene is None:
         return ()
     for motion in _over_gauge(setting, setting.scene):
@@ -130,7 +130,7 @@ def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
 def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
-    """Every motion of the procedure with its preview, in order."""
+    """Motions of the procedure in order, with previews."""
     return tuple(_previewed(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
 
 

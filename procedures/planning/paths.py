@@ -36,6 +36,117 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 
 
+def check_paths(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
+) -> PathCheck:
+    """Find one branch in which the arm can execute every pose and line of the procedure.
+
+    Trajectories and fiducials (n, 3) are in CT mm. The start's own branch is tried first, then the others by
+    how little the joints turn. If none works, the result lists the failures in the best of them.
+    """
+    return check_axes(setting, Axes.of(setting, trajectories, fiducials_mm), fiducials_mm)
+
+
+def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
+    """Check axes that have already been turned; otherwise as `check_paths`."""
+    best: PathCheck | None = None
+    for branch in branches_for(setting, axes, fiducials_mm):
+        checked = drive(setting, axes, fiducials_mm, branch)
+        if checked.passed:
+            return checked
+        if best is None or len(checked.unmet) < len(best.unmet):
+            best = checked
+    return best or PathCheck(None, (), (), ())
+
+
+def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
+    """Branches in order of promise for these axes."""
+    own = setting.kinematics.branch_of(setting.start_rad)
+    try:
+        visits = visits_of(setting, axes, fiducials_mm, own)
+    except LimitError:  # poses depend on the branch: the start's own has none
+        visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
+    flanges = [_flange(setting, visit) for visit in visits]
+    return ranked_branches(setting.kinematics, flanges, setting.start_rad)
+
+
+def drive(
+    setting: ArmSetting,
+    axes: Axes,
+    fiducials_mm: ArrayLike,
+    branch: Branch,
+    *,
+    first_only: bool = False,
+) -> PathCheck:
+    """Joints for every pose in order, in this branch, and what fails in it.
+
+    Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
+    stops at the first failure.
+    """
+    limits = setting.limits
+    journey = _Journey(setting.start_rad)
+    for visit in _poses(journey, setting, axes, fiducials_mm, branch):
+        if first_only and journey.unmet:
+            break
+        tool = _tool(setting, visit)
+        try:
+            posture = place(
+                setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
+            )
+        except LimitError as error:
+            journey.unmet.append(Unmet.by(visit.identifier, error))
+            continue
+        _note(journey, visit, posture)
+    check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
+    if setting.scene is None or not check.passed:
+        return check
+    unmet = unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
+    return replace(check, unmet=unmet)
+
+
+@dataclass
+class _Journey:
+    """The joints and moves collected while going through the visits."""
+
+    near_rad: JointVector
+    last: str = "start"
+    reached: list[Reached] = field(default_factory=list)
+    moves: list[JointMove] = field(default_factory=list)
+    unmet: list[Unmet] = field(default_factory=list)
+
+
+def _poses(
+    journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
+) -> Iterator[Visit]:
+    """The visits; axes for which the strategy finds no poses in this branch are failures."""
+    for axis in axes.localized:
+        try:
+            yield from localizations_along(setting, axis, fiducials_mm, branch)
+        except LimitError as error:
+            journey.unmet.append(Unmet.by(f"{axis.identifier}/fiducials", error))
+    for trajectory in axes.targeted:
+        yield target_visit(setting, trajectory)
+
+
+def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
+    turns_rad = [
+        abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
+    ]
+    journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
+    journey.reached.append(Reached(visit, posture.approach_rad, posture.line))
+    journey.near_rad, journey.last = posture.approach_rad, visit.identifier
+
+
+def _tool(setting: ArmSetting, visit: Visit) -> Transform:
+    if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
+        return setting.flange_from_stereo
+    return setting.flange_from_tool
+
+
+def _flange(setting: ArmSetting, visit: Visit) -> Transform:
+    return visit.pose @ _tool(setting, visit).inverse()
+
+
 @dataclass(frozen=True)
 class Posture:
     """Joint angles at the approach point, and the straight line of the tool from there to the pose."""
@@ -52,7 +163,7 @@ class Posture:
 def ranked_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
-    """All branches, the one that reaches most of the flange poses first; the start's own wins a tie.
+    """Branches ordered by how many of the flange poses they reach; the start's own wins a tie.
 
     Among others that reach equally many, the one whose joints stay closest to the start comes first.
     """
@@ -100,118 +211,3 @@ def _solutions(kinematics: Kinematics, flange: Transform) -> tuple[Solution, ...
         return kinematics.solutions(Pose.from_transform(flange))
     except LimitError:
         return ()
-
-
-def check_paths(
-    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike
-) -> PathCheck:
-    """Find one branch in which the arm can execute every pose and line of the procedure.
-
-    Trajectories and fiducials (n, 3) are in CT mm. The start's own branch is tried first, then the others by
-    how little the joints turn. If none works, the result lists the failures in the best of them.
-    """
-    return check_axes(setting, Axes.of(setting, trajectories, fiducials_mm), fiducials_mm)
-
-
-def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """Check axes that have already been turned; otherwise as `check_paths`."""
-    best: PathCheck | None = None
-    for branch in branches_for(setting, axes, fiducials_mm):
-        checked = drive(setting, axes, fiducials_mm, branch)
-        if checked.passed:
-            return checked
-        if best is None or len(checked.unmet) < len(best.unmet):
-            best = checked
-    return best or PathCheck(None, (), (), ())
-
-
-def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
-    """All branches, the most promising for these axes first."""
-    own = setting.kinematics.branch_of(setting.start_rad)
-    try:
-        visits = visits_of(setting, axes, fiducials_mm, own)
-    except LimitError:  # poses depend on the branch: the start's own has none
-        visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
-    flanges = [_flange(setting, visit) for visit in visits]
-    return ranked_branches(setting.kinematics, flanges, setting.start_rad)
-
-
-@dataclass
-class _Journey:
-    """The joints and moves collected while going through the visits."""
-
-    near_rad: JointVector
-    last: str = "start"
-    reached: list[Reached] = field(default_factory=list)
-    moves: list[JointMove] = field(default_factory=list)
-    unmet: list[Unmet] = field(default_factory=list)
-
-
-def drive(
-    setting: ArmSetting,
-    axes: Axes,
-    fiducials_mm: ArrayLike,
-    branch: Branch,
-    *,
-    first_only: bool = False,
-) -> PathCheck:
-    """Joints for every pose in order, in this branch, and what fails in it.
-
-    Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
-    stops at the first failure.
-    """
-    limits = setting.limits
-    journey = _Journey(setting.start_rad)
-    for visit in _poses(journey, setting, axes, fiducials_mm, branch):
-        if first_only and journey.unmet:
-            break
-        tool = _tool(setting, visit)
-        try:
-            posture = place(
-                setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
-            )
-        except LimitError as error:
-            journey.unmet.append(Unmet(visit.identifier, _in_words(error)))
-            continue
-        _note(journey, visit, posture)
-    check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
-    if setting.scene is None or not check.passed:
-        return check
-    unmet = unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
-    return replace(check, unmet=unmet)
-
-
-def _poses(
-    journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
-) -> Iterator[Visit]:
-    """The visits; axes for which the strategy finds no poses in this branch are failures."""
-    for axis in axes.localized:
-        try:
-            yield from localizations_along(setting, axis, fiducials_mm, branch)
-        except LimitError as error:
-            journey.unmet.append(Unmet(f"{axis.identifier}/fiducials", _in_words(error)))
-    for trajectory in axes.targeted:
-        yield target_visit(setting, trajectory)
-
-
-def _in_words(error: LimitError) -> str:
-    return f"{error.summary} [{error.code}]"
-
-
-def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
-    turns_rad = [
-        abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
-    ]
-    journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
-    journey.reached.append(Reached(visit, posture.approach_rad, posture.line))
-    journey.near_rad, journey.last = posture.approach_rad, visit.identifier
-
-
-def _tool(setting: ArmSetting, visit: Visit) -> Transform:
-    if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
-        return setting.flange_from_stereo
-    return setting.flange_from_tool
-
-
-def _flange(setting: ArmSetting, visit: Visit) -> Transform:
-    return visit.pose @ _tool(setting, visit).inverse()

@@ -49,113 +49,7 @@ if TYPE_CHECKING:
 
 LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
-
-
-def in_another_unit(plan: Plan) -> list[PlanMistakes]:
-    """Mistakes for values of a plan that are typical of another unit."""
-    found = [
-        PlanMistakes(
-            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
-            f"{NOT_METRES}, and at least {LEAST_TARGET_MARGIN_MM:g}"
-        )
-        for one in plan.trajectories
-        if one.margin_mm < LEAST_TARGET_MARGIN_MM
-    ]
-    found += [mistake for one in plan.structures or () for mistake in structure_in_another_unit(one)]
-    if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
-        found.append(
-            PlanMistakes(f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: {NOT_METRES}")
-        )
-    deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
-    needed_mm = deepest.depth_mm + plan.standoff_mm
-    if plan.instrument_length_mm < needed_mm:
-        found.append(
-            PlanMistakes(
-                f"instrument_length_mm is {plan.instrument_length_mm:g}, but {deepest.id} needs more than "
-                f"{needed_mm:.1f} mm: {deepest.depth_mm:.1f} mm from entry to target, {plan.standoff_mm:g} "
-                "mm of stand-off, and the guide; give millimetres, not centimetres"
-            )
-        )
-    return found
-
-
-def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
-    """Mistakes for values of a structure that are typical of another unit."""
-    found = []
-    if structure.margin_mm < LEAST_MARGIN_MM:
-        found.append(
-            PlanMistakes(
-                f"structure {structure.name}.margin_mm: {structure.margin_mm:g} mm is less than half the "
-                f"thickness of any instrument: {NOT_METRES}, and at least {LEAST_MARGIN_MM:g}"
-            )
-        )
-    if in_metres(structure.points_mm):
-        found.append(
-            PlanMistakes(
-                f"structure {structure.name}.points_mm: all within {span(structure.points_mm):.3g} mm of "
-                f"each other: {NOT_METRES}"
-            )
-        )
-    return found
-
-
 UNSEALED = "0" * 64  # stands in for a plan's digest while it is computed
-
-
-def ct_digest(volume: Volume) -> str:
-    """SHA-256 of a CT's voxels and geometry."""
-    geometry = volume.geometry
-    place = {
-        "series": volume.series_instance_uid,
-        "position": volume.patient_position,
-        "shape": list(geometry.shape),
-        "origin_mm": geometry.origin_mm.tolist(),
-        "axes": geometry.axes.tolist(),
-        "spacing_mm": geometry.spacing_mm.tolist(),
-    }
-    digest = hashlib.sha256(canonical_json(place))
-    for one in volume.voxels:  # slice by slice, without copying the whole
-        digest.update(one.astype("<i2", order="C", copy=False).data)
-    return digest.hexdigest()
-
-
-def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
-    """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
-    open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
-    unsealed = plan.model_copy(update={"seal": open_seal})
-    return unsealed.model_copy(
-        update={"seal": open_seal.model_copy(update={"plan_sha256": _plan_digest(unsealed)})}
-    )
-
-
-def require_unaltered(plan: Plan, name: str) -> None:
-    """Raise PLAN-023 if a plan does not match its seal."""
-    if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
-        raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
-
-
-def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
-    """Finding that a sealed plan was made on other voxels, or None."""
-    if plan.seal is None:
-        return None
-    digest = ct_digest(volume)
-    if digest == plan.seal.ct_sha256:
-        return None
-    return OtherVoxels(
-        "the CT is not the one that the plan was made on, although it has the same UID",
-        expected=plan.seal.ct_sha256[:12],
-        got=digest[:12],
-    )
-
-
-def _plan_digest(plan: Plan) -> str:
-    assert plan.seal is not None
-    as_signed = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
-    return hashlib.sha256(
-        canonical_json(as_signed.model_dump(mode="json", by_alias=True, exclude_none=True))
-    ).hexdigest()
-
-
 # What an item of a list is called, and the key with its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
 # What plans of earlier versions lack, and what to write.
@@ -164,6 +58,16 @@ ADDED = {
     "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
     "still holds a depth stop, as on its packaging",
 }
+UNKNOWN_POSITION = f"# patient_orientation: not given by the series; one of {', '.join(PatientPosition)}"
+TRAJECTORY = """
+# One block for each trajectory, in the order in which they are meant to be done; take the # away.
+# [[trajectories]]
+# id = "T1"
+# entry_mm = [0.0, 0.0, 0.0]   # where it enters the head
+# target_mm = [0.0, 0.0, 0.0]  # where it ends
+# free_angle_deg = 0.0         # of the guide about the axis
+# margin_mm = 2.0              # largest target error that is accepted
+"""
 
 
 def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
@@ -252,16 +156,106 @@ def _ids(content: dict[str, Any]) -> Counter[str]:
     return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
 
 
-UNKNOWN_POSITION = f"# patient_orientation: not given by the series; one of {', '.join(PatientPosition)}"
-TRAJECTORY = """
-# One block for each trajectory, in the order in which they are meant to be done; take the # away.
-# [[trajectories]]
-# id = "T1"
-# entry_mm = [0.0, 0.0, 0.0]   # where it enters the head
-# target_mm = [0.0, 0.0, 0.0]  # where it ends
-# free_angle_deg = 0.0         # of the guide about the axis
-# margin_mm = 2.0              # largest target error that is accepted
-"""
+def in_another_unit(plan: Plan) -> list[PlanMistakes]:
+    """Mistakes for values of a plan that are typical of another unit."""
+    found = [
+        PlanMistakes(
+            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
+            f"{NOT_METRES}, and at least {LEAST_TARGET_MARGIN_MM:g}"
+        )
+        for one in plan.trajectories
+        if one.margin_mm < LEAST_TARGET_MARGIN_MM
+    ]
+    found += [mistake for one in plan.structures or () for mistake in structure_in_another_unit(one)]
+    if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
+        found.append(
+            PlanMistakes(f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: {NOT_METRES}")
+        )
+    deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
+    needed_mm = deepest.depth_mm + plan.standoff_mm
+    if plan.instrument_length_mm < needed_mm:
+        found.append(
+            PlanMistakes(
+                f"instrument_length_mm is {plan.instrument_length_mm:g}, but {deepest.id} needs more than "
+                f"{needed_mm:.1f} mm: {deepest.depth_mm:.1f} mm from entry to target, {plan.standoff_mm:g} "
+                "mm of stand-off, and the guide; give millimetres, not centimetres"
+            )
+        )
+    return found
+
+
+def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
+    """Mistakes for values of a structure that are typical of another unit."""
+    found = []
+    if structure.margin_mm < LEAST_MARGIN_MM:
+        found.append(
+            PlanMistakes(
+                f"structure {structure.name}.margin_mm: {structure.margin_mm:g} mm is less than half the "
+                f"thickness of any instrument: {NOT_METRES}, and at least {LEAST_MARGIN_MM:g}"
+            )
+        )
+    if in_metres(structure.points_mm):
+        found.append(
+            PlanMistakes(
+                f"structure {structure.name}.points_mm: all within {span(structure.points_mm):.3g} mm of "
+                f"each other: {NOT_METRES}"
+            )
+        )
+    return found
+
+
+def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
+    """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
+    open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
+    unsealed = plan.model_copy(update={"seal": open_seal})
+    return unsealed.model_copy(
+        update={"seal": open_seal.model_copy(update={"plan_sha256": _plan_digest(unsealed)})}
+    )
+
+
+def require_unaltered(plan: Plan, name: str) -> None:
+    """Raise PLAN-023 if a plan does not match its seal."""
+    if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
+        raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
+
+
+def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
+    """Finding that a sealed plan was made on other voxels, or None."""
+    if plan.seal is None:
+        return None
+    digest = ct_digest(volume)
+    if digest == plan.seal.ct_sha256:
+        return None
+    return OtherVoxels(
+        "the CT is not the one that the plan was made on, although it has the same UID",
+        expected=plan.seal.ct_sha256[:12],
+        got=digest[:12],
+    )
+
+
+def ct_digest(volume: Volume) -> str:
+    """SHA-256 of a CT's voxels and geometry."""
+    geometry = volume.geometry
+    place = {
+        "series": volume.series_instance_uid,
+        "position": volume.patient_position,
+        "shape": list(geometry.shape),
+        "origin_mm": geometry.origin_mm.tolist(),
+        "axes": geometry.axes.tolist(),
+        "spacing_mm": geometry.spacing_mm.tolist(),
+    }
+    digest = hashlib.sha256(canonical_json(place))
+    for one in volume.voxels:  # slice by slice, without copying the whole
+        digest.update(one.astype("<i2", order="C", copy=False).data)
+    return digest.hexdigest()
+
+
+def _plan_digest(plan: Plan) -> str:
+    assert plan.seal is not None
+    as_signed = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
+    return hashlib.sha256(
+        canonical_json(as_signed.model_dump(mode="json", by_alias=True, exclude_none=True))
+    ).hexdigest()
 
 
 def new_plan(

@@ -43,7 +43,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PatientPosition(StrEnum):
-    """How the patient lay in the scanner, in DICOM's terms: head or feet first; supine, prone, on a side."""
+    """Patient position in DICOM's terms: head or feet first; supine, prone or on a side."""
 
     HFS = "HFS"
     HFP = "HFP"

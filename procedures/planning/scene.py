@@ -18,6 +18,7 @@ from ronna_hw.frames import Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 
 Points = tuple[tuple[float, float, float], ...]
+COARSE_MM = 1.25  # around them: error of the coarse localization
 
 
 @dataclass(frozen=True)
@@ -69,9 +70,6 @@ class PlanningScene:
         )
         frame = (one._replace(capsule=one.capsule.moved(in_robot)) for one in self.frame_ct)
         return replace(around, obstacles=(*around.obstacles, *frame))
-
-
-COARSE_MM = 1.25  # around them: error of the coarse localization
 
 
 def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:

@@ -34,11 +34,12 @@ LEAST_MARGIN_MM = 0.4  # half the thickness of the thinnest depth electrode
 DECIMALS = 1  # of a coordinate, mm: finer than any structure is drawn
 _THINNING = 1.25  # growth of the cells until few enough points remain
 _FINEST_CELL_MM = 0.5
+MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its axes differ
 
 
 @dataclass(frozen=True)
 class StructureDistance:
-    """How close the axis between entry and target may come to a structure; `nearest_mm` is the point there.
+    """Least distance of a trajectory's axis from a structure, and the structure's nearest point.
 
     What may be between the points is subtracted: half the widest gap, and the effect of thinning.
     """
@@ -114,9 +115,6 @@ def _left_out_mm(points: Array, kept: Array) -> float:
         return 0.0
     distances, _ = cKDTree(kept).query(points)
     return math.ceil(float(distances.max()) * 10.0) / 10.0
-
-
-MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its axes differ
 
 
 def read_structure(

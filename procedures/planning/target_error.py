@@ -55,7 +55,7 @@ def predicted_by_markers(
 def predicted_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
-    """The same including arm, tool frame, calibrations and instrument, at the poses of a passed check."""
+    """Error at a target including arm, tool frame, calibrations and instrument, for a passed check."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     looks, target = poses_for(setting, check, identifier)

@@ -25,13 +25,14 @@ from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
 APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
 
 
 class VisitKind(StrEnum):
-    """What the arm does at a pose."""
+    """Purpose of a pose."""
 
     LOCALIZATION = "localization"
     TARGET = "target"
@@ -92,6 +93,11 @@ class Unmet:
     reason: str
     short_mm: float | None = None
 
+    @classmethod
+    def by(cls, pose: str, error: LimitError) -> Self:
+        """Build the failure that an error of the arm's kinematics or planner describes."""
+        return cls(pose, f"{error.summary} [{error.code}]")
+
 
 @dataclass(frozen=True)
 class PathCheck:
@@ -121,7 +127,7 @@ class PathCheck:
         raise KeyError(identifier)
 
     def require(self, advice: str | None = None) -> None:
-        """Raises PLAN-007 listing every failed precondition, with `advice` instead of the usual one."""
+        """Raise PLAN-007 listing every failed precondition, with `advice` instead of the usual one."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
             raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
@@ -151,7 +157,7 @@ class ArmSetting:
     gauge_rad: JointVector | None = None
 
     def __post_init__(self) -> None:
-        """Raises FRM-001 when a transform maps between other frames."""
+        """Raise FRM-001 if a transform maps between other frames."""
         require_frames(self.robot_from_ct, Frame.ROBOT, Frame.CT)
         require_frames(self.flange_from_tool, Frame.FLANGE, Frame.TOOL)
         if self.flange_from_stereo is not None:
@@ -187,7 +193,7 @@ class Axes:
 
     @property
     def each(self) -> tuple[Trajectory, ...]:
-        """Every axis once."""
+        """Axes without repetition."""
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
@@ -209,7 +215,7 @@ class Axes:
 
 
 def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
-    """All poses in the order of the procedure: localizations, then, after the tool change, targets.
+    """Poses in the order of the procedure: localizations, then, after the tool change, targets.
 
     Raises the strategy's errors when it finds no poses in this branch.
     """

@@ -26,6 +26,14 @@ from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
+GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
+FINISHED = "finished"  # all that was to be done through the guide was done before
+AGAIN, AS_IT_STANDS = "placed again", "as it stands"
+FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
+SETTINGS = 3  # of a depth stop, before the case is held
+PLACINGS = 3  # of the cart, before the case is held
+MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
+
 
 class Ending(StrEnum):
     """Ending of a branch."""
@@ -62,11 +70,6 @@ class Branch:
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
-GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
-FINISHED = "finished"  # all that was to be done through the guide was done before
-AGAIN, AS_IT_STANDS = "placed again", "as it stands"
-
-
 def use(strategy: str) -> str:
     """Answer that agrees to another strategy."""
     return f"use {strategy}"
@@ -75,12 +78,6 @@ def use(strategy: str) -> str:
 def from_stage(task: str) -> str:
     """Answer that continues the work through the guide from a stage."""
     return f"from {task}"
-
-
-FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
-SETTINGS = 3  # of a depth stop, before the case is held
-PLACINGS = 3  # of the cart, before the case is held
-MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
 SPHERE_COUNT = Branch(

@@ -56,16 +56,6 @@ CLINICAL_STEPS: Steps = (
     retreat.STEP,
     confirmation.STEP,
 )
-
-
-def clinical_steps(*, measure_targets: bool = False) -> Steps:
-    """Steps of a case; to measure targets on a phantom, they include that before the exchange of tools."""
-    if not measure_targets:
-        return CLINICAL_STEPS
-    place = CLINICAL_STEPS.index(tool_change.STEP)
-    return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])
-
-
 ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     **dict.fromkeys(Topic, (YES, NO)),
     **{branch.topic: branch.answers for branch in BRANCHES if branch.topic is not None},
@@ -74,9 +64,15 @@ ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
     Topic.READING: (READ, NOBODY),
     **{stage.topic: (DONE, HOLD) for stage in STAGES},
 }
-
-
 AFTER_STOP = "the arm has not moved since it was connected or stopped"
+
+
+def clinical_steps(*, measure_targets: bool = False) -> Steps:
+    """Steps of a case; to measure targets on a phantom, they include that before the exchange of tools."""
+    if not measure_targets:
+        return CLINICAL_STEPS
+    place = CLINICAL_STEPS.index(tool_change.STEP)
+    return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from procedures.steps.errors import ReadingTooOld
 from procedures.workcell import MountedTool
 
 REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
+LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
 
 def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
@@ -70,9 +71,6 @@ def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)
-
-
-LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
 
 def require_recent(context: StepContext, what: str, read_s: float) -> None:

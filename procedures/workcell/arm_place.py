@@ -1,4 +1,4 @@
-"""Where an arm is, on which axis, and whether an instrument may be inside the head.
+"""Place of an arm, the axis that its guide is on, and an instrument that may be inside the head.
 
 The one answer for engine, steps and recovery.
 """

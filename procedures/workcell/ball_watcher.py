@@ -48,7 +48,7 @@ class BallWatcher:
         """Go to the first look; unless the ball is in view, search in a spiral. Raises STE-009."""
 
         def settle(pose: Transform) -> None:
-            self._settle(self._joints(pose, self.workcell.home_rad))
+            self._settle(self.workcell.joints_at(pose, self.workcell.home_rad))
 
         settle(first.pose)
         poses = search_poses(first.pose, settle, self.workcell.arm)
@@ -69,7 +69,7 @@ class BallWatcher:
         pose = moved_to(planned, self.ball_mm).pose
 
         def settle() -> None:
-            self._settle(self._joints(pose, self.workcell.joints_rad()), arriving)
+            self._settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), arriving)
 
         if (refused := refusal(settle, self.workcell.arm)) is not None:
             self.rejected[refused.code] += 1
@@ -99,7 +99,7 @@ class BallWatcher:
     def reaches(self, pose: Transform) -> bool:
         """Whether the arm reaches a tool pose in its branch at home."""
         try:
-            self._joints(pose, self.workcell.home_rad)
+            self.workcell.joints_at(pose, self.workcell.home_rad)
         except LimitError:
             return False
         return True
@@ -140,9 +140,6 @@ class BallWatcher:
             right=Outline.of(seen.right),
             orientation=orientation,
         )
-
-    def _joints(self, pose: Transform, near: JointVector) -> JointVector:
-        return self.workcell.joints_at(pose, near)
 
     def _settle(self, joints: JointVector, arriving: Sequence[int] = ONE_SIDE) -> None:
         self.workcell.settle(joints, arriving, from_afar=True)

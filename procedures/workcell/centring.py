@@ -25,43 +25,7 @@ from ronna_hw.frames import Transform
 if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell
 
-
-def search_poses(
-    expected: Transform, settle: Callable[[Transform], object], arm: ArmView
-) -> Iterator[Transform]:
-    """Settle onto the poses of the search pattern around the expected one, yielding those reached.
-
-    The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
-    the last, and errors that trip the arm.
-    """
-    passed = 0
-    for number in count():
-        try:
-            pose = search_pose(expected, number)
-        except SphereNotInView as error:
-            if not passed:
-                raise
-            what = f"no sphere in {number - passed} image pairs, {passed} poses not clear"
-            raise SphereNotInView(what, limit=error.limit) from error
-        if refusal(partial(settle, pose), arm) is None:
-            yield pose
-        else:
-            passed += 1
-
-
-def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Make a motion; return a refusal from before the arm moved, or None. Raises if the arm trips."""
-    try:
-        move()
-    except LimitError as error:
-        if arm.state is not Lifecycle.ACTIVE:
-            raise
-        return error
-    return None
-
-
 Array = NDArray[np.float64]
-
 SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
 EXACT = ServoSettings()
 # From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
@@ -199,3 +163,37 @@ class Centring:
 
     def _before(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.approach_mm)
+
+
+def search_poses(
+    expected: Transform, settle: Callable[[Transform], object], arm: ArmView
+) -> Iterator[Transform]:
+    """Settle onto the poses of the search pattern around the expected one, yielding those reached.
+
+    The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
+    the last, and errors that trip the arm.
+    """
+    passed = 0
+    for number in count():
+        try:
+            pose = search_pose(expected, number)
+        except SphereNotInView as error:
+            if not passed:
+                raise
+            what = f"no sphere in {number - passed} image pairs, {passed} poses not clear"
+            raise SphereNotInView(what, limit=error.limit) from error
+        if refusal(partial(settle, pose), arm) is None:
+            yield pose
+        else:
+            passed += 1
+
+
+def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
+    """Make a motion; return a refusal from before the arm moved, or None. Raises if the arm trips."""
+    try:
+        move()
+    except LimitError as error:
+        if arm.state is not Lifecycle.ACTIVE:
+            raise
+        return error
+    return None

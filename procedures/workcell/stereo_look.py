@@ -32,6 +32,12 @@ NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
 CLOCK_ERROR_S = 0.1  # theatre time, between the clocks of cameras and theatre; the arm rests for longer
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
+PICTURE_HEIGHT_PX = 300  # of the report
+TRUSTED_BGR, DOUBTED_BGR, PAPER_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
+GAP_PX = 8
+CAPTION_PX = 22
+LETTERS, LETTER_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.4
+Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -140,14 +146,6 @@ class Sensors:
         if share != self._exposure_share:
             self._stereo().scale_exposure(share)
             self._exposure_share = share
-
-
-PICTURE_HEIGHT_PX = 300  # of the report
-TRUSTED_BGR, DOUBTED_BGR, PAPER_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
-GAP_PX = 8
-CAPTION_PX = 22
-LETTERS, LETTER_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.4
-Picture = NDArray[np.uint8]
 
 
 def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:

@@ -66,7 +66,7 @@ class SupervisedMotion:
 
     @contextlib.contextmanager
     def announcing(self, step_motions: str) -> Iterator[None]:
-        """Within the block, a confirmation of the first motion also states all motions of the step."""
+        """Have a first-motion confirmation within the block also state all motions of the step."""
         self._step_motions = step_motions
         try:
             yield
@@ -74,7 +74,7 @@ class SupervisedMotion:
             self._step_motions = ""
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
-        """From now on, pass this checkpoint before every motion, and ask before the first one."""
+        """Pass this checkpoint before every motion from now on, and ask before the first one."""
         self._checkpoint, self._ask = checkpoint, ask
 
     def begin_anew(self) -> None:

@@ -18,6 +18,9 @@ from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 
+# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
+Sides = Sequence[int] | None
+
 
 class MountedTool(StrEnum):
     """The mounted tool according to the last check."""
@@ -82,10 +85,6 @@ class ToolMount:
     def _number(self, tool: MountedTool) -> int:
         guide = tool is not MountedTool.STEREO_HEAD
         return self._calibrations.tool_tip.tool_number if guide else STEREO_HEAD_NUMBER
-
-
-# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
-Sides = Sequence[int] | None
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:

@@ -23,27 +23,6 @@ from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals
-
-
-def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
-    """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
-    frame = np.array(SPHERE_CENTRES_MM)
-    for name, markers in markers_mm.items():
-        if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
-            return name
-    return None
-
-
-def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
-    """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
-    name = name_of_frame(tracker.markers_mm)
-    if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
-        return frame
-    places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
-    more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
-    return replace(frame, strays=(*frame.strays, *more))
-
-
 FRAMES = 60  # one second of a 60 Hz tracker
 FRAME_S = 1 / 60  # period of the tracker's frame counter
 LEAST_FRAMES_WITH_TOOL = 30
@@ -118,6 +97,12 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     return _mean_of(shown)
 
 
+def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
+    """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
+    shown = _shown(frames, tool)
+    return _mean_of(shown) if len(shown) >= least else None
+
+
 def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     """Most frequent reason for frames without the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]
@@ -131,12 +116,6 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     if disturbed:
         return f", disturbed by infrared light in {disturbed}", "Shade the tracker from sun and lamps"
     return "", "Clear the line of sight between tracker and tool"
-
-
-def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
-    """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
-    shown = _shown(frames, tool)
-    return _mean_of(shown) if len(shown) >= least else None
 
 
 def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
@@ -159,3 +138,22 @@ def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
         raise FrameMismatch("expected finite poses from the tracker")
     mean = RigidTransform.from_components(np.mean(places_mm, axis=0), Rotation.from_matrix(rotations).mean())
     return Transform(Frame.TRACKER, Frame.MARKER, mean)
+
+
+def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
+    """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
+    name = name_of_frame(tracker.markers_mm)
+    if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
+        return frame
+    places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
+    more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
+    return replace(frame, strays=(*frame.strays, *more))
+
+
+def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
+    """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
+    frame = np.array(SPHERE_CENTRES_MM)
+    for name, markers in markers_mm.items():
+        if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
+            return name
+    return None

@@ -95,7 +95,7 @@ class Workcell:
 
     @property
     def devices(self) -> Mapping[str, DeviceView]:
-        """All devices by role, in the order in which they are connected; other kinds by their tables."""
+        """Devices by role, in the order of connection; other kinds by their tables."""
         return {**self._devices, "arm": self.arm}
 
     @property

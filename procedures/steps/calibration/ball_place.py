@@ -20,16 +20,21 @@ from procedures.relocalization.search_pattern import SEARCH_RADIUS_MM
 from procedures.results.result import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.orientation import tool_orientation
-from procedures.workcell import MountedTool
+from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import Numbers3
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
 DOWN = np.array([0.0, 0.0, -1.0])
 ALONE_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
+BALL_PICTURE = "stereo-ball.png"
+SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
 
 
 class BallPlace(StepResult, kind="ball_place"):
@@ -105,10 +110,6 @@ def _nearest_mm(points: Array, number: int) -> float:
     return float(np.linalg.norm(others - points[number], axis=1).min()) if len(others) else np.inf
 
 
-BALL_PICTURE = "stereo-ball.png"
-SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
-
-
 def bring_over_ball(
     context: StepContext,
     place: BallPlace,
@@ -154,3 +155,20 @@ def bring_over_ball(
         ) from error
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     return watcher
+
+
+def return_home_if_clear(context: StepContext) -> list[str]:
+    """Go home, or remark that the way is not clear: the looks are worth keeping."""
+    try:
+        context.workcell.go_home()
+    except NotClear as error:  # raised before anything moved
+        return [f"the arm stays where it is: {error.what}"]
+    return []
+
+
+def reachable_joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
+    """Joints for a planned look in the arm's branch at home, or None."""
+    try:
+        return workcell.joints_at(look.pose, workcell.home_rad)
+    except LimitError:
+        return None

@@ -11,7 +11,6 @@ from pydantic import Field
 
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import PlannedLook
 from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
 from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
@@ -20,6 +19,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
+from procedures.steps.calibration.ball_place import reachable_joints
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.strategies.approach import ONE_SIDE
@@ -106,7 +106,7 @@ class FrameTurning:
         reference = workcell.flange_pose(workcell.home_rad) @ head
         wanted = self.count + self.validation
         planned = frame_poses(reference, frame, round(SPARE * wanted))
-        reached = [joints for look in planned if (joints := _joints(workcell, look)) is not None]
+        reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
         if len(reached) < wanted:
             raise PosesOutOfReach(
                 "too few poses of the reference frame are reachable",
@@ -177,10 +177,3 @@ def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),
     )
-
-
-def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
-    try:
-        return workcell.joints_at(look.pose, workcell.home_rad)
-    except LimitError:
-        return None

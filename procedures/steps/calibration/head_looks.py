@@ -18,13 +18,18 @@ from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_place import BALL_PICTURE, SPARE, BallPlace, bring_over_ball
+from procedures.steps.calibration.ball_place import (
+    BALL_PICTURE,
+    SPARE,
+    BallPlace,
+    bring_over_ball,
+    return_home_if_clear,
+)
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import Look, pair_picture
-from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import Numbers3, StereoHeadCalibration
 
 
@@ -122,7 +127,7 @@ class BallObservation:
                     seen.append(one)
                 done = self.poses + CHECK_ORIENTATIONS * visit + number
                 context.progress(done / total, "measuring the ball")
-        remarks = _homeward(context)
+        remarks = return_home_if_clear(context)
         if watcher.rejected:
             remarks.append(
                 f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}"
@@ -179,14 +184,6 @@ def refuse_too_few(watcher: BallWatcher, count: int) -> None:
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
         raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
     raise TooFewPoses("too few poses show the ball", expected=expected, got=got)
-
-
-def _homeward(context: StepContext) -> list[str]:
-    try:
-        context.workcell.go_home()
-    except NotClear as error:  # raised before anything moved; the looks are worth keeping
-        return [f"the arm stays where it is: {error.what}"]
-    return []
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):

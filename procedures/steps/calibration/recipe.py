@@ -18,6 +18,8 @@ from procedures.steps.clinical import global_localization, set_up
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import Calibrations, describe_mistakes
 
+MOST_LOOKS = 1000  # no command takes half of it
+
 
 def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
     """Set up, find the ball, look at it from all sides."""
@@ -58,9 +60,6 @@ def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps
 def _to_ball(ball_mm: Numbers3 | None) -> Steps:
     by_tracker: Steps = () if ball_mm is not None else (global_localization.STEP,)
     return (set_up.STEP, *by_tracker, place_step(ball_mm))
-
-
-MOST_LOOKS = 1000  # no command takes half of it
 
 
 class Calibrated(StrEnum):

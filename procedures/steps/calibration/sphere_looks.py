@@ -21,14 +21,19 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_place import BALL_PICTURE, BallPlace, standing_alone
+from procedures.steps.calibration.ball_place import (
+    BALL_PICTURE,
+    BallPlace,
+    reachable_joints,
+    return_home_if_clear,
+    standing_alone,
+)
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import pair_picture
-from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
@@ -91,10 +96,7 @@ class SphereLooks:
         for number in sorted(planned):
             mine = [one for one in plan if one.look.sphere == number]
             seen += self._looks_at(context, places[number], mine, len(seen) / len(plan), remarks)
-        try:
-            workcell.go_home()
-        except NotClear as error:  # raised before anything moved; the looks are worth keeping
-            remarks.append(f"the arm stays where it is: {error.what}")
+        remarks += return_home_if_clear(context)
         observed = ArmLooks(
             created=context.setting.began,
             arm=workcell.arm.kinematics.name,
@@ -118,7 +120,7 @@ class SphereLooks:
             _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
             for number, place in enumerate(places)
             for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
-            if (joints := _joints(workcell, look)) is not None
+            if (joints := reachable_joints(workcell, look)) is not None
         ]
         if len(reached) < wanted:
             raise PosesOutOfReach(
@@ -210,7 +212,7 @@ def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[st
     head_mm = workcell.tool_pose().translation_mm
     near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
-    reached = [place for place in places if _joints(workcell, place.first_look) is not None]
+    reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
     remarks += [f"{_named(one)} was left out: it is out of reach" for one in places if one not in reached]
     if not reached:
         raise NoBall("no isolated sphere is within reach", got=", ".join(map(_named, places)))
@@ -220,13 +222,6 @@ def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[st
 def _named(place: BallPlace) -> str:
     x, y, z = place.ball_mm
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
-
-
-def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
-    try:
-        return workcell.joints_at(look.pose, workcell.home_rad)
-    except LimitError:
-        return None
 
 
 def _unseen(sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool) -> SphereLook:

@@ -37,6 +37,12 @@ from ronna_hw.wire.room_tasks import DIALS
 BALL = "ball"
 TILT_RAD = float(np.radians(25.0))
 TURN_RAD = float(np.radians(40.0))
+Array = NDArray[np.float64]
+DIVOT = "divot"
+HOVER_MM = 40.0  # back along the guide, before and after the divot
+READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
+NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
+MOST_TRIES = 3  # at one orientation: the second is near, unless something gives way
 
 
 class ObservedStand(StepResult, kind="stand_ball"):
@@ -144,15 +150,6 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),
     )
-
-
-Array = NDArray[np.float64]
-
-DIVOT = "divot"
-HOVER_MM = 40.0  # back along the guide, before and after the divot
-READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
-NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
-MOST_TRIES = 3  # at one orientation: the second is near, unless something gives way
 
 
 class ReadTip(StepResult, kind="tip_readings"):

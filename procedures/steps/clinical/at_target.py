@@ -45,7 +45,7 @@ DWELL_S = 0.5  # of theatre time, before the reading
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
-    """How the guide was held, and how deep the instrument went.
+    """Pose of the held guide, and depth of the instrument.
 
     For work finished on an earlier visit of the guide, how it was held was not watched.
     """

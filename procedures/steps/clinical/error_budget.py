@@ -48,6 +48,7 @@ GATE_ARM_RESERVE = 1.5
 ALIKE_MM = 1e-6  # shared displacements that differ by less are one
 GATE_CONFIDENCE = 0.999  # of the chi-square gate: one false alarm in a thousand registrations
 GROSS_MM = 3.0  # a sphere on its screw that is off by more is seen by eye (unconfirmed)
+NOTHING = "-"
 
 
 def residual_gate(
@@ -139,7 +140,7 @@ class HeldGuide:
 def held_guide(
     context: StepContext, planned: PlannedTrajectory, robot_from_ct: Transform, moved: Transform | None
 ) -> HeldGuide:
-    """How the guide will be held, by a registration from before the head `moved`. Raises ARM-001 to 003."""
+    """Predict how the guide is held if the head `moved` after the registration. Raises ARM-001 to ARM-003."""
     path, tip_mm = context.result(CheckedPaths).targets[planned.id], robot_from_ct.apply(planned.target_mm)
     pose = path.tool_pose.transform
     if moved is None:
@@ -198,9 +199,6 @@ def displaced_spheres_mm(context: StepContext, fiducials: Sequence[int]) -> Arra
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
     sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
     return sizes.tool_mm * np.array([rotations[index] for index in fiducials])
-
-
-NOTHING = "-"
 
 
 def budget_table(predicted: Prediction) -> Evidence:

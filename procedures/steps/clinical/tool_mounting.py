@@ -22,6 +22,9 @@ from ronna_hw.frames import Frame
 from ronna_hw.text.beyond import beyond
 from ronna_hw.tool_record import ToolFrame
 
+SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
+FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
+
 
 def exchange_tool(context: StepContext, tool: MountedTool) -> int:
     """End the correction stream and have a tool mounted, unless it is already; return its number.
@@ -52,10 +55,6 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
             if context.choose(again) != YES:
                 raise
     raise AssertionError("the last mounting has returned or raised")
-
-
-SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
-FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
 
 
 def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:

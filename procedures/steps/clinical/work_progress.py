@@ -24,76 +24,6 @@ from ronna_hw.wire.room_tasks import DEPTH_STOP
 
 # A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
 STOP_LIMIT_MM = 0.1
-
-
-class DepthStop(Values):
-    """Computed setting and reading of the depth stop."""
-
-    bore_mm: float = Field(description="Length of the guide's bore.")
-    standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
-    depth_mm: float = Field(description="From the entry to the target.")
-    computed_mm: float = Field(description="From the instrument's tip to the stop: the sum of these.")
-    read_mm: float = Field(description="As read off the instrument.")
-
-    @property
-    def too_deep_mm(self) -> float:
-        """Depth beyond the target that the reading allows; negative if short of it."""
-        return self.read_mm - self.computed_mm
-
-
-def set_depth_stop(context: StepContext) -> DepthStop:
-    """Have the depth stop set, read and confirmed. Raises TOOL-004 if it stays wrong, PRO-002."""
-    checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
-    plan, planned = checked.plan, checked.trajectory(context.trajectory)
-    computed_mm = depth_stop_mm(plan, planned, bore)
-    sum_of = (
-        f"bore {bore.length_mm:.2f} + stand-off {plan.standoff_mm:.2f} + depth {planned.depth_mm:.2f}"
-        f" = {computed_mm:.2f} mm from tip to stop"
-    )
-    task = Task(
-        DEPTH_STOP,
-        f"set the depth stop of the instrument for {context.trajectory} to {computed_mm:.2f} mm",
-        context.trajectory,
-        (computed_mm,),
-        ("depth stop in mm, read off its scale",),
-        (bore.length_mm, plan.instrument_length_mm),  # what the guide leaves of its scale
-    )
-    for setting in range(1, SETTINGS + 1):
-        (read_mm,) = context.have_done(task)
-        wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
-        if not wrong:
-            break
-        problem = DepthStopWrong(
-            f"the depth stop for {context.trajectory} is set wrong",
-            expected=f"{computed_mm:.2f} mm",
-            limit=f"{STOP_LIMIT_MM:g} mm from it",
-            got=f"{read_mm:.2f} mm",
-        )
-        context.find(problem.summary)
-        question = WRONG_STOP.question(
-            "the depth stop is set wrong: set it again",
-            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
-            f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
-            "no instrument is inserted",
-            context.trajectory,
-        )
-        if setting == SETTINGS or context.choose(question) != YES:
-            raise problem
-    context.confirm(
-        Topic.DEPTH_STOP,
-        f"the depth stop for {context.trajectory} is set",
-        f"{sum_of}; read {read_mm:.2f} mm",
-        context.trajectory,
-    )
-    return DepthStop(
-        bore_mm=bore.length_mm,
-        standoff_mm=plan.standoff_mm,
-        depth_mm=planned.depth_mm,
-        computed_mm=computed_mm,
-        read_mm=read_mm,
-    )
-
-
 BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 
@@ -222,3 +152,71 @@ def _done_before(context: StepContext) -> tuple[str, ...]:
             action="Nothing was done. Repeat the step, or send the arm home.",
         )
     return tuple(tasks[: len(offered) - 1 - offered.index(answer)])
+
+
+class DepthStop(Values):
+    """Computed setting and reading of the depth stop."""
+
+    bore_mm: float = Field(description="Length of the guide's bore.")
+    standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
+    depth_mm: float = Field(description="From the entry to the target.")
+    computed_mm: float = Field(description="From the instrument's tip to the stop: the sum of these.")
+    read_mm: float = Field(description="As read off the instrument.")
+
+    @property
+    def too_deep_mm(self) -> float:
+        """Depth beyond the target that the reading allows; negative if short of it."""
+        return self.read_mm - self.computed_mm
+
+
+def set_depth_stop(context: StepContext) -> DepthStop:
+    """Have the depth stop set, read and confirmed. Raises TOOL-004 if it stays wrong, PRO-002."""
+    checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
+    plan, planned = checked.plan, checked.trajectory(context.trajectory)
+    computed_mm = depth_stop_mm(plan, planned, bore)
+    sum_of = (
+        f"bore {bore.length_mm:.2f} + stand-off {plan.standoff_mm:.2f} + depth {planned.depth_mm:.2f}"
+        f" = {computed_mm:.2f} mm from tip to stop"
+    )
+    task = Task(
+        DEPTH_STOP,
+        f"set the depth stop of the instrument for {context.trajectory} to {computed_mm:.2f} mm",
+        context.trajectory,
+        (computed_mm,),
+        ("depth stop in mm, read off its scale",),
+        (bore.length_mm, plan.instrument_length_mm),  # what the guide leaves of its scale
+    )
+    for setting in range(1, SETTINGS + 1):
+        (read_mm,) = context.have_done(task)
+        wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
+        if not wrong:
+            break
+        problem = DepthStopWrong(
+            f"the depth stop for {context.trajectory} is set wrong",
+            expected=f"{computed_mm:.2f} mm",
+            limit=f"{STOP_LIMIT_MM:g} mm from it",
+            got=f"{read_mm:.2f} mm",
+        )
+        context.find(problem.summary)
+        question = WRONG_STOP.question(
+            "the depth stop is set wrong: set it again",
+            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
+            f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
+            "no instrument is inserted",
+            context.trajectory,
+        )
+        if setting == SETTINGS or context.choose(question) != YES:
+            raise problem
+    context.confirm(
+        Topic.DEPTH_STOP,
+        f"the depth stop for {context.trajectory} is set",
+        f"{sum_of}; read {read_mm:.2f} mm",
+        context.trajectory,
+    )
+    return DepthStop(
+        bore_mm=bore.length_mm,
+        standoff_mm=plan.standoff_mm,
+        depth_mm=planned.depth_mm,
+        computed_mm=computed_mm,
+        read_mm=read_mm,
+    )

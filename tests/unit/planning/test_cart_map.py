@@ -16,15 +16,15 @@ import pytest
 from waiting import HANG_LIMIT_S, eventually
 
 from procedures.planning.cart_map import judging, map_places, propose_place
-from procedures.planning.cart_place import CartCase, CartMove, Found, Verdict
+from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
 from procedures.planning.errors import NoPlace
 from procedures.planning.proposed_place import TURNED_SHARE
 from ronna_hw.host import worker_processes
 from ronna_hw.host.child_process import ChildNotReady
 
 WITHIN_MM = 240.0
-FOUND = Found(2, (("T1", 0.0),))
-Asked = Sequence[tuple[CartMove, tuple[Found, ...], bool]]
+FOUND = PlaceSolution(2, (("T1", 0.0),))
+Asked = Sequence[tuple[CartMove, tuple[PlaceSolution, ...], bool]]
 
 
 def _judge(serves: Callable[[float, float], bool]) -> tuple[Callable[[Asked], list[Verdict]], list[CartMove]]:
