@@ -48,7 +48,7 @@ def cell(tmp_path: Path) -> RecordingCell:
     """With the guide mounted, home over the middle, and the arm beside it."""
     cell = RecordingCell(tmp_path, operator=RecordingOperator())
     cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
-    cell.opened._devices["robot.master"] = cell.arm
+    cell.opened.replace_device("robot.master", cell.arm)
     cell.workcell.check_mounted(MountedTool.GUIDE)
     cell.workcell.set_home()
     cell.arm.joints_rad = START

@@ -188,7 +188,7 @@ def cell_with(folder: Path, operator: RecordingOperator, *, words: str | None = 
     """A cell before its arm is started, its engine asking."""
     cell = RecordingCell(folder, operator=operator)
     cell.arm = ArmThatAsks("arm", state=Lifecycle.CONFIGURED, to_confirm=words)
-    cell.opened._devices["robot.master"] = cell.arm
+    cell.opened.replace_device("robot.master", cell.arm)
     cell.engine(plain_order())
     return cell
 

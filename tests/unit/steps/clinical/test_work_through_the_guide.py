@@ -16,7 +16,6 @@ from prepared_results import (
     plan,
     registered_robot,
 )
-from recording_cell import RecordingOperator
 from waiting import eventually
 from watched_case import findings
 
@@ -140,18 +139,14 @@ def test_no_instrument_goes_in_while_the_depth_stop_stays_wrong(cell: ClinicalCe
 @pytest.mark.hazard(45)
 @pytest.mark.branch("WRONG_STOP")
 def test_a_corrected_depth_stop_is_confirmed(cell: ClinicalCell) -> None:
-    class Corrects(RecordingOperator):
-        def ask(self, question: Question) -> str:
-            cell.room.stop_off_mm = 0.0
-            return super().ask(question)
-
     engine = before_the_entry(cell)
     cell.room.stop_off_mm = -2 * STOP_LIMIT_MM
-    corrects = Corrects()
-    engine.questions._operator = corrects
+    cell.operator.asked.clear()
+    cell.operator.meanwhile = lambda _question: setattr(cell.room, "stop_off_mm", 0.0)
     work(engine)
-    assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
-    assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
+    asked = cell.operator.asked
+    assert [one.topic for one in asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
+    assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in asked[0].value
 
 
 @pytest.mark.hazard(45)
@@ -272,16 +267,13 @@ def test_a_pushed_guide_suspends_the_case_until_it_is_released(
 ) -> None:
     engine = before_the_entry(cell)
 
-    class LetsGo(RecordingOperator):
-        def ask(self, question: Question) -> str:
-            pushed = question.topic is Topic.DRILL
-            cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
-            return super().ask(question)
+    def push(question: Question) -> None:
+        pushed = question.topic is Topic.DRILL
+        cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
 
-    operator = LetsGo()
-    engine.questions._operator = operator
+    cell.operator.meanwhile = push
     work(engine)
-    guards = [one for one in operator.asked if one.topic is Topic.GUARD]
+    guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
     assert [f"pushed or pulled by {push_mm:.2f} mm" in one.subject for one in guards] == [True] * suspends
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
 
