@@ -241,7 +241,7 @@ class _WatchThread:
                 continue
             if self.arm_moves:
                 self.clock.sleep(SKIPPED_S)
-            else:  # host time: whoever waits for theatre time makes a simulated arm at rest hurry
+            else:  # host time: waiting in theatre time would hurry a simulated arm at rest
                 self._ending.wait(SKIPPED_S)
 
     def _check_unseen(self) -> None:

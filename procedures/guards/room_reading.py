@@ -32,7 +32,7 @@ FRAMES = 12  # 0.2 s: noise of 0.02 mm for the frame on the arm, 0.05 mm for a s
 LINE_MM = 1.0  # from a line: the tracker's bias differs between places by some tenths
 OTHER_LINE_MM = 4.0  # to a marker on the arm, perhaps located by the arm alone: its mount is off by 3.5 mm
 SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
-LEAST_SHARE = 0.5  # of the frames that must show what is averaged
+LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
 
 
 @dataclass(frozen=True)

@@ -129,7 +129,7 @@ def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
         method="SLSQP",
     )
     semi, centre = 1.0 / found.x[:3], found.x[3:] / found.x[:3]
-    # exactly around all points, whatever error the search left
+    # scaled to contain all points exactly
     beyond = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
     return middle + half * centre, half * semi * beyond
 

@@ -147,7 +147,7 @@ def motions_of(
     """The motions from home through all visits and back home."""
     limits = setting.limits
     by_name = {one.identifier: one for one in trajectories}
-    stands: tuple[str, JointVector] = (HOME, setting.start_rad)
+    here: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
     around = Surroundings()
     stereo = setting.flange_from_stereo or setting.flange_from_tool
@@ -160,29 +160,29 @@ def motions_of(
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
         if kind is not None and visit.kind is not kind:  # tools are exchanged at home
-            yield from _home(setting, stands, limits, before)
-            stands = (HOME, setting.start_rad)
+            yield from _home(setting, here, limits, before)
+            here = (HOME, setting.start_rad)
         if visit.kind is VisitKind.TARGET and kind is not visit.kind:
             yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `fixed_unmet`
         kind = visit.kind
-        yield from _to(setting, stands, reached, limits, around)
-        stands = (visit.identifier, reached.approach_rad)
+        yield from _to(setting, here, reached, limits, around)
+        here = (visit.identifier, reached.approach_rad)
         if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
-            yield from _home(setting, stands, limits, around)
-            stands = (HOME, setting.start_rad)
+            yield from _home(setting, here, limits, around)
+            here = (HOME, setting.start_rad)
             yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))
     if kind is VisitKind.LOCALIZATION:
-        yield from _home(setting, stands, limits, around)
+        yield from _home(setting, here, limits, around)
 
 
 def _to(
     setting: ArmSetting,
-    stands: tuple[str, JointVector],
+    here: tuple[str, JointVector],
     reached: Reached,
     limits: MotionLimits,
     around: Surroundings,
 ) -> Iterator[Motion]:
-    start, joints = stands
+    start, joints = here
     name, kinematics = reached.visit.identifier, setting.kinematics
     straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
     if start == HOME:
@@ -190,7 +190,7 @@ def _to(
     elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
         yield replace(straight, clear=True)
     else:
-        yield from _home(setting, stands, limits, around)
+        yield from _home(setting, here, limits, around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
@@ -205,9 +205,9 @@ def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
 
 
 def _home(
-    setting: ArmSetting, stands: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
+    setting: ArmSetting, here: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
 ) -> Iterator[Motion]:
-    start, joints = stands
+    start, joints = here
     arm, home_rad = setting.kinematics, setting.start_rad
     back_rad = before_arriving(home_rad, ONE_SIDE)
     yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)

@@ -46,12 +46,12 @@ if TYPE_CHECKING:
     from procedures.strategies.trajectory import Trajectory
 
 LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
-CT_SIGMA_MM = 0.10  # per axis: what the localizer achieves on a poor series, with margin
+CT_SIGMA_MM = 0.10  # per axis: the localizer's error on a poor series, with margin
 ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
 Array = NDArray[np.float64]
 Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
 WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
-FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be told from the others
+FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
 # Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
 WIDE_MARGIN_MM, USUAL_MARGIN_MM = 5.0, 2.0
 NEAR_STANDOFF_MM, USUAL_STANDOFF_MM = 10.0, 30.0  # 30 in centimetres is less

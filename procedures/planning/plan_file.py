@@ -49,7 +49,7 @@ if TYPE_CHECKING:
 
 LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
-UNSEALED = "0" * 64  # stands in for a plan's digest while it is computed
+UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
 # What an item of a list is called, and the key with its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
 # What plans of earlier versions lack, and what to write.

@@ -24,7 +24,7 @@ FURTHEST_MM = 10_000.0  # of any position in the room
 Coordinate = Annotated[float, Field(ge=-FURTHEST_MM, le=FURTHEST_MM)]
 Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
 Turn = Annotated[float, Field(ge=0.0, le=180.0)]
-UNTURNED_DEG = 0.5  # what the tracker cannot resolve: 0.35 mm on spheres 80 mm apart, twice
+UNTURNED_DEG = 0.5  # below the tracker's resolution: 0.35 mm on spheres 80 mm apart, twice
 TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are tried
 
 

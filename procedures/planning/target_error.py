@@ -128,7 +128,7 @@ def choose_best_strategies(
 ) -> ArmSetting:
     """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.
 
-    Trajectories and fiducials (n, 3) are in CT mm. Only what is visible, reachable and clear is a candidate.
+    Trajectories and fiducials (n, 3) are in CT mm. Candidates must be visible, reachable and clear.
     """
     if not isinstance(setting.strategy, BestOfEach):
         return setting

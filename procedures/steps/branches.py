@@ -29,7 +29,7 @@ from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
 FINISHED = "finished"  # all that was to be done through the guide was done before
 AGAIN, AS_IT_STANDS = "placed again", "as it stands"
-FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
+FEWEST_SPHERES = 4  # that must remain: with three, a moved one cannot be identified
 SETTINGS = 3  # of a depth stop, before the case is held
 PLACINGS = 3  # of the cart, before the case is held
 MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
@@ -39,9 +39,9 @@ class Ending(StrEnum):
     """Ending of a branch."""
 
     HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
-    ASK = "ask"  # the operator decides; what is not agreed to is held
+    ASK = "ask"  # the operator decides; without agreement it holds
     ABORT = "abort"  # the case ends
-    RECORDED = "recorded"  # no motion depends on it: it goes on, and the record says so
+    RECORDED = "recorded"  # no motion depends on it: the case continues, the record shows it
 
 
 @dataclass(frozen=True)

@@ -68,7 +68,7 @@ class Workcell:
         self._mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(self._log)
-        self.surroundings: Surroundings | None = None  # as the arm was last told
+        self.surroundings: Surroundings | None = None  # as last declared to the arm
         # Callbacks of a display: quick, never raise.
         self.on_look: Callable[[Look], None] = lambda _look: None
         self.on_stop_failed: Callable[[str], object] = lambda _failure: None

@@ -98,11 +98,11 @@ def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
-    def interrupted(looking: motion_watch._Looking) -> None:
+    def interrupted(looking: motion_watch._WatchThread) -> None:
         looking._thread.start()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_watch._Looking, "begin", interrupted)
+    monkeypatch.setattr(motion_watch._WatchThread, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         positioned(engine)
     assert "patient watch" not in {thread.name for thread in threading.enumerate()}

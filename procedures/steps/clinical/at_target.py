@@ -154,7 +154,7 @@ def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
     )
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
-        if answer == DONE:  # it is done, whatever the watch has seen meanwhile
+        if answer == DONE:  # done, whatever the watch has seen meanwhile
             stages.is_done(trajectory, stage.task)
             begun.done.append(stage.task)
     if answer != DONE:
@@ -167,7 +167,7 @@ def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, be
     begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)
     if rest.unseen:
         begun.watched = False
-        if rest.seen_mm is not None:  # else it was told before the work began
+        if rest.seen_mm is not None:  # else reported before the work began
             context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
 
 

@@ -57,7 +57,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     for before in context.spec.reads:
         context.result(before)
     workcell = context.workcell
-    if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
+    if workcell.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
     frames, lost = frames_at_rest(
         workcell.tracker,

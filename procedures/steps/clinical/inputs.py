@@ -77,7 +77,7 @@ class UnchangedInputs:
             if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
                 continue
             if not _changed(stored.result, path):
-                with suppress(RonnaError):  # the journal cannot be written: closing goes on
+                with suppress(RonnaError):  # the journal cannot be written: close all the same
                     note_same_content(self._engine, path, stored.record)
 
 

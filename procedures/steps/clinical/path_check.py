@@ -181,7 +181,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
     plan = context.result(CheckedPlan)
     matched = [pair[0] for pair in correspondence.pairs]
     workcell, settings = context.workcell, context.setting.settings
-    # The servo brings the head itself onto a sphere: the arm goes beside its path by what the mount is off.
+    # The servo brings the head onto a sphere, so the arm deviates from its path by the error of the mount.
     sizes = ErrorSizes.stated(settings, workcell.calibrations.arm)
     scene = planning_scene_of(context).with_reserve(sizes.tool_mm)
     setting = ArmSetting(

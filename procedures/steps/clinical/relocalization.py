@@ -166,7 +166,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
     if not before:
         limit_mm += _shared_mm(context)
         before = [np.zeros(3)]
-    elif len(before) == 1:  # which of two is wrong nobody knows
+    elif len(before) == 1:  # it is unknown which of the two is wrong
         name = f"{others[0]} or {name}"
     apart_mm = max(math.dist(last, one) for one in before)
     if apart_mm > limit_mm:

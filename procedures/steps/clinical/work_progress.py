@@ -184,7 +184,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         context.trajectory,
         (computed_mm,),
         ("depth stop in mm, read off its scale",),
-        (bore.length_mm, plan.instrument_length_mm),  # what the guide leaves of its scale
+        (bore.length_mm, plan.instrument_length_mm),  # the part of its scale beyond the guide
     )
     for setting in range(1, SETTINGS + 1):
         (read_mm,) = context.have_done(task)
