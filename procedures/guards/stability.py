@@ -44,7 +44,7 @@ class Subject(StrEnum):
 
 
 @dataclass(frozen=True)
-class Watched:
+class WatchedSubject:
     """A watched subject: how and by which steps it is seen, the smallest change noticed, dependent results.
 
     Without `looked_at` it is seen before every step and motion. `noticeable_mm` is None if a change does not
@@ -64,8 +64,8 @@ class Watched:
         return (self.noticeable_mm or 0.0) / math.sqrt(3.0)
 
 
-WATCHED = (
-    Watched(
+WATCHED_SUBJECTS = (
+    WatchedSubject(
         Subject.HEAD,
         "the spheres on it, by the tracker",
         f"{HEAD_NOTICEABLE_MM:g} mm rms",
@@ -73,7 +73,7 @@ WATCHED = (
         LOOKS_AT_ROOM,
         HEAD_NOTICEABLE_MM,
     ),
-    Watched(
+    WatchedSubject(
         Subject.BASE,
         "the frame on the arm, by tracker and arm",
         f"{BASE_NOTICEABLE_MM:g} mm",
@@ -81,7 +81,7 @@ WATCHED = (
         LOOKS_AT_ROOM,
         BASE_NOTICEABLE_MM,
     ),
-    Watched(
+    WatchedSubject(
         Subject.GUIDE,
         "dials of the gauge",
         f"{GUIDE_NOTICEABLE_MM:g} mm at its end",
@@ -89,15 +89,15 @@ WATCHED = (
         ("tool_check", CONFIRMATION),
         GUIDE_NOTICEABLE_MM,
     ),
-    Watched(
+    WatchedSubject(
         Subject.CAMERAS,
         "rays that meet and spheres of the right size",
         "as the stereo head's record states",
         ("relocalization",),
         ("relocalization",),
     ),
-    Watched(Subject.INPUTS, "their content", "any byte", ("ct_import", "plan_check", "cart_lock")),
-    Watched(Subject.CLOCK, "the monotonic clock", "a step of 1 s", ()),
+    WatchedSubject(Subject.INPUTS, "their content", "any byte", ("ct_import", "plan_check", "cart_lock")),
+    WatchedSubject(Subject.CLOCK, "the monotonic clock", "a step of 1 s", ()),
 )
 
 
@@ -109,7 +109,7 @@ def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool
     seen_s: dict[Subject, float] = {}
     for line in journal:
         step = str(line.get("step", "")).partition(":")[0]
-        for one in WATCHED:
+        for one in WATCHED_SUBJECTS:
             looked = line["entry"] == Entry.RESULT and step in one.looked_at
             looked = looked and (step != CONFIRMATION or confirms(str(line.get("record")), one.subject))
             if looked or (not one.looked_at and line["entry"] in (Entry.INTENT, Entry.MOTION)):
@@ -154,4 +154,8 @@ class SeenUnchanged(Values):
 
 def unnoticed_mm() -> dict[str, float]:
     """Rms error by source of changes that no look would notice, for the prediction at a target."""
-    return {f"unnoticed change: {one.subject}": one.unnoticed_rms_mm for one in WATCHED if one.noticeable_mm}
+    return {
+        f"unnoticed change: {one.subject}": one.unnoticed_rms_mm
+        for one in WATCHED_SUBJECTS
+        if one.noticeable_mm
+    }

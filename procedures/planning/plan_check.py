@@ -49,7 +49,7 @@ LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three poi
 CT_SIGMA_MM = 0.10  # per axis: the localizer's error on a poor series, with margin
 ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
 Array = NDArray[np.float64]
-Judged = tuple[list[RonnaError], list[str]]  # findings, warnings
+CheckResult = tuple[list[RonnaError], list[str]]  # findings, warnings
 WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
 FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
 # Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
@@ -116,7 +116,7 @@ class PlanCheck:
 
 
 @dataclass(frozen=True)
-class _Driven:
+class _ArmCheck:
     """Motions of the arm for a plan, or what prevents them."""
 
     unmet: tuple[RonnaError, ...] = ()
@@ -143,7 +143,10 @@ def check_plan(
 
     Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
-    findings: list[RonnaError] = [*_unknown(plan), *([] if bore is None else _instrument(plan, bore))]
+    findings: list[RonnaError] = [
+        *_unknown_tools(plan),
+        *([] if bore is None else _check_instrument(plan, bore)),
+    ]
     warnings = [
         f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm would accept a bad registration; "
         f"{USUAL_MARGIN_MM:.1f} is usual"
@@ -157,29 +160,35 @@ def check_plan(
         )
     distances = structure_distances(plan)
     for found, warned in (
-        _in_this_series(plan, volume),
-        _this_patient(plan, volume),
+        _check_series(plan, volume),
+        _check_patient(plan, volume),
         structure_findings(plan, distances, volume),
     ):
         findings += found
         warnings += warned
     if fiducials_mm is not None:
-        found, warned = _these_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
+        found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned
-    driven = _Driven()
+    arm_check = _ArmCheck()
     if arm is not None:
         held = tuple(one.trajectory for one in plan.trajectories)
         held = held if bore is None else held_trajectories(plan, bore)
-        driven = _driven(held, fiducials_mm if to_fiducials else None, arm, sight)
-        findings += driven.unmet
-        warnings += _too_near_from_the_start(driven.motions)
+        arm_check = _check_arm(held, fiducials_mm if to_fiducials else None, arm, sight)
+        findings += arm_check.unmet
+        warnings += _close_at_start(arm_check.motions)
     return PlanCheck(
-        plan, tuple(findings), tuple(warnings), driven.motions, driven.turns_rad, driven.paths, distances
+        plan,
+        tuple(findings),
+        tuple(warnings),
+        arm_check.motions,
+        arm_check.turns_rad,
+        arm_check.paths,
+        distances,
     )
 
 
-def _in_this_series(plan: Plan, volume: Volume) -> Judged:
+def _check_series(plan: Plan, volume: Volume) -> CheckResult:
     """Check that the plan belongs to this series, in which every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
@@ -189,7 +198,7 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
         )
         return [wrong], []
     altered = other_voxels(plan, volume)
-    findings = [*_outside(plan, volume), *([] if altered is None else [altered])]
+    findings = [*_points_outside(plan, volume), *([] if altered is None else [altered])]
     if findings:
         return findings, []
     into_head = [way_into_head(volume, one) for one in plan.trajectories]
@@ -199,7 +208,7 @@ def _in_this_series(plan: Plan, volume: Volume) -> Judged:
     return findings, [warning for _, warning in into_head if warning]
 
 
-def _this_patient(plan: Plan, volume: Volume) -> Judged:
+def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
     """Check the patient's position, and for enough fiducials to notice one that moves."""
     findings: list[RonnaError] = []
     warnings: list[str] = []
@@ -218,13 +227,13 @@ def _this_patient(plan: Plan, volume: Volume) -> Judged:
     return findings, warnings
 
 
-def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
+def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
     """Check the number of fiducials (n, 3) in the CT, and that their layout is distinguishable.
 
     The x-shaped frame must be found; further spheres are reported.
     """
     if plan.fiducials is FiducialKind.XFRAME:
-        return _the_frame(points_mm)
+        return _check_frame(points_mm)
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
             return [], layout_warnings(points_mm)
@@ -237,7 +246,7 @@ def _these_fiducials(plan: Plan, points_mm: Array) -> Judged:
     return [wrong], []
 
 
-def _the_frame(points_mm: Array) -> Judged:
+def _check_frame(points_mm: Array) -> CheckResult:
     try:
         others = find_layout(SPHERE_CENTRES_MM, points_mm).others
     except LayoutNotFound as missing:
@@ -249,12 +258,12 @@ def _the_frame(points_mm: Array) -> Judged:
     return [], [f"spheres that do not belong to the x-shaped frame are ignored: {shown}"] if others else []
 
 
-def _driven(
+def _check_arm(
     trajectories: tuple[Trajectory, ...],
     fiducials_mm: ArrayLike | None,
     arm: ArmSetting,
     sight: StereoSight | None,
-) -> _Driven:
+) -> _ArmCheck:
     """Check the arm's paths; return their obstacles, or the motions, if there is a scene, and turns."""
     from procedures.planning.free_angle import (
         TurnedPaths,
@@ -288,15 +297,15 @@ def _driven(
         unmet: list[RonnaError] = [
             NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
         ]
-        return _Driven(tuple(unmet))
+        return _ArmCheck(tuple(unmet))
     turns = tuple(turned.turns_rad.items())
     if arm.scene is None:
-        return _Driven(turns_rad=turns, paths=turned.check)
+        return _ArmCheck(turns_rad=turns, paths=turned.check)
     motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
-    return _Driven((), motions, turns, turned.check)
+    return _ArmCheck((), motions, turns, turned.check)
 
 
-def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
+def _close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     """Warn of bodies closer than the margin at the start of a motion; they may stay or move away."""
     named: dict[tuple[str, str], str] = {}
     for one in motions:
@@ -311,7 +320,7 @@ def _too_near_from_the_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     return list(named.values())
 
 
-def _unknown(plan: Plan) -> list[RonnaError]:
+def _unknown_tools(plan: Plan) -> list[RonnaError]:
     """Tools of the plan that this version does not know."""
     found: list[RonnaError] = []
     if plan.tool not in KNOWN_TOOLS:
@@ -321,7 +330,7 @@ def _unknown(plan: Plan) -> list[RonnaError]:
     return found
 
 
-def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
+def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
     """Trajectories whose depth stop does not fit on the instrument."""
     return [
         StopBeyondInstrument(
@@ -333,7 +342,7 @@ def _instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
     ]
 
 
-def _outside(plan: Plan, volume: Volume) -> list[RonnaError]:
+def _points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
     """Points outside the CT, beyond the outer faces of the outermost voxels."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from procedures.engine.run_folder import targets_in_doubt
-from procedures.guards.stability import WATCHED, last_seen_s
+from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.calibration.result_file import figures_if_readable
@@ -116,7 +116,7 @@ def write_report(
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),
         "confirmed": (confirmed := reading.standing(ConfirmedTarget)),
-        "watched": WATCHED,
+        "watched": WATCHED_SUBJECTS,
         "last_seen_s": last_seen_s(
             reading.run.journal,
             lambda record, subject: any(

@@ -14,7 +14,7 @@ from typing import cast
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
 from procedures.workcell.errors import InstrumentInGuide
-from procedures.workcell.motions import MotionName
+from procedures.workcell.motions import MotionKind
 from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
 from ronna_hw.devices.readings import JointVector
@@ -94,7 +94,7 @@ class ArmHistory:
             journeys=self.journeys + 1,
             under_way=what,
         )
-        if what != MotionName.INSERT:
+        if what != MotionKind.INSERT:
             return begun
         axis = Insertion.from_plain(str(line["trajectory"]), line["axis"])
         return replace(
@@ -105,14 +105,14 @@ class ArmHistory:
         arrived = "joints_rad" in line
         joints_rad, ended = _joints_rad(line) if arrived else None, self.under_way
         place, trail, journeys = self.place, self.trail, self.journeys
-        if arrived and ended == MotionName.WITHDRAW and place.axis is not None:
+        if arrived and ended == MotionKind.WITHDRAW and place.axis is not None:
             place = replace(place, axis=None, withdrawn_from=place.axis.trajectory)
         refused = not arrived and line.get("at_home") is True and place.axis is None  # before it began
-        if refused or (arrived and ended == MotionName.START):
+        if refused or (arrived and ended == MotionKind.START):
             journeys -= 1
-        if joints_rad is not None and ended == MotionName.BACK:
+        if joints_rad is not None and ended == MotionKind.BACK:
             trail = self._trail_to(joints_rad)
-        elif joints_rad is not None and ended not in (MotionName.START, MotionName.INSERT):
+        elif joints_rad is not None and ended not in (MotionKind.START, MotionKind.INSERT):
             trail = (*trail, joints_rad)[-TRAIL:]
         moved = replace(self, place=replace(place, moved=journeys > 0), journeys=journeys, under_way=None)
         return replace(moved, trail=trail)._resting(line.get("at_home"))

@@ -20,7 +20,7 @@ from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.devices.readings import JointVector
 
 
-class MotionName(StrEnum):
+class MotionKind(StrEnum):
     """Kind of a motion, as named in the journal."""
 
     START = "start"  # a confirmed start: an unverified controller is tested by a micro-move
@@ -35,18 +35,18 @@ class MotionName(StrEnum):
 
 
 @dataclass(frozen=True)
-class CellMotion:
+class PlannedMotion:
     """One motion of the workcell from wherever the arm is: its legs in turn, all but the last joint moves.
 
     If its first leg is not clear, the motions of `otherwise` replace it, if there are any. They are motions
     of their own, so that the journal has the way the arm came.
     """
 
-    what: MotionName
+    what: MotionKind
     moves: str  # such as `the guide`
     to: tuple[float, ...]  # joints in rad, or the tool's position in mm
     legs: tuple[Motion, ...]
-    otherwise: tuple[CellMotion, ...] = ()
+    otherwise: tuple[PlannedMotion, ...] = ()
     detour: str = "via home"  # what `otherwise` is
     axis: Insertion | None = None  # along which it leads
 
@@ -137,13 +137,15 @@ def in_a_question(facts: Sequence[MotionFacts]) -> str:
     return "; then ".join(motions)
 
 
-def motion_facts(arm: RobotArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
+def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
     """Facts of these motions driven in turn from here. Raises as `RobotArm.preview`."""
     here = arm.read_state()
     return facts_from(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
 
 
-def facts_from(at_rad: JointVector, arm: PreviewingArm, motions: Sequence[CellMotion]) -> list[MotionFacts]:
+def facts_from(
+    at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
+) -> list[MotionFacts]:
     """Facts of these motions driven in turn from the joints `at_rad`."""
     facts: list[MotionFacts] = []
     for motion in motions:
@@ -157,7 +159,7 @@ def facts_from(at_rad: JointVector, arm: PreviewingArm, motions: Sequence[CellMo
 
 
 def _facts(
-    arm: PreviewingArm, motion: CellMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
+    arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
 ) -> tuple[MotionFacts, JointVector]:
     """Facts of one motion, and the joints after its last joint move."""
     travel_mm, previews = 0.0, []

@@ -17,7 +17,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
 from procedures.workcell.arm_history import ArmLog
-from procedures.workcell.motions import CellMotion, MotionName, in_a_question, motion_facts
+from procedures.workcell.motions import MotionKind, PlannedMotion, in_a_question, motion_facts
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -27,14 +27,14 @@ from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 
 IN_WORDS = {
-    MotionName.GO: "to the next pose, via home if necessary",
-    MotionName.HOME: "home",
-    MotionName.BACK: "back the way the arm came",
-    MotionName.STEP: "directly to the next pose",
-    MotionName.SETTLE: "to the next pose, each joint arriving from its own side",
-    MotionName.LINE: "in a straight line",
-    MotionName.INSERT: "along the axis to where the guide is held",
-    MotionName.WITHDRAW: "out along the axis",
+    MotionKind.GO: "to the next pose, via home if necessary",
+    MotionKind.HOME: "home",
+    MotionKind.BACK: "back the way the arm came",
+    MotionKind.STEP: "directly to the next pose",
+    MotionKind.SETTLE: "to the next pose, each joint arriving from its own side",
+    MotionKind.LINE: "in a straight line",
+    MotionKind.INSERT: "along the axis to where the guide is held",
+    MotionKind.WITHDRAW: "out along the axis",
 }
 REPLANNED = "re-plans it from the arm's present position"
 COVERS = (
@@ -51,7 +51,7 @@ class SupervisedMotion:
     """
 
     def __init__(
-        self, log: ArmLog, arm: Callable[[], RobotArm], require_allowed: Callable[[CellMotion], None]
+        self, log: ArmLog, arm: Callable[[], RobotArm], require_allowed: Callable[[PlannedMotion], None]
     ) -> None:
         """`arm` opens the arm on first use; `require_allowed` raises if a motion must not be made now."""
         self._log = log
@@ -89,7 +89,7 @@ class SupervisedMotion:
         self,
         topic: Topic,
         subject: str,
-        motions: Sequence[CellMotion],
+        motions: Sequence[PlannedMotion],
         trajectory: str | None = None,
         covers: str = "",
     ) -> None:
@@ -133,7 +133,7 @@ class SupervisedMotion:
             arm.activate()
             return self._arm().read_state()
 
-        self._journalled({"what": MotionName.START, "to": [], "trajectory": None}, drive)
+        self._journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
 
     def _require_yes(self, question: Question) -> bool:
         """Ask; False without anybody to ask. Raises PRO-002 unless the answer is yes."""
@@ -143,7 +143,7 @@ class SupervisedMotion:
             raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
         return True
 
-    def carry_out_with_detour(self, motion: CellMotion) -> ArmReading:
+    def carry_out_with_detour(self, motion: PlannedMotion) -> ArmReading:
         """Carry out a motion or, if it is not clear, those that replace it. Raises as `carry_out`."""
         try:
             return self.carry_out(motion)
@@ -152,13 +152,13 @@ class SupervisedMotion:
                 raise
             return [self.carry_out(one) for one in motion.otherwise][-1]
 
-    def carry_out(self, motion: CellMotion) -> ArmReading:
+    def carry_out(self, motion: PlannedMotion) -> ArmReading:
         """Carry out a motion; after a stop, re-plan it if the operator agrees.
 
         Whether it is allowed is checked first, and again right before the arm moves. Raises PRO-002, PRO-003,
         PRO-004, the findings of guards and watches, what forbids the motion, and the errors of the arm.
         """
-        if motion.what is MotionName.HOME:
+        if motion.what is MotionKind.HOME:
             self.settled_home = False
         self._require_allowed(motion)
         checkpoint = self._checkpoint
@@ -206,7 +206,7 @@ class SupervisedMotion:
                 self._confirmed = False
                 checkpoint.stopped(named, REPLANNED)
                 continue
-            if motion.what is MotionName.HOME:
+            if motion.what is MotionKind.HOME:
                 self.settled_home = True
             return reached
 

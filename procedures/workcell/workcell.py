@@ -21,7 +21,7 @@ from procedures.workcell.arm_history import UNMOVED, ArmHistory, ArmLog, Instrum
 from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
 from procedures.workcell.device_views import ArmView, DeviceView
 from procedures.workcell.errors import InstrumentInside
-from procedures.workcell.motions import CellMotion, MotionName
+from procedures.workcell.motions import MotionKind, PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tools import CarriedTool, MountedTool, Sides, ToolMount, calibrated_arm
@@ -242,44 +242,44 @@ class Workcell:
             self.instrument.require_out("start the arm")
         self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
 
-    def going(self, joints_rad: JointVector) -> CellMotion:
+    def going(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` makes."""
-        return self._joint_motion(MotionName.GO, JointMove(joints_rad), by_home=True)
+        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), by_home=True)
 
-    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> CellMotion:
+    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> PlannedMotion:
         """Return the motion that `settle` makes."""
         onto = JointMove(joints_rad)
         if arriving is None:
-            return self._joint_motion(MotionName.STEP, onto)
+            return self._joint_motion(MotionKind.STEP, onto)
         back = JointMove(before_arriving(joints_rad, arriving))
-        return self._joint_motion(MotionName.SETTLE, back, onto, by_home=from_afar)
+        return self._joint_motion(MotionKind.SETTLE, back, onto, by_home=from_afar)
 
-    def returning_home(self) -> CellMotion:
+    def returning_home(self) -> PlannedMotion:
         """Return the motion that `return_home` makes."""
         home = self._home_motion(self.home_rad)
         back = tuple(
-            self._joint_motion(MotionName.BACK, JointMove(joints_rad))
+            self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
             for joints_rad in reversed(self.history.trail)
         )
         return replace(home, otherwise=back and (*back, home), detour="back the way the arm came")
 
     def straight(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
-    ) -> CellMotion:
+    ) -> PlannedMotion:
         """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present one."""
         commanded = self._commanded(pose, arriving, near_rad)
-        return self._line_motion(MotionName.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
+        return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
-    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
+    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
         """Return the motion that `insert` makes; `near_rad` as for `straight`."""
         commanded = self._commanded(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
-        return self._line_motion(MotionName.INSERT, insertion.held, line, insertion)
+        return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
-    def withdrawing(self, insertion: Insertion) -> CellMotion:
+    def withdrawing(self, insertion: Insertion) -> PlannedMotion:
         """Return the motion that `withdraw` makes."""
         line = LineMove(self._commanded(insertion.start, insertion.arriving), self.flange_from_tool)
-        return self._line_motion(MotionName.WITHDRAW, insertion.start, line, insertion)
+        return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is."""
@@ -317,7 +317,7 @@ class Workcell:
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
-        self._require_outside(MotionName.INSERT)
+        self._require_outside(MotionKind.INSERT)
         self.check_mounted(MountedTool.GUIDE)
         return self.supervised.carry_out(self.inserting(insertion))
 
@@ -386,7 +386,7 @@ class Workcell:
         """Close all connections, the arm's first; never raises."""
         self._theatre.close()
 
-    def _require_allowed(self, motion: CellMotion) -> None:
+    def _require_allowed(self, motion: PlannedMotion) -> None:
         """Raise unless a motion keeps to the guide's axis, checked anew: a hand may have pushed it."""
         on, axis = self.place.axis, motion.axis
         if axis is None or (on is not None and axis.trajectory != on.trajectory):
@@ -396,20 +396,22 @@ class Workcell:
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
-    def _joint_motion(self, what: MotionName, *legs: JointMove, by_home: bool = False) -> CellMotion:
-        direct = CellMotion(what, f"the {self.tool}", legs[-1].target_rad, legs)
+    def _joint_motion(self, what: MotionKind, *legs: JointMove, by_home: bool = False) -> PlannedMotion:
+        direct = PlannedMotion(what, f"the {self.tool}", legs[-1].target_rad, legs)
         if not by_home or self._log.home_rad is None:
             return direct
         return replace(direct, otherwise=(self._home_motion(self._log.home_rad), direct))
 
-    def _home_motion(self, home_rad: JointVector) -> CellMotion:
+    def _home_motion(self, home_rad: JointVector) -> PlannedMotion:
         before = JointMove(before_arriving(home_rad, ONE_SIDE))
-        return self._joint_motion(MotionName.HOME, before, JointMove(home_rad))
+        return self._joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def _line_motion(
-        self, what: MotionName, pose: Transform, line: LineMove, axis: Insertion | None = None
-    ) -> CellMotion:
-        return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
+        self, what: MotionKind, pose: Transform, line: LineMove, axis: Insertion | None = None
+    ) -> PlannedMotion:
+        return PlannedMotion(
+            what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis
+        )
 
     def _commanded(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
         return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)

@@ -14,7 +14,7 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.strategies.approach import APPROACH_RAD, ONE_SIDE, before_arriving
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
-from procedures.workcell.motions import CellMotion
+from procedures.workcell.motions import PlannedMotion
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device
 from ronna_hw.devices.errors import WrongKind
@@ -170,7 +170,7 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
-VIEWS: dict[str, Callable[[RecordingCell], CellMotion]] = {
+VIEWS: dict[str, Callable[[RecordingCell], PlannedMotion]] = {
     "going": lambda cell: cell.workcell.going(turned(0.1)),
     "returning home": lambda cell: cell.workcell.returning_home(),
     "settling": lambda cell: cell.workcell.settling(turned(0.1), (1,) * 6),

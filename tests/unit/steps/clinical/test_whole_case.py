@@ -32,7 +32,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation
 from procedures.strategies.orientation import back_along_axis
 from procedures.strategies.strategy import Strategy
-from procedures.workcell.motions import MotionName
+from procedures.workcell.motions import MotionKind
 from ronna_hw.arm.angles import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -94,8 +94,8 @@ def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_cove
     once: ClinicalCell,
 ) -> None:
     driven = [str(line["what"]) for step, line in motions_in(once) if step == "relocalization"]
-    settled, *over = [what for what in driven if what != MotionName.STEP]
-    assert settled == MotionName.HOME
+    settled, *over = [what for what in driven if what != MotionKind.STEP]
+    assert settled == MotionKind.HOME
     assert len(driven) > len(over) > len(TRAJECTORIES)
     asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
     assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
@@ -116,7 +116,7 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
             before = back_along_axis(held.transform, once.setting().settings.approach_mm)
             ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
             ends["back", pose] = tuple(before.translation_mm.tolist())
-    driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionName.STEP]
+    driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionKind.STEP]
     settled, *driven = [to for to, _ in groupby(driven)]
     assert settled == pytest.approx(HOME_RAD)
     onto_home = [one for one in paths.motions if one.start == one.end == HOME]  # driven with the way there
