@@ -148,7 +148,7 @@ class ToolStillMounted:
     def unmet(self) -> str | None:
         """Describe the tool reported instead of the checked one."""
         workcell = self._workcell
-        expected = workcell.checked_tool_number
+        expected = workcell.mount.checked_number
         if expected is None or workcell.arm.observe().state not in RUNNING:
             return None
         try:

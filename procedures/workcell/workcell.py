@@ -65,7 +65,7 @@ class Workcell:
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
         self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
-        self._mount = ToolMount(self.reported_tool_number, self.calibrations)
+        self.mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
@@ -118,25 +118,15 @@ class Workcell:
     @property
     def tool(self) -> MountedTool:
         """The tool found mounted at the last check."""
-        return self._mount.tool
+        return self.mount.tool
 
     def check_mounted(self, tool: MountedTool) -> int:
         """Read the tool's number from the controller's inputs. Raises PRO-009 if another tool is mounted."""
-        return self._mount.check(tool)
+        return self.mount.check(tool)
 
     def identify_mounted(self) -> MountedTool:
         """Identify the mounted tool by the controller's inputs; UNKNOWN unless it is one of ours."""
-        return self._mount.identify()
-
-    @property
-    def streaming(self) -> bool:
-        """Whether the arm's correction stream runs; otherwise nothing of ours can move the arm."""
-        return self._arm.observe().state in RUNNING
-
-    @property
-    def checked_tool_number(self) -> int | None:
-        """Number of the tool found mounted; None if unknown."""
-        return self._mount.checked_number
+        return self.mount.identify()
 
     def reported_tool_number(self) -> int:
         """Number reported by the controller's inputs now; 0 is none."""
@@ -144,7 +134,7 @@ class Workcell:
 
     def flange_from(self, tool: MountedTool) -> Transform:
         """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
-        return self._mount.flange_from(tool)
+        return self.mount.flange_from(tool)
 
     @property
     def flange_from_tool(self) -> Transform:
@@ -357,13 +347,18 @@ class Workcell:
             self.supervised.settled_home = False  # somebody may have jogged it
             self.supervised.begin_anew()
             if not self.place.on_axis:  # only the guide can be on an axis
-                self._mount.tool = MountedTool.UNKNOWN
+                self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
         """Take a stereo pair and measure the sphere in it. Raises STE-012 if no new pair comes whole."""
         seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
+
+    @property
+    def streaming(self) -> bool:
+        """Whether the arm's correction stream runs; otherwise nothing of ours can move the arm."""
+        return self._arm.observe().state in RUNNING
 
     def link_statistics(self) -> LinkStatistics:
         """Health of the robot link since the last activation of the arm."""
