@@ -5,7 +5,7 @@ The residual of the fit is never shown as accuracy; the operator accepts the pre
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -106,17 +106,9 @@ class _Pairs:
         )
 
     def without(self, place: int) -> _Pairs:
-        kept = np.arange(len(self.fiducials)) != place
-        return _Pairs(
-            fiducials=tuple(np.array(self.fiducials)[kept].tolist()),
-            image_mm=self.image_mm[kept],
-            physical_mm=self.physical_mm[kept],
-            ct_mm2=self.ct_mm2[kept],
-            seating_mm2=self.seating_mm2[kept],
-            stereo_mm2=self.stereo_mm2[kept],
-            sides_mm2=self.sides_mm2[kept],
-            tool_mm=self.tool_mm[kept],
-        )
+        kept = [row for row in range(len(self.fiducials)) if row != place]
+        arrays = (getattr(self, one.name)[kept] for one in fields(self)[1:])
+        return _Pairs(tuple(self.fiducials[row] for row in kept), *arrays)
 
     def gate(self, arm_mm: float) -> FreGate:
         return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)

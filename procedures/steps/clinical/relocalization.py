@@ -46,8 +46,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     """Localize all matched spheres again. Raises PRO-008 for a missing one, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
-    course = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
-    with context.workcell.supervised.announcing(course):
+    step_motions = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
+    with context.workcell.supervised.announcing(step_motions):
         return _localized(context, paths)
 
 
