@@ -19,13 +19,12 @@ import numpy as np
 import tomli_w
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
-from procedures.planning.cart.judging import judging
-from procedures.planning.cart.place import CartCase, CartMove
-from procedures.planning.cart.place_map import map_places
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.theatre.arm import theatre_arm
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.cart_map import judging, map_places
+from procedures.planning.cart_place import CartCase, CartMove
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.scene import PlanningScene
+from procedures.planning.theatre_arm import theatre_arm
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import Pose

@@ -10,7 +10,7 @@ from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from benchmarks.figures import Figure, compared, cpu_of
-from procedures.planning.markers.layout import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
+from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
 from studies.campaign.study import add_up
 from studies.correspondence.study import FALSE, LOST, PART, SUCCESS, CorrespondenceStudy, Method, verdict

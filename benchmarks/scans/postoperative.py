@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory, compare
 from ronna_hw.errors import RonnaError
 from sim.phantom.postoperative_scan import Instrument, Kind, PostoperativeScan, draw_scan

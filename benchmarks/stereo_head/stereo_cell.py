@@ -23,8 +23,8 @@ from procedures.cli.case.operators import ScriptedOperator
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.topic import Topic
-from procedures.planning.path_check.visits import Visit, VisitKind
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring

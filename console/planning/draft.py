@@ -16,8 +16,7 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.imaging.markers import Marker
 from procedures.planning.errors import UnsavedChanges
-from procedures.planning.head.structures import Structure
-from procedures.planning.plan.model import SCHEMA_VERSION, FiducialKind, Plan
+from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, Structure
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
 from ronna_hw.records import write_whole

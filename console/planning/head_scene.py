@@ -19,7 +19,7 @@ from console.scene.theatre_scene import (
     LOW_OPACITY,
     SKIN,
 )
-from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
 OUTSIDE_MM = 40.0  # length of a trajectory drawn outside the entry

@@ -16,16 +16,16 @@ from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.head.skull_angle import skull_angle_rad
-from procedures.planning.head.structures import StructureDistance, structure_distances
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.visits import PathCheck
-from procedures.planning.plan.check import PlanCheck, check_plan
-from procedures.planning.plan.file import parse_plan
-from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.plan.model import MOST_INSTRUMENT_MM, Plan
-from procedures.planning.prediction.target_error import predicted_by_markers, predicted_with_arm
-from procedures.planning.theatre.arm import TheatreArm
+from procedures.planning.guide import held_trajectories
+from procedures.planning.head_in_ct import skull_angle_rad
+from procedures.planning.paths import check_paths
+from procedures.planning.plan_check import PlanCheck, check_plan
+from procedures.planning.plan_file import parse_plan
+from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
+from procedures.planning.structures import StructureDistance, structure_distances
+from procedures.planning.target_error import predicted_by_markers, predicted_with_arm
+from procedures.planning.theatre_arm import TheatreArm
+from procedures.planning.visits import PathCheck
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import TargetPrediction
 from ronna_hw.errors import RonnaError

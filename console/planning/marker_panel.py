@@ -16,9 +16,9 @@ from console.planning.draft import Draft
 from console.planning.fields import NumberField, small_button
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
-from procedures.planning.head.shape import head_shape
-from procedures.planning.markers.sites import propose_further, propose_markers
-from procedures.planning.plan.model import PatientPosition
+from procedures.planning.head_in_ct import head_shape
+from procedures.planning.marker_sites import propose_further, propose_markers
+from procedures.planning.plan_model import PatientPosition
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.strategies.trajectory import Point, Trajectory
 from ronna_hw.errors import RonnaError

@@ -22,7 +22,7 @@ from console.planning.structure_panel import StructurePanel
 from console.planning.trajectory_panel import TrajectoryPanel
 from console.web.library import own_page, page_head, use_library
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.plan.model import LONGEST_AUTHOR
+from procedures.planning.plan_model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 

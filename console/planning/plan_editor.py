@@ -19,12 +19,11 @@ from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
-from procedures.planning.head.tissue import sampled_hu
-from procedures.planning.plan.file import parse_plan, read_plan, write_plan
-from procedures.planning.plan.lock import PlannerLock, plan_in_use, replaced_plan
-from procedures.planning.plan.model import FEWEST_MARKERS, MOST_MARKERS, Plan
-from procedures.planning.plan.seal import sealed
-from procedures.planning.theatre.arm import TheatreArm
+from procedures.planning.head_in_ct import sampled_hu
+from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
+from procedures.planning.plan_lock import PlannerLock, plan_in_use, plan_replacement
+from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
+from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, InputRefused, read_bounded
 from ronna_hw.errors import RonnaError
@@ -175,7 +174,7 @@ class PlanEditor(ChangeNotifier):
         return self._saved is not None and self._saved.content("") == self.draft.content("")
 
     async def save(self, author: str) -> None:
-        """Write the plan, sealed. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
+        """Write the plan, seal_plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
         if self.read_only is not None:
             raise self.read_only
         name = " ".join(author.split())
@@ -195,12 +194,12 @@ class PlanEditor(ChangeNotifier):
         self.altered()
 
     def _write(self, plan: Plan, author: str, draft: Draft) -> None:
-        plan = sealed(plan, author, self.volume)
+        plan = seal_plan(plan, author, self.volume)
         spheres = (
             f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
             for number, one in enumerate(draft.markers, start=1)
         )
-        with replaced_plan(self.file):  # a case that has begun since wins
+        with plan_replacement(self.file):  # a case that has begun since wins
             if self._was_changed_by_others():
                 raise PlanNotSaved(
                     f"{self.file.name} was changed by another program since it was opened",

@@ -38,7 +38,7 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     from console.planning.plan_editor import PlanEditor
     from procedures.imaging import read_series
     from procedures.imaging.picks import LARGEST_FILE_BYTES
-    from procedures.planning.theatre.arm import theatre_arm
+    from procedures.planning.theatre_arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 
     asked = PlannerRequest.model_validate_json(request)

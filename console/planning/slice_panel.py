@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from console.panels.html import tag, text
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.slices import SIZE_PX, Cut, PageView, Plane
-from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.strategies.trajectory import Point
 
 CROSS, SPHERE, CHOSEN, OTHER = "#35c8ff", "#ffa64d", "#ff5fa2", "#d8a6ff"

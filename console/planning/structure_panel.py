@@ -21,15 +21,9 @@ from console.planning.slices import PageView
 from procedures.imaging.picks import LARGEST_FILE_BYTES
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
-from procedures.planning.head.structure_check import read_structure
-from procedures.planning.head.structures import (
-    MOST_POINTS_TOGETHER,
-    MOST_STRUCTURES,
-    Structure,
-    StructureDistance,
-    structure_of,
-)
-from procedures.planning.plan.units import structure_in_another_unit
+from procedures.planning.plan_file import structure_in_another_unit
+from procedures.planning.plan_model import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
+from procedures.planning.structures import StructureDistance, read_structure, structure_of
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 from ronna_hw.mistakes import describe_mistakes

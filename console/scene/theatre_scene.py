@@ -22,7 +22,7 @@ from console.scene.bodies import (
 )
 from console.scene.sights import HIDDEN, VOLUME, Sights
 from procedures.engine.events import Bodies, Pose
-from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.reporting.case_figures import CaseFigures, SphereFigure
 from ronna_hw.frames import Transform
 

@@ -15,8 +15,8 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.planning.cart.place import CartCase
-    from procedures.planning.cart.proposal import PlaceProposal
+    from procedures.planning.cart_map import PlaceProposal
+    from procedures.planning.cart_place import CartCase
     from ronna_hw.frames import Transform
 
 CHOSEN_BY_PLACE = "best"
@@ -88,13 +88,11 @@ def place(
         )
     theatre = theatre_of(config, robot_from_ct, home, strategy)
     assert theatre is not None
-    from procedures.planning.cart.judging import judging
-    from procedures.planning.cart.place import CartCase
-    from procedures.planning.cart.place_map import map_places
-    from procedures.planning.cart.proposal import propose_place
-    from procedures.planning.plan.check import check_plan
-    from procedures.planning.plan.file import read_plan
-    from procedures.planning.plan.guide_hold import held_trajectories
+    from procedures.planning.cart_map import judging, map_places, propose_place
+    from procedures.planning.cart_place import CartCase
+    from procedures.planning.guide import held_trajectories
+    from procedures.planning.plan_check import check_plan
+    from procedures.planning.plan_file import read_plan
 
     plan = read_plan(plan_file)
     volume, fiducials_mm, _ = read_ct(series_dir, True)
@@ -136,7 +134,7 @@ def _tracker_at(numbers: SixNumbers) -> Transform:
 
 
 def _write(out: Path, payload: dict[str, Any], found: PlaceProposal, case: CartCase) -> None:
-    from procedures.planning.cart.picture import place_picture
+    from procedures.planning.cart_map import place_picture
     from ronna_hw.records import write_whole
 
     try:

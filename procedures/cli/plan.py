@@ -29,9 +29,9 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import require_new
 
 if TYPE_CHECKING:
-    from procedures.planning.head.shape import HeadEllipsoid
-    from procedures.planning.path_check.motions import PreviewedMotion
-    from procedures.planning.plan.check import PlanCheck
+    from procedures.planning.head_in_ct import HeadEllipsoid
+    from procedures.planning.motions import PreviewedMotion
+    from procedures.planning.plan_check import PlanCheck
     from ronna_hw.tool_record import GuideBore
 
 STOP_NOT_JUDGED = (
@@ -94,9 +94,9 @@ def check(
     """
     began_s = time.perf_counter()
     theatre = theatre_of(config, robot_from_ct, home, strategy)
-    from procedures.planning.head.shape import head_shape
-    from procedures.planning.plan.check import check_plan
-    from procedures.planning.plan.file import read_plan
+    from procedures.planning.head_in_ct import head_shape
+    from procedures.planning.plan_check import check_plan
+    from procedures.planning.plan_file import read_plan
 
     planned = read_plan(plan_file)
     volume, fiducials_mm, uncounted = read_ct(series_dir, markers)
@@ -150,15 +150,14 @@ def template(
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     from procedures.cli.plan_markers import print_markers
-    from procedures.planning.markers.template import propose_template
-    from procedures.planning.markers.template_file import head_of_scene, write_template
+    from procedures.planning.marker_sites import head_of_scene, propose_template, write_template
 
     require_one_head(series_dir, scene)
     require_new(out)
     if scene is not None:
         found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
     else:
-        from procedures.planning.head.shape import head_shape
+        from procedures.planning.head_in_ct import head_shape
 
         assert series_dir is not None
         volume = read_volume(series_dir)
@@ -208,7 +207,7 @@ def marker_places(
 
 
 def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore | None) -> None:
-    from procedures.planning.plan.guide_hold import depth_stop_mm
+    from procedures.planning.guide import depth_stop_mm
 
     rows = [
         [

@@ -8,10 +8,9 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.planning_inputs import read_volume, require_one_head
 from procedures.planning.errors import WrongSeries
-from procedures.planning.head.shape import head_shape
-from procedures.planning.markers.sites import propose_markers
-from procedures.planning.markers.template_file import head_of_scene
-from procedures.planning.plan.file import read_plan
+from procedures.planning.head_in_ct import head_shape
+from procedures.planning.marker_sites import head_of_scene, propose_markers
+from procedures.planning.plan_file import read_plan
 from procedures.reporting.pictures import marker_picture
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import require_new

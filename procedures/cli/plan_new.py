@@ -24,7 +24,7 @@ def new(
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """
-    from procedures.planning.plan.new import new_plan
+    from procedures.planning.plan_file import new_plan
     from ronna_hw.records import write_whole
 
     require_new(out)

@@ -15,7 +15,7 @@ from ronna_hw.plausible import in_degrees
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
-    from procedures.planning.theatre.arm import TheatreArm
+    from procedures.planning.theatre_arm import TheatreArm
 
 READING_SHARE = 0.4  # of the progress bar; the rest is for localizing the markers
 DEFAULT_STRATEGY = "ocs"
@@ -55,7 +55,7 @@ def theatre_of(
     require_theatre_options(config, robot_from_ct, home_deg, strategy)
     if config is None or robot_from_ct is None:
         return None
-    from procedures.planning.theatre.arm import theatre_arm
+    from procedures.planning.theatre_arm import theatre_arm
     from procedures.strategies.catalogue import strategy_named
 
     return theatre_arm(config, robot_from_ct, home_deg, strategy_named(strategy))

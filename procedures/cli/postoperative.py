@@ -11,7 +11,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.planning.plan.model import Plan
+    from procedures.planning.plan_model import Plan
     from procedures.postoperative.summary import PostoperativeCheck
     from procedures.reporting.files import PostoperativeResult
 
@@ -46,7 +46,7 @@ def postoperative(
     nothing found along a trajectory, 130 interrupted.
     """
     import procedures.imaging as imaging
-    from procedures.planning.plan.file import read_plan
+    from procedures.planning.plan_file import read_plan
     from procedures.postoperative.comparison import compare
     from procedures.postoperative.summary import summary_of
 

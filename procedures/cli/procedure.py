@@ -49,8 +49,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.step import Scope
-    from procedures.steps.catalogue import CLINICAL_STEPS
-    from procedures.steps.planned_questions import planned_questions
+    from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 
     if as_json:

@@ -9,7 +9,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.engine.step import StepKey
 from procedures.guards import (
-    GuideStill,
+    GuideDisplacement,
     TrackerLink,
     UnchangedRecords,
     patient_watch,
@@ -17,9 +17,9 @@ from procedures.guards import (
     standing_guards,
 )
 from procedures.recovery.moved_cart import MovedCart
-from procedures.steps.clinical.confirmation import void_moved
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.validity.inputs import UnchangedInputs
+from procedures.steps.clinical.inputs import UnchangedInputs
+from procedures.steps.clinical.room import void_moved
 from ronna_hw.config import TheatreFile
 
 
@@ -47,7 +47,9 @@ def guard(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: boo
         guards.append(inputs)
         engine.recorders.append(inputs)
     void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
-    guards.append(GuideStill(workcell, setting.clock, setting.memory))  # before the head: it names the cause
+    guards.append(
+        GuideDisplacement(workcell, setting.clock, setting.memory)
+    )  # before the head: it names the cause
     guards.append(sight_guard(engine, void))
     guards.append(link)  # last: it also judges the replies to the guards before it
     engine.checkpoint.watching = patient_watch(engine, void).watching

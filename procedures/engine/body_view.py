@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, cast
 from procedures.engine.camera_view import camera_views
 from procedures.engine.events import Bodies as BodiesEvent
 from procedures.engine.events import Body, CameraView, EventStream, LinkHealth, Pose
-from procedures.workcell.mounted_tool import MountedTool
+from procedures.workcell.tools import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Surroundings
 from ronna_hw.arm.clearance.live_watch import body_segments
 from ronna_hw.arm.kinematics import COLUMN_NAME

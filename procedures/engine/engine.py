@@ -30,7 +30,6 @@ from procedures.operator.room import Task
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
 from procedures.workcell.errors import WrongTool
-from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
 from ronna_hw.records import Record
@@ -248,8 +247,8 @@ class Engine:
             workcell.compare_place()
             if not workcell.place.is_home:
                 if (on := workcell.place.axis) is not None:
-                    withdraw(workcell, on, on.trajectory)
-                park(workcell)
+                    workcell.retreat(on.trajectory)
+                workcell.park()
         except BaseException as ended:  # also an interruption: the arm comes to rest
             if isinstance(ended, KeyboardInterrupt):
                 self._on_ending()

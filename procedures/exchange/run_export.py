@@ -36,7 +36,7 @@ from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.records import Record, write_whole
 

@@ -1,16 +1,15 @@
-"""What must hold while the arm works, besides what the devices monitor themselves.
+"""Conditions that must hold while the arm works, besides those monitored by the devices.
 
-Guards are asked at every checkpoint: before each motion and whenever a step says how far it is. What is unmet
-suspends the case with a reason in plain words, until it is met or the operator leaves the step.
+Guards are asked at every checkpoint: before each motion and with every progress report of a step. An unmet
+condition suspends the case with a reason in plain words, until it is met or the operator leaves the step.
 """
 
-from procedures.guards.guide_still import GuideStill
-from procedures.guards.standing import patient_watch, sight_guard, standing_guards
-from procedures.guards.theatre_records import UnchangedRecords
-from procedures.guards.tracker_link import TrackerLink
+from procedures.guards.default_guards import UnchangedRecords, patient_watch, sight_guard, standing_guards
+from procedures.guards.guide_displacement import GuideDisplacement
+from procedures.guards.tracker_guards import TrackerLink
 
 __all__ = [
-    "GuideStill",
+    "GuideDisplacement",
     "TrackerLink",
     "UnchangedRecords",
     "patient_watch",

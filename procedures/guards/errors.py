@@ -1,4 +1,4 @@
-"""Errors for things that have moved and must not."""
+"""Errors of a guarded room: a cart, a tracker, a head or an input that has changed."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ class PatientMoved(RefusedError):
 
     @classmethod
     def by(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
-        """A move of that size."""
+        """Build the error for a move of this size."""
         moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{beyond(moved_mm, limit_mm, 2)} mm rms")
         moved.moved_mm = moved_mm
         return moved

@@ -1,7 +1,7 @@
-"""The patient's spheres frame by frame while the arm moves: are they where they were localized?
+"""Displacement of the patient's spheres, frame by frame while the arm moves.
 
-The tracker's noise is 0.2 mm in one frame, so the last readings of each sphere are averaged. Hands and drapes
-hide one sphere here and another there: none has to be in all of them.
+The tracker's noise is 0.2 mm in one frame, so the latest readings of each sphere are averaged. Hands and
+drapes hide now one sphere, now another: none needs to be in every frame.
 """
 
 from __future__ import annotations
@@ -19,27 +19,26 @@ from ronna_hw.devices.readings import TrackerFrame, Validity
 
 Array = NDArray[np.float64]
 
-# Readings that are averaged. The depth of a sphere then has a noise of 0.07 mm, and the rms of three passes
-# 0.3 mm once in 10^9; a shift of 0.5 mm passes it with the fifth or sixth reading that has it.
+# Readings averaged. The depth of a sphere then has a noise of 0.07 mm, and the rms of three exceeds 0.3 mm
+# once in 10^9; a shift of 0.5 mm exceeds it in the fifth or sixth reading.
 AVERAGED = 8
 SPAN = 2 * AVERAGED  # frames back to which a sphere's readings count
-# Mean way of all spheres in one reading that is worth the very next frame: 0.5 mm make less than this once in
-# a thousand.
+# Mean displacement of all spheres in one reading from which the very next frame is read; a shift of 0.5 mm
+# stays below it once in a thousand.
 DOUBT_MM = 0.15
 LEAST_FAR_MM = NEAR_MM / 2.0  # of spheres that are no longer near their places
-FAR_READINGS = 3  # in a row that show spheres, but too few where they were
-# With the other spheres hidden: the head lies where it was, and what else is seen are glints and phantoms.
-# One of them and these two may have the distances of three spheres.
+FAR_READINGS = 3  # in a row that show spheres, but too few of them in place
+# Spheres in place that show an unmoved head while the others are hidden; further points are glints and
+# ghosts, of which one may form the distances of three spheres together with these two.
 ENOUGH_IN_PLACE = 2
 
 
 @dataclass
 class HeadFrames:
-    """The last readings. `spheres_mm` (n, 3) are those on the head, tracker frame.
+    """Latest readings of the spheres on the head, `spheres_mm` (n, 3) in the tracker's frame.
 
-    `moved_mm` is the rms by which they have moved, None while that is open; `doubtful` says that the next
-    frame should be read, `seen` that the last one showed enough of them, and that those before did not leave
-    it open for long whether they have moved.
+    `moved_mm` is their rms displacement, None while undecided. `doubtful` asks for the very next frame.
+    `seen` says that the last frame showed enough spheres, and that it is not undecided for too long.
     """
 
     spheres_mm: Array
@@ -47,7 +46,7 @@ class HeadFrames:
     doubtful: bool = True
     seen: bool = True
     _far: int = 0
-    _open: int = 0  # frames in a row that showed enough of them and said nothing
+    _open: int = 0  # undecided frames in a row that showed enough spheres
     _ways: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
 
     def take(self, frame: TrackerFrame) -> None:
@@ -71,11 +70,10 @@ class HeadFrames:
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
     def _mean_mm(self) -> float | None:
-        """The rms over the spheres with enough readings; None while they are too few.
+        """Rms displacement over the spheres with enough readings; None while these are too few.
 
-        Without the one that has moved most, if three others remain: a head moves as a whole. A hidden sphere
-        of the x-shaped frame is where the others have it, 1 mm off; a glint next to a hidden one passes for
-        it.
+        A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
+        sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
         """
         ways = np.array(self._ways)
         there = np.isfinite(ways[:, :, 0])
@@ -89,7 +87,7 @@ class HeadFrames:
 
 
 def _ways(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:
-    """From each sphere's place to the nearest that is seen there (n, 3); NaN where none is near."""
+    """Displacement of each sphere to the nearest point seen (n, 3); NaN if none is near."""
     ways = np.full(spheres_mm.shape, np.nan)
     if places_mm:
         apart = np.asarray(places_mm)[None] - spheres_mm[:, None]

@@ -1,8 +1,8 @@
 """Watches the patient with the tracker while the arm moves, and while an instrument is at its target.
 
-A thread of its own reads the tracker; it stops the arm when the spheres on the head are not where they were
-localized, or when a guide approaches them unseen for too long. It reads every fourth frame, and every frame
-while there is doubt. What it saw is reported by the moving thread, when the motion has ended.
+A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, or when a guide
+has approached them unseen for too long. It reads every fourth frame, and every frame while in doubt. The
+moving thread reports the findings when the motion has ended.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from dataclasses import dataclass, field
 
 from procedures.engine.case_memory import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames
-from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import PATIENT_LIMIT_MM, RoomWatch
-from procedures.guards.tracker_link import late_s
+from procedures.guards.room_reading import PATIENT_LIMIT_MM, read_room
+from procedures.guards.room_watch import RoomWatch
+from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.frame_as_tool import with_its_spheres
+from procedures.workcell.tracker_look import FRAME_S, with_its_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -29,14 +29,13 @@ from ronna_hw.devices.lifecycle import RUNNING, Lifecycle
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError, RonnaError, summary_of
 
-FRAME_S = 1 / 60  # of the tracker's frame counter
-PASSED_FRAMES = 3  # unread, while there is no doubt
-PASSED_S = (PASSED_FRAMES - 0.5) * FRAME_S  # theatre time
-LONGEST_UNSEEN_S = 5.0  # theatre time under way; then it is a finding
-FIRST_FRAME_S = 1.0  # host time to wait for the first frame; without it the motion begins all the same
-REPEATING_S = 1.0  # theatre time without a new frame, after which it is told
+SKIPPED_FRAMES = 3  # between two readings, unless in doubt
+SKIPPED_S = (SKIPPED_FRAMES - 0.5) * FRAME_S  # theatre time
+LONGEST_UNSEEN_S = 5.0  # theatre time under way; beyond it is a finding
+FIRST_FRAME_S = 1.0  # host time to wait for the first frame; the motion then begins without it
+REPEATING_S = 1.0  # theatre time without a new frame, after which this is reported
 UNSEEN_LOOK_S = 0.05  # host time between two looks at the clock once the tracker has failed
-READ_LIMIT_S = 3.0  # host time: above what a simulated controller waits for a reply
+READ_LIMIT_S = 3.0  # host time: longer than a simulated controller waits for a reply
 
 MOVED = "the head, or the tracker, has moved"
 PUSHED = "the guide was pushed or pulled"
@@ -46,7 +45,7 @@ UNSEEN = "the tracker has not seen the head for too long"
 
 @dataclass
 class MotionWatch:
-    """One for a run. `find` and `void` write to the journal, `tell` shows at once, from any thread."""
+    """Patient watch of a run. `find` and `void` journal; `tell` shows at once, from any thread."""
 
     workcell: Workcell
     clock: Clock
@@ -55,14 +54,14 @@ class MotionWatch:
     find: Callable[[str], None]
     tell: Callable[[str], object]
     void: Callable[[RonnaError], None]
-    beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while it reads for itself
+    beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while the moving thread reads
     _room: RoomWatch | None = None
     _head: HeadFrames = field(init=False)
     _unseen_s: float = 0.0
 
     @contextmanager
     def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
-        """Around a motion or a wait. Raises PRO-020 when the head has moved; the arm is at rest then."""
+        """Watch during a motion or a wait. Raises PRO-019 or PRO-020 after a move, with the arm at rest."""
         room = self.memory.find(RoomWatch)
         if room is None or not self._wanted:
             yield
@@ -73,7 +72,7 @@ class MotionWatch:
             return
         if self._room is not room or self._head.spheres_mm is not room.spheres_mm:
             self._room, self._head, self._unseen_s = room, HeadFrames(room.spheres_mm), 0.0
-        looking = _Looking(
+        thread = _WatchThread(
             self.workcell,
             self.clock,
             arm_moves,
@@ -85,11 +84,11 @@ class MotionWatch:
         )
         room.begin_motion(self.clock.now_s())
         try:
-            looking.begin()  # waits for a frame: may be interrupted as well
+            thread.begin()  # waits for a frame: may be interrupted as well
             yield
         except RonnaError as error:
-            seen = looking.end()
-            # An alarm before the motion began makes the arm refuse it: what was seen is what has to be told.
+            seen = thread.end()
+            # The arm refuses a motion after an alarm before its begin: the alarm is what must be reported.
             if isinstance(error, MotionInterrupted | WrongState) or seen.moved_mm is not None:
                 self._conclude(seen, what)
             raise
@@ -97,9 +96,9 @@ class MotionWatch:
             try:
                 self.workcell.stop()  # first: the last frame may take its time
             finally:
-                looking.end()
+                thread.end()
             raise
-        self._conclude(looking.end(), what)
+        self._conclude(thread.end(), what)
 
     @property
     def _wanted(self) -> bool:
@@ -107,11 +106,11 @@ class MotionWatch:
             return self.workcell.tool is MountedTool.GUIDE
         return self.when is WatchPatient.ALWAYS
 
-    def _conclude(self, seen: _Looking, what: str) -> None:
+    def _conclude(self, seen: _WatchThread, what: str) -> None:
         if seen.moved_mm is not None:
             moved = self._named(seen.room, seen.moved_mm, what)
-            self.void(moved)  # first: as long as that is not written, the watch goes on
-            self.memory.drop(RoomWatch)  # the way out is not to be stopped by the same
+            self.void(moved)  # first: the watch goes on until this is written
+            self.memory.drop(RoomWatch)  # the same move must not stop the way out
             raise moved
         if seen.pushed_mm > PUSHED_MM:
             self.find(f"{PUSHED} by up to {seen.pushed_mm:.2f} mm during {what}")
@@ -125,24 +124,27 @@ class MotionWatch:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _named(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
-        """What has moved, by one more reading at rest: that compares the frame on the arm as well."""
+        """Name what has moved, by one more reading at rest, which includes the frame on the arm."""
+        found: RonnaError | None
         try:
             with self.beside():
-                room.check(read_room(self.workcell, self.clock, room.robot_from_tracker))
-        except BaseShifted as found:
+                found = room.compare(read_room(self.workcell, self.clock, room.robot_from_tracker)).moved
+        except RonnaError as problem:
+            found = problem
+        if isinstance(found, BaseShifted):
             shifted = BaseShifted(f"{found.what}, during {what}", limit=found.limit, got=found.got)
             shifted.cart = found.cart
             return shifted
-        except PatientMoved as found:
+        if isinstance(found, PatientMoved):
             return PatientMoved.by(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
-        except RonnaError as problem:  # what was seen is told all the same
-            self.find(f"no further reading after {what}: {problem.summary}")
+        if found is not None:
+            self.find(f"no further reading after {what}: {found.summary}")
         return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
 
 
 @dataclass
-class _Looking:
-    """Reads frames until it is ended. `unseen_s` is theatre time since the head was seen last."""
+class _WatchThread:
+    """Thread that reads frames until ended. `unseen_s` is theatre time since the head was last seen."""
 
     workcell: Workcell
     clock: Clock
@@ -153,8 +155,8 @@ class _Looking:
     tell: Callable[[str], object]
     moved_mm: float | None = None
     pushed_mm: float = 0.0  # the guide, at most
-    late_s: float = 0.0  # how long replies took at most, if that was too long
-    problem: str = ""  # why nothing looks any more
+    late_s: float = 0.0  # longest delay of replies, if too long
+    problem: str = ""  # why the thread no longer looks
     has_seen: bool = False
     unseen_s: float = 0.0
     _seen_s: float = 0.0
@@ -171,7 +173,7 @@ class _Looking:
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
     def begin(self) -> None:
-        """Start; returns when the first frame has been read and, if it shows a shift, the arm is stopped."""
+        """Start; return once the first frame is read and, if it shows a move, the arm is stopped."""
         if self.guide is not None:
             self.guide.begin_watch()
         self._thread.start()
@@ -179,8 +181,8 @@ class _Looking:
         if self._stopping is not None:  # the motion that would begin now is refused
             self._stopping.join()
 
-    def end(self) -> _Looking:
-        """Stop looking; the fields hold what was seen."""
+    def end(self) -> _WatchThread:
+        """Stop looking; the fields hold the findings."""
         self._ending.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -195,14 +197,14 @@ class _Looking:
             self._read()
         except Exception as problem:  # recorded when the motion ends; what lasts is latched by the tracker
             self.problem = summary_of(problem)
-            self._tell_silence(self.problem)
+            self._report_silence(self.problem)
         finally:
             self._first.set()
             if tracker.state in RUNNING:
                 with contextlib.suppress(RonnaError):
                     tracker.deactivate()
-        while not self._ending.wait(UNSEEN_LOOK_S):  # nothing looks any more, but the time counts
-            self._meet_unseen()
+        while not self._ending.wait(UNSEEN_LOOK_S):  # blind now, but the time counts
+            self._check_unseen()
             self._stop_again()
 
     def _read(self) -> None:
@@ -212,52 +214,52 @@ class _Looking:
             try:
                 frame = tracker.read_frame(READ_LIMIT_S)
             except (LinkTimeout, ProtocolError) as problem:  # costs one frame
-                self._meet_unseen()
+                self._check_unseen()
                 if tracker.state is not Lifecycle.ACTIVE:
                     raise
                 if isinstance(problem, LinkTimeout):
-                    self._tell_silence(problem.summary)
+                    self._report_silence(problem.summary)
                 continue
             if frame.validity is Validity.STALE:
-                self._meet_unseen()
+                self._check_unseen()
                 if self.clock.now_s() - new_s > REPEATING_S:
-                    self._tell_silence("the tracker repeats its last frame")
+                    self._report_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
             self.head.take(with_its_spheres(tracker, frame))
-            self._meet_push(frame)
-            self._meet_late()
+            self._check_push(frame)
+            self._check_late()
             new_s = self.clock.now_s()
             if self.head.seen:
                 self.has_seen, self._seen_s, self.room.seen_s = True, new_s, new_s
-            self._meet_unseen()
+            self._check_unseen()
             if self.moved_mm is None and (self.head.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 self.moved_mm = self.head.moved_mm
-                self._begin_alarm(MOVED, stop=True)
+                self._raise_alarm(MOVED, stop=True)
             self._first.set()  # after the alarms: the motion begins with it
             if self.head.doubtful:
                 continue
             if self.arm_moves:
-                self.clock.sleep(PASSED_S)
-            else:  # host time: whoever waits for theatre time makes a simulated arm at rest hurry
-                self._ending.wait(PASSED_S)
+                self.clock.sleep(SKIPPED_S)
+            else:  # host time: waiting in theatre time would hurry a simulated arm at rest
+                self._ending.wait(SKIPPED_S)
 
-    def _meet_unseen(self) -> None:
+    def _check_unseen(self) -> None:
         now_s = self.clock.now_s()
         self.unseen_s = now_s - self._seen_s
         if not self._overdue and self.room.overdue(now_s):
             self._overdue = True
-            self._begin_alarm(UNSEEN, stop=self.arm_moves)
+            self._raise_alarm(UNSEEN, stop=self.arm_moves)
 
-    def _meet_late(self) -> None:
-        """Tell it once, while it is under way; the guard at the next checkpoint suspends while it lasts."""
+    def _check_late(self) -> None:
+        """Report late replies once; the guard at the next checkpoint suspends the case while they last."""
         late = late_s(self.workcell.tracker) or 0.0
         if late > 0.0 and self.late_s == 0.0:
             self.tell(f"{LATE} by {late:.2f} s")
         self.late_s = max(self.late_s, late)
 
-    def _meet_push(self, frame: TrackerFrame) -> None:
-        """Tell it once each time; the guard at the next checkpoint suspends while it lasts."""
+    def _check_push(self, frame: TrackerFrame) -> None:
+        """Report each push once; the guard at the next checkpoint suspends the case while it lasts."""
         if self.guide is None or not self.guide.worked:
             return
         self.guide.take(frame, self.workcell.calibrations.tracker_frame.tool)
@@ -267,16 +269,16 @@ class _Looking:
             self.tell(f"{PUSHED}: {self.guide.now_mm:.2f} mm from where it was held")
         self._pushed = pushed
 
-    def _begin_alarm(self, why: str, *, stop: bool) -> None:
+    def _raise_alarm(self, why: str, *, stop: bool) -> None:
         self._stop_wanted |= stop
-        if self._stops:  # what was seen is told when it rests
+        if self._stops:  # reported when the arm rests
             return
         if stop:
             self._begin_stop()
         self.tell(f"{why} during {self.what}" + (": the arm is stopped" if stop else ""))
 
     def _stop_again(self) -> None:
-        """While the arm may still move: a stop may fail, for example by its time limit."""
+        """Repeat a stop that has failed, for example by its time limit, while the arm may still move."""
         wanted = self._stop_wanted and not self._stops
         if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
             self._begin_stop()
@@ -286,13 +288,13 @@ class _Looking:
         return self._stopping is not None and self._stopping.is_alive()
 
     def _begin_stop(self) -> None:
-        # Stopping waits for the arm to rest; in lock-step it does not come to rest while no frame is read.
+        # Stopping waits for the arm to rest; in lock-step it cannot rest while no frame is read.
         stopping = threading.Thread(target=self.workcell.stop, name="stop by the patient watch", daemon=True)
         stopping.start()
         self._stopping = stopping
 
-    def _tell_silence(self, why: str) -> None:
-        """Once, and at once: the motion that nothing watches any more may take its time."""
+    def _report_silence(self, why: str) -> None:
+        """Report once, and at once: the unwatched motion may still take long."""
         if not self._silence_reported:
             self._silence_reported = True
             self.tell(f"the head is not watched: {why}")

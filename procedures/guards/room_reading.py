@@ -1,56 +1,85 @@
-"""One look of the tracker at the room: the frame on the arm and the spheres, while the arm rests."""
+"""One reading of the room by the tracker, with the arm at rest: the frame on the arm, and all spheres.
+
+Some of the spheres are ghosts, where the lines of sight to two different markers cross. Each of the tracker's
+two sensors knows a marker only as a line. Two markers in one plane with both sensors produce, besides their
+own places, up to two crossings without any marker. A marker seen by one sensor alone is not reported and yet
+takes part, so a half hidden head shows points at no known position. A ghost is on one sensor's line to one
+marker and on the other sensor's line to another.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
-from procedures.engine.case_memory import CaseMemory
-from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.guards.room_watch import RoomLook, RoomReading, RoomWatch
+from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
+from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import average_strays
-from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 
-FRAMES = 12  # 0.2 s: the noise of a frame's place is then 0.02 mm, of a sphere 0.05 mm
-LEAST_SHARE = 0.5  # of the frames that must show what is averaged
+Array = NDArray[np.float64]
+
+# Rms of the spheres on the head in a reading of `FRAMES`: between the noise, 0.10 mm at most in 600 readings,
+# and the 0.5 mm that must be noticed.
+PATIENT_LIMIT_MM = 0.3
+FRAMES = 12  # 0.2 s: noise of 0.02 mm for the frame on the arm, 0.05 mm for a sphere
+LINE_MM = 1.0  # from a line: the tracker's bias differs between places by some tenths
+OTHER_LINE_MM = 4.0  # to a marker on the arm, perhaps located by the arm alone: its mount is off by 3.5 mm
+SENSOR_MM = 10.0  # uncertainty of the sensors' positions; matters in proportion to the way along the line
+LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
+
+
+@dataclass(frozen=True)
+class RoomReading:
+    """Mean of `frames` of the tracker while the arm rests.
+
+    `robot_from_flange` is the arm's pose, by its calibration if there is one. `frame_mm` (3,) is the frame on
+    the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
+    frame, `spheres_mm` (m, 3) are strays, `markers_mm` (k, 3) the markers of the frame and of other tools in
+    view. `settled` says that the arm is at home, every joint having arrived from its usual side.
+    """
+
+    robot_from_flange: Transform
+    frame_mm: Array | None
+    spheres_mm: Array
+    markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
+    frames: int = 1
+    settled: bool = False
+
+    @property
+    def careful(self) -> bool:
+        """Whether it averages enough frames (`CAREFUL_FRAMES`) for a look before or after a target."""
+        return self.frames >= CAREFUL_FRAMES
+
+    @property
+    def comparable(self) -> bool:
+        """Whether another reading of the same pose may show the frame on the arm off by noise only."""
+        return self.careful and self.settled
+
+    @property
+    def head_limit_mm(self) -> float:
+        """Rms displacement of the spheres from which the head has moved."""
+        return HEAD_NOTICEABLE_MM if self.careful else PATIENT_LIMIT_MM
 
 
 def read_room(
     workcell: Workcell, clock: Clock, robot_from_tracker: Transform, count: int = FRAMES
 ) -> RoomReading:
-    """Read so many frames of the tracker while the arm rests. Raises what the tracker raises."""
+    """Read frames of the tracker while the arm rests. Raises the tracker's errors."""
     frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
     return room_reading(workcell, frames, robot_from_tracker)
-
-
-def check_now(
-    room: RoomWatch,
-    workcell: Workcell,
-    clock: Clock,
-    memory: CaseMemory,
-    void: Callable[[RonnaError], None],
-    count: int = FRAMES,
-) -> RoomLook:
-    """Look now and compare; raises as `RoomWatch.check`. A movement ends the watch, and `void`s first."""
-    look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
-    if isinstance(look.moved, BaseShifted | PatientMoved):
-        void(look.moved)  # first: as long as that is not written, the watch goes on
-        memory.drop(RoomWatch)  # the way out is not to be stopped by the same
-    if look.moved is not None:
-        raise look.moved
-    return look
 
 
 def room_reading(
     workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
 ) -> RoomReading:
-    """What these frames show, with the arm in its present pose."""
+    """Average these frames, taken with the arm in its present pose."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
@@ -74,3 +103,31 @@ def room_reading(
         len(frames),
         workcell.settled_home,
     )
+
+
+def ghosts_of(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
+    """Flag the points (m, 3) that are crossings of lines to known markers; all in the tracker's frame.
+
+    The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the
+    narrow limit: with the wide one, too much of the room about the head would count as crossings.
+    """
+    markers, head = np.vstack([spheres_mm, others_mm]), len(spheres_mm)
+    limits = np.repeat([LINE_MM, OTHER_LINE_MM], [head, len(others_mm)])
+    left, right = (_beside_lines_mm(np.array(eye), markers, seen_mm) for eye in SENSORS_MM)
+    pairs = (left < limits)[:, :, None] & (right < limits)[:, None, :]  # (m, n + k, n + k)
+    pairs[:, head:, head:] = (left[:, head:, None] < LINE_MM) & (right[:, None, head:] < LINE_MM)
+    pairs &= ~np.eye(len(markers), dtype=bool)  # both lines to one marker: that is the marker itself
+    return np.asarray(pairs.any(axis=(1, 2)))
+
+
+def _beside_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
+    """Distance of each point (m, 3) from a sensor's line to each marker (n, 3), before or behind it.
+
+    Less the uncertainty of the sensor's position.
+    """
+    ways = markers_mm - eye_mm
+    lengths = np.linalg.norm(ways, axis=1)
+    beside = points_mm[:, None] - markers_mm
+    along = (beside * (ways / lengths[:, None])).sum(axis=2)
+    away = np.sqrt(np.maximum((beside**2).sum(axis=2) - along**2, 0.0))
+    return np.asarray(away - SENSOR_MM * np.abs(along) / lengths)

@@ -1,8 +1,8 @@
 """Whether anything has moved since the localization, by the frame on the arm and the patient's spheres.
 
-The place of the frame is compared by its difference between tracker and arm. That difference depends on the
-arm's orientation by as much as the mount is off its drawing, some millimetres, so it is compared with what it
-was in the same orientation before. Every reading is such a reference for those that come later.
+The frame on the arm is compared by the difference of its places according to tracker and arm. As the mount is
+some millimetres off its drawing, this difference depends on the arm's orientation, so it is compared with
+earlier readings in the same orientation. Every reading becomes such a reference.
 """
 
 from __future__ import annotations
@@ -14,70 +14,38 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.engine.case_memory import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.ghosts import ghosts_of
-from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
+from procedures.guards.room_reading import FRAMES, RoomReading, ghosts_of, read_room
+from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES
 from procedures.registration.movement import NEAR_MM, PointShift, lone_displacement_mm, shift_of, shift_of_few
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.text import beyond, counted
 
 Array = NDArray[np.float64]
 
-# Half of the 1.7 mm that must be noticed at any rest of the arm. In the same pose the frame is displaced by
-# backlash: 0.52 mm at most in 800 simulated pairs that were reached from different sides.
+# Half of the 1.7 mm that must be noticed at any rest of the arm. In one pose, reached from different sides,
+# backlash displaces the frame by 0.52 mm at most in 800 simulated pairs.
 BASE_LIMIT_MM = 0.85
 # In another pose of the same orientation arm and tracker err differently: 0.96 mm at most in 360 pairs.
 OTHER_POSE_LIMIT_MM = 1.3
-# Between the noise, 0.10 mm at most in 600 readings of 12 frames, and the 0.5 mm that must be noticed.
-PATIENT_LIMIT_MM = 0.3
-FEW_LIMIT_MM = 0.8  # of two spheres, which no rigid fit averages: the tracker's own bias shows in each
-NEAR_HEAD_MM = 60.0  # from a known sphere: what reflects there is taken for a sphere of the head
+FEW_LIMIT_MM = 0.8  # of two spheres, not averaged by a rigid fit: the tracker's bias shows in each
+NEAR_HEAD_MM = 60.0  # from a known sphere: anything that reflects there is taken for a sphere of the head
 SAME_ORIENTATION_RAD = math.radians(1.0)  # 3.5 mm of the mount make 0.06 mm
-FARTHEST_MM = 150.0  # between poses that are compared: the tracker's own bias changes with the place
+FARTHEST_MM = 150.0  # between poses that are compared: the tracker's bias changes with the place
 SAME_POSE_RAD, SAME_POSE_MM = math.radians(0.1), 1.0
-# Theatre time that a guide may approach a head that nothing sees. The way onto a target takes some 5 s.
+# Theatre time for which a guide may approach an unseen head. The approach to a target takes some 5 s.
 MOST_UNSEEN_S = 10.0
 
 
 @dataclass(frozen=True)
-class RoomReading:
-    """One look of the tracker while the arm rests.
-
-    `robot_from_flange` is the arm's pose, by its calibration or else nominal, `frame_mm` (3,) the frame by
-    the tracker minus the frame by the arm, robot frame, or None while it is not seen; `spheres_mm` (m, 3) are
-    strays and `markers_mm` (k, 3) the markers of the frame and of other tools in view, tracker frame.
-    `frames` of the tracker were averaged. `settled` says that every joint came to rest from the same side
-    as ever, at home.
-    """
-
-    robot_from_flange: Transform
-    frame_mm: Array | None
-    spheres_mm: Array
-    markers_mm: Array = field(default_factory=lambda: np.empty((0, 3)))
-    frames: int = 1
-    settled: bool = False
-
-    @property
-    def careful(self) -> bool:
-        """Averaged over enough frames (`CAREFUL_FRAMES`) for a look before or after a target."""
-        return self.frames >= CAREFUL_FRAMES
-
-    @property
-    def comparable(self) -> bool:
-        """Whether a frame on the arm in the same pose may differ by noise only."""
-        return self.careful and self.settled
-
-    @property
-    def head_limit_mm(self) -> float:
-        """Rms of the spheres from which on the head has moved."""
-        return HEAD_NOTICEABLE_MM if self.careful else PATIENT_LIMIT_MM
-
-
-@dataclass(frozen=True)
 class BaseShift:
-    """Way of the frame on the arm (3,) mm against an earlier reading, and from where on it has moved.
+    """Displacement (3,) mm of the frame on the arm against an earlier reading, and its limit.
 
-    `exact` says that the arm stands in the very pose of that reading.
+    `exact` says that the arm is in the very pose of that reading.
     """
 
     way_mm: Array
@@ -86,15 +54,15 @@ class BaseShift:
 
     @property
     def moved_mm(self) -> float:
-        """Length of the way."""
+        """Length of the displacement."""
         return float(np.linalg.norm(self.way_mm))
 
 
 @dataclass(frozen=True)
 class RoomLook:
-    """A reading compared: how far head and base are from their places, None where that was not seen.
+    """Comparison of a reading: displacement of head and base, None if not seen.
 
-    `moved` is what has moved, or what keeps that from being told; `findings` are what stops nothing.
+    `moved` is the error that names what has moved, or what hides it; `findings` stop nothing.
     """
 
     reading: RoomReading
@@ -105,15 +73,25 @@ class RoomLook:
 
     @property
     def in_place(self) -> bool:
-        """Whether head and base were seen, and neither has moved; the tracker may have, by little."""
+        """Whether head and base were seen unmoved; the tracker may have moved a little."""
         return self.moved is None and self.head_mm is not None and self.base is not None
+
+    def require(self) -> tuple[str, ...]:
+        """Raise `moved`, or return the findings.
+
+        Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
+        head is at no known position.
+        """
+        if self.moved is not None:
+            raise self.moved
+        return self.findings
 
 
 @dataclass
 class Approach:
-    """A guide on its way to the head, or in it. `excused_s`: when it last went on without sight.
+    """A guide near the head; `excused_s` is when the operator last continued without sight.
 
-    Only while it is under way the time without sight is bounded: nothing holds up the way out.
+    The time without sight is bounded only while it is under way: nothing holds up the way out.
     """
 
     arm_hides_head: Callable[[], bool]
@@ -123,11 +101,11 @@ class Approach:
 
 @dataclass
 class RoomWatch:
-    """What one global localization has found, and the readings since."""
+    """Spheres and frame as found by one global localization, and the readings since."""
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
-    spheres_mm: Array  # (n, 3) those on the head, tracker frame
+    spheres_mm: Array  # (n, 3) on the head, tracker frame
     references: list[RoomReading] = field(default_factory=list)
     seen_s: float = 0.0  # theatre time at which the head was last seen in its place
     approach: Approach | None = None
@@ -136,35 +114,35 @@ class RoomWatch:
         self._localized_mm = self.spheres_mm
 
     def follow(self, spheres_mm: Array | None) -> None:
-        """From here on the spheres are expected there; None where they were localized."""
+        """Expect the spheres (n, 3) there from now on; None for where they were localized."""
         wanted = self._localized_mm if spheres_mm is None else spheres_mm
         if not np.array_equal(wanted, self.spheres_mm):
             self.spheres_mm = wanted
 
     def refer(self, frame_mm: Array | None) -> None:
-        """Take in how the frame was seen before a restart, with the arm home and every joint settled."""
+        """Add the frame (3,) as seen before a restart, with the arm home and every joint settled."""
         home = self.references[0].robot_from_flange
         if frame_mm is not None:
             nothing = np.empty((0, 3))
             self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
 
     def unseen_s(self, now_s: float) -> float:
-        """Theatre time since the head was seen, or since the operator went on without."""
+        """Theatre time since the head was seen, or since the operator continued without sight."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
         return now_s - max(self.seen_s, excused_s)
 
     def excuse(self) -> None:
-        """The operator continues without sight: the time begins again with the next motion or wait."""
+        """Continue without sight: the time starts again with the next motion or wait."""
         if self.approach is not None:
             self.approach.excused_s = math.inf
 
     def begin_motion(self, now_s: float) -> None:
-        """A motion or a wait begins."""
+        """Note that a motion or a wait begins."""
         if self.approach is not None:
             self.approach.excused_s = min(self.approach.excused_s, now_s)
 
     def overdue(self, now_s: float) -> bool:
-        """Whether a guide approaches a head that was not seen for too long."""
+        """Whether a guide approaches a head that has been unseen for too long."""
         return self.approached and self.unseen_s(now_s) > MOST_UNSEEN_S
 
     @property
@@ -178,59 +156,67 @@ class RoomWatch:
         return self.approach is not None and self.approach.arm_hides_head()
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
-        """Compare a reading with those before and keep it unless something has moved."""
-        head, base = shift_of(self.spheres_mm, reading.spheres_mm), self.base_shift(reading)
-        head_mm = None if head is None else head.rms_mm
-        try:
-            return RoomLook(reading, head_mm, base, tuple(self.check(reading, now_s)))
-        except (BaseShifted, PatientMoved, PatientUnseen) as moved:
-            return RoomLook(reading, head_mm, base, moved=moved)
-
-    def check(self, reading: RoomReading, now_s: float = 0.0) -> list[str]:
-        """Compare a reading with those before and keep it; returns findings, in words.
-
-        Raises PRO-019 when cart or tracker was moved, PRO-020 when the head has, PRO-022 when a sphere near
-        it is in no known place.
-        """
-        findings: list[str] = []
-        base = self.base_shift(reading)
-        head = shift_of(self.spheres_mm, reading.spheres_mm)
+        """Compare a reading with those before, and keep it unless something has moved."""
+        base, head = self.base_shift(reading), shift_of(self.spheres_mm, reading.spheres_mm)
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
-        apart_mm = math.inf
-        if head is not None and head_mm is not None and base is not None:
-            apart_mm = _apart_from_base_mm(head, head_mm, base.way_mm)
-        tracker_alone = apart_mm < reading.head_limit_mm  # arm and head agree
-        if base is not None and base.moved_mm >= (BASE_LIMIT_MM if tracker_alone else base.limit_mm):
-            raise _base_shifted(base, head_mm)
-        few = None if head is not None else shift_of_few(self.spheres_mm, reading.spheres_mm)
+        agree = _agree(head, head_mm, base, reading.head_limit_mm)
+        moved = self._moved(reading, base, head, head_mm, agree=agree)
+        findings: tuple[str, ...] = ()
+        if moved is None:
+            if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
+                findings = (f"the tracker was moved by {_in_words(base.way_mm)}; arm and head agree",)
+                self._localized_mm = self._localized_mm + head.mean_mm  # both are compared from here on
+                self.spheres_mm, self.references = self.spheres_mm + head.mean_mm, []
+            if reading.frame_mm is not None:
+                self.references.append(reading)
+            if head is not None:
+                self.seen_s = now_s
+        return RoomLook(reading, None if head is None else head.rms_mm, base, findings, moved)
+
+    def _moved(
+        self,
+        reading: RoomReading,
+        base: BaseShift | None,
+        head: PointShift | None,
+        head_mm: Array | None,
+        *,
+        agree: bool,
+    ) -> BaseShifted | PatientMoved | PatientUnseen | None:
+        """Error for what has moved, or for what hides it; None if nothing has.
+
+        `head_mm` (3,) is the displacement of the head in the robot frame. If arm and head `agree`, only the
+        tracker has moved.
+        """
+        if base is not None and base.moved_mm >= (BASE_LIMIT_MM if agree else base.limit_mm):
+            return _base_shifted(base, head_mm)
+        if head is None or head_mm is None:
+            return self._moved_few(reading, tracker_excluded=base is not None)
+        limit_mm = reading.head_limit_mm
+        if head.rms_mm < limit_mm or (base is not None and base.exact and agree):
+            return None
+        alone_mm = lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
+        if alone_mm is not None:
+            return _screw_moved(head, alone_mm, limit_mm)
+        apart = base is not None and (base.exact or float(np.linalg.norm(head_mm)) >= base.limit_mm)
+        return _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
+
+    def _moved_few(
+        self, reading: RoomReading, *, tracker_excluded: bool
+    ) -> PatientMoved | PatientUnseen | None:
+        """Error from fewer than three known spheres in view; None if none of them has moved."""
+        few = shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
-            raise _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=base is not None)
-        if head is None and (strange := self._strange(reading)):
-            raise PatientUnseen(
+            return _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=tracker_excluded)
+        if strange := self._strange(reading):
+            return PatientUnseen(
                 f"the tracker sees {counted(strange, 'sphere')} near the head at no known position",
                 expected="at least three known spheres in place",
             )
-        limit_mm = reading.head_limit_mm
-        if head is not None and head_mm is not None and head.rms_mm >= limit_mm:
-            same = base is not None and base.exact
-            if base is None or not same or not tracker_alone:
-                apart = base is not None and (same or float(np.linalg.norm(head_mm)) >= base.limit_mm)
-                alone_mm = lone_displacement_mm(self.spheres_mm, reading.spheres_mm, limit_mm)
-                if alone_mm is not None:
-                    raise _screw_moved(head, alone_mm, limit_mm)
-                raise _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
-            findings.append(f"the tracker was moved by {_in_words(base.way_mm)}; arm and head agree")
-            self._localized_mm = self._localized_mm + head.mean_mm  # both are compared from here on
-            self.spheres_mm, self.references = self.spheres_mm + head.mean_mm, []
-        if reading.frame_mm is not None:
-            self.references.append(reading)
-        if head is not None:
-            self.seen_s = now_s
-        return findings
+        return None
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """The shift beyond its limit, or else that with the narrowest; None where nothing can be compared."""
+        """A shift of the frame beyond its limit, else that with the narrowest; None without a reference."""
         if reading.frame_mm is None:
             return None
         shifts = [
@@ -241,9 +227,9 @@ class RoomWatch:
         return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
     def _strange(self, reading: RoomReading) -> int:
-        """How many points near the head are in no known place: it may have moved, and the rest be hidden.
+        """Count points near the head at no known position: it may have moved, with its other spheres hidden.
 
-        Where lines to markers in known places cross, nothing need be.
+        Ghosts do not count.
         """
         if not len(reading.spheres_mm):
             return 0
@@ -252,10 +238,10 @@ class RoomWatch:
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
-        """Earlier readings to compare with, the limit that each is held to, and whether the pose is the same.
+        """Earlier readings to compare with, the limit of each, and whether the pose is the same.
 
-        Of the same pose the oldest, so that a slow drift adds up, and the oldest of those that may differ by
-        noise only; else the nearest of the same orientation, the newest of those equally near.
+        In the same pose: the oldest, so that a slow drift adds up, and the oldest that may differ by noise
+        only. Otherwise the nearest in the same orientation, and the newest of those equally near.
         """
         here = reading.robot_from_flange
         alike = [
@@ -271,6 +257,23 @@ class RoomWatch:
         return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
+def check_now(
+    room: RoomWatch,
+    workcell: Workcell,
+    clock: Clock,
+    memory: CaseMemory,
+    void: Callable[[RonnaError], None],
+    count: int = FRAMES,
+) -> RoomLook:
+    """Look now and raise as `RoomLook.require`. A move first `void`s results, then ends the watch."""
+    look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
+    if isinstance(look.moved, BaseShifted | PatientMoved):
+        void(look.moved)  # first: the watch goes on until this is written
+        memory.drop(RoomWatch)  # the same move must not stop the way out
+    look.require()
+    return look
+
+
 def _same_pose(one: Transform, other: Transform) -> bool:
     return _turned_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
 
@@ -284,14 +287,16 @@ def _turned_rad(one: Transform, other: Transform) -> float:
     return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
 
 
-def _apart_from_base_mm(head: PointShift, head_mm: Array, base_mm: Array) -> float:
-    """RMS by which the spheres moved otherwise than the frame; a turn leaves their mean where it was."""
+def _agree(head: PointShift | None, head_mm: Array | None, base: BaseShift | None, limit_mm: float) -> bool:
+    """Whether spheres and frame moved alike, to an rms below the limit; a turn leaves their mean in place."""
+    if head is None or head_mm is None or base is None:
+        return False
     turned_mm2 = max(0.0, head.rms_mm**2 - float(head.mean_mm @ head.mean_mm))
-    return math.sqrt(turned_mm2 + float(np.sum((head_mm - base_mm) ** 2)))
+    return math.sqrt(turned_mm2 + float(np.sum((head_mm - base.way_mm) ** 2))) < limit_mm
 
 
 def _base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
-    # The frame moves with the cart, and against the tracker; the head only against the tracker.
+    # A moved cart displaces the frame alone; a moved tracker displaces frame and head alike.
     apart_mm = math.inf if head_mm is None else float(np.linalg.norm(head_mm - base.way_mm))
     tracker = apart_mm < min(BASE_LIMIT_MM, base.moved_mm) / 2.0
     way_mm = -base.way_mm if tracker else base.way_mm
@@ -307,7 +312,7 @@ def _base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
 def _patient_moved(
     head: PointShift, head_mm: Array, limit_mm: float, *, tracker_excluded: bool
 ) -> PatientMoved:
-    # Where the frame on the arm cannot be compared, a tracker that was moved looks the same.
+    # If the frame on the arm cannot be compared, a moved tracker looks the same.
     what = "the head" if tracker_excluded else "the head, or the tracker,"
     return PatientMoved.by(
         f"{what} has moved since it was localized, by {_in_words(head_mm)}, the mean of "

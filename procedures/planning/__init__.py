@@ -1,1 +1,1 @@
-"""The plan file, its checks against CT and arm, and the paths of the whole procedure."""
+"""The plan and all that is checked before anything moves: CT, reach, paths, cart position, markers."""

@@ -1,4 +1,4 @@
-"""Errors of plans, PLAN-001 to PLAN-029.
+"""Errors of plans, PLAN-001 to PLAN-029, and of the tool records that they rely on, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -216,6 +216,20 @@ class UnsavedChanges(PlanError):
     action = "Review them; Save keeps them, Undo restores the saved plan."
 
 
+class NoToolRecord(ConfigurationError):
+    """The theatre file lacks a tool record that the case needs, or has one that contradicts the others."""
+
+    code = "TOOL-002"
+    action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
+
+
+class ForeignTool(RefusedError):
+    """A tool record was made on another flange, or with a tip calibration other than the one in use."""
+
+    code = "TOOL-003"
+    action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
+
+
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
     """Raise nothing for no findings, the finding itself for one, and one error listing them for several."""
     if not findings:
@@ -232,5 +246,5 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
 
 
 def brief(finding: RonnaError, with_code: bool) -> str:
-    """What happened, with its values, without the advice."""
+    """Summary of a finding with its values, without the advice."""
     return f"{finding.code} {finding.summary}" if with_code else finding.summary

@@ -16,7 +16,7 @@ from scipy.optimize import linear_sum_assignment
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
-from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
 from procedures.postoperative.drill_hole import USUAL_HOLE, find_holes
 from procedures.postoperative.errors import (

@@ -12,7 +12,7 @@ from scipy import ndimage
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
 from procedures.postoperative.comparison import FoundTrajectory, Proof
 from procedures.postoperative.planned_line import PlannedLine
 from ronna_hw.calibration import Numbers4, Strict

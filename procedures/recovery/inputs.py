@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from procedures.engine.engine import Engine
 from procedures.imaging.series import read_series
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
 from procedures.recovery.comparison import Comparison
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.inputs import note_same_content
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.validity.inputs import note_same_content
 from ronna_hw.errors import RonnaError
 
 

@@ -11,9 +11,9 @@ import math
 from procedures.engine.engine import Engine
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_view import stands_at
+from procedures.workcell.arm_place import stands_at
 from procedures.workcell.errors import TipOffAxis
 
 AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous

@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted
 from procedures.steps.branches import CART_MOVED, GO_ON
-from procedures.steps.clinical.tools.begun_work import begun_elsewhere
+from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from ronna_hw.errors import RonnaError
 
 MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another lock, not another localization
@@ -31,7 +31,7 @@ class MovedCart:
         stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
         value = (
             f"nobody is in the arm's way home; these results remain valid: {stands}",
-            *begun_elsewhere(engine),
+            *work_begun_elsewhere(engine),
         )
         question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
         if engine.ask(question) != GO_ON:

@@ -16,13 +16,8 @@ from procedures.recovery.comparison import Comparison
 from procedures.registration.movement import shift_of
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.followed_move import (
-    frame_at_home,
-    spheres_followed,
-    that_followed,
-    watch_over,
-)
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import build_watch, followed_registration, followed_spheres, frame_at_home
 from procedures.workcell import MountedTool
 
 
@@ -35,17 +30,17 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
         return True
     workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
     pairs = None if matched is None else matched.result.pairs
-    watch = watch_over(workcell, stored.record.identifier, stored.result, pairs)
+    watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
     context = engine.context(engine.order.sequence[0])
-    followed = context.result_among(RegisteredRobot, partial(that_followed, trajectory=None))
-    watch.follow(spheres_followed(followed))
+    followed = context.result_among(RegisteredRobot, partial(followed_registration, trajectory=None))
+    watch.follow(followed_spheres(followed))
     watch.refer(frame_at_home(context))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
     head, base = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
     if head is None:
         return False
     try:
-        findings = watch.check(reading)
+        findings = watch.compare(reading).require()
     except PatientMoved as moved:
         if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
             comparison.differs("room", f"all within {moved.limit}", moved.what)

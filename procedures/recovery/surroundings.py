@@ -10,10 +10,9 @@ from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey
 from procedures.recovery.calibration import surround_calibration
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.paths.surroundings import surround_guide, surround_stereo_head
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import RegisteredRobot, Relocalization
+from procedures.steps.clinical.surroundings import surround_guide, surround_stereo_head
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Transform
 

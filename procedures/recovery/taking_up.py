@@ -27,12 +27,11 @@ from procedures.recovery.instrument import guide_in_gauge, guide_on_an_axis
 from procedures.recovery.room import compare_room
 from procedures.recovery.surroundings import MOVED_SINCE, head_moved_since, surround
 from procedures.results.errors import StepRefused
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tools.begun_work import begun_elsewhere
+from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.records import Record
 
@@ -149,7 +148,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Have the operator accept the findings, together with what will be done; raises PRO-032."""
-    for begun in begun_elsewhere(engine):
+    for begun in work_begun_elsewhere(engine):
         comparison.warn(begun)
     if head_moved_since(engine):
         comparison.warn(MOVED_SINCE)

@@ -17,12 +17,11 @@ from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import timeline
 from procedures.results.result import StepResult
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.error_budget.evidence import budget_table, two_way_table
+from procedures.steps.clinical.error_budget import budget_table, two_way_table
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from ronna_hw.evidence.manifest import PICTURES_FOLDER
 from ronna_hw.frames import Transform
 

@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from html import escape
 from typing import Literal
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import ProposedMarkers
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import ProposedMarkers
 from procedures.reporting.numbers import millimetres, seconds, tenths
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
-from procedures.steps.link_health import LinkHealth
+from procedures.steps.clinical.results import LinkHealth
 from procedures.strategies.trajectory import Trajectory
 
 WIDTH = 420.0  # user units, equal to CSS pixels on a phone

@@ -13,7 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from procedures.engine.run_folder import targets_in_doubt
-from procedures.guards.stability import WATCHED, last_seen_s
+from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
@@ -52,24 +52,25 @@ from procedures.reporting.run_statistics import (
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_look import LookedAtBall
-from procedures.steps.calibration.ball_observation import ObservedBall
+from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import (
+    ConfirmedTarget,
+    LeftOutSphere,
+    LinkHealth,
+    RegisteredRobot,
+    Relocalization,
+)
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.link_health import LinkHealth
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, hashes_in
 from ronna_hw.records import write_whole
 from ronna_hw.text import without_controls
@@ -128,7 +129,7 @@ def write_report(
         "worked": reading.standing(ReachedTarget),
         "in_doubt": targets_in_doubt(reading.run.journal),
         "confirmed": (confirmed := reading.standing(ConfirmedTarget)),
-        "watched": WATCHED,
+        "watched": WATCHED_SUBJECTS,
         "last_seen_s": last_seen_s(
             reading.run.journal,
             lambda record, subject: any(

@@ -18,7 +18,7 @@ from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.results.result import StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
+from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import inspected

@@ -6,14 +6,13 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from procedures.planning.path_check.motions import BACK
+from procedures.planning.motions import BACK
 from procedures.reporting.numbers import millimetres, tenths
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths, ClosestApproach, MotionPreview
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import Prediction
+from procedures.steps.clinical.results import Prediction
 from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 

@@ -1,1 +1,1 @@
-"""The steps of the procedures, one module each: the clinical ones and those of calibrations."""
+"""Steps of the procedures: one module for each clinical step, one for the steps of each calibration."""

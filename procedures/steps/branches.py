@@ -1,47 +1,83 @@
-"""The decision points and failure branches of a case: what may happen, what notices it, and how it ends.
+"""Decision points and failure branches of a case: event, detection, action and ending.
 
-This table is the only one: steps take their questions from it, the page of the state chart shows it, and a
-test reaches every row. No branch moves the arm again unasked.
+The only such table: steps take their questions from it, the page of the state chart shows it, and a test
+reaches every row. No branch moves the arm again unasked.
 """
 
 from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import StrEnum
 
 from procedures.engine.hands import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.operator.checkpoint import GO_ON as CONTINUE
 from procedures.operator.checkpoint import LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
-from procedures.operator.question import NO, YES
+from procedures.operator.question import NO, YES, Question
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
-from procedures.planning.path_check.alternatives import BY_ACCURACY
+from procedures.planning.free_angle import BY_ACCURACY
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
 from procedures.results.errors import GateFailed
-from procedures.steps.branch import Branch, Ending
 from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
+from ronna_hw.errors import RonnaError
 from ronna_hw.wire.room_tasks import DRILL, DURA, INSERT, SKIN
 
 GO_ON, LEAVE_OUT, FOLLOW, HOLD = "go on", "leave it out", "follow", "hold"
 FINISHED = "finished"  # all that was to be done through the guide was done before
 AGAIN, AS_IT_STANDS = "placed again", "as it stands"
+FEWEST_SPHERES = 4  # that must remain: with three, a moved one cannot be identified
+SETTINGS = 3  # of a depth stop, before the case is held
+PLACINGS = 3  # of the cart, before the case is held
+MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
+
+
+class Ending(StrEnum):
+    """Ending of a branch."""
+
+    HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
+    ASK = "ask"  # the operator decides; without agreement it holds
+    ABORT = "abort"  # the case ends
+    RECORDED = "recorded"  # no motion depends on it: the case continues, the record shows it
+
+
+@dataclass(frozen=True)
+class Branch:
+    """One row of the table. `errors` are those that hold the case, at once or when the answer is no."""
+
+    event: str
+    detected_by: str
+    steps: tuple[str, ...]  # in which it can happen; none for any
+    action: str
+    ending: Ending
+    errors: tuple[type[RonnaError], ...] = ()
+    topic: Topic | None = None
+    answers: tuple[str, ...] = ()
+
+    def question(
+        self,
+        subject: str,
+        value: str,
+        trajectory: str | None = None,
+        answers: tuple[str, ...] | None = None,
+    ) -> Question:
+        """Build the question, by default with all answers. Raises ValueError if the branch has none."""
+        if self.topic is None:
+            raise ValueError(f"no question is defined for: {self.event}")
+        return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
 def use(strategy: str) -> str:
-    """The answer that agrees to another strategy."""
+    """Answer that agrees to another strategy."""
     return f"use {strategy}"
 
 
 def from_stage(task: str) -> str:
-    """The answer that continues from that stage of the work through the guide."""
+    """Answer that continues the work through the guide from a stage."""
     return f"from {task}"
-
-
-FEWEST_SPHERES = 4  # that must remain: with three, one that moved cannot be told from the others
-SETTINGS = 3  # of a depth stop, before the case is held
-PLACINGS = 3  # of the cart, before the case is held
-MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
 SPHERE_COUNT = Branch(
@@ -330,31 +366,33 @@ ABORTED = Branch(
 )
 
 BRANCHES = (
-    *(
-        SPHERE_COUNT,
-        CT_DISAGREEMENT,
-        SIGHT_LOST,
-        GUARD_UNMET,
-        HEAD_UNSEEN,
-        AMBIGUOUS,
-        MIRRORED_CT,
-        UNMATCHED_SPHERE,
-        SPHERE_FAILED,
-        WRONG_SPHERE,
-    ),
-    *(
-        CART_MISPLACED,
-        CART_UNLOCKED,
-        REFERENCE_MOVED,
-        CART_MOVED,
-        MOVE_FOLLOWED,
-        MOVED_SPHERE,
-        FIT_DISAGREES,
-        BEYOND_MARGIN,
-        UNREACHABLE,
-        NOT_CLEAR_NOW,
-        ARM_FAULT,
-    ),
-    *(KEPT_REGISTRATION, WRONG_TOOL, TOOL_BESIDE_GAUGE, WRONG_STOP, WORK_BEGUN),
-    *(GUIDE_PUSHED, INSTRUMENT_INSIDE, ABORTED),
+    SPHERE_COUNT,
+    CT_DISAGREEMENT,
+    SIGHT_LOST,
+    GUARD_UNMET,
+    HEAD_UNSEEN,
+    AMBIGUOUS,
+    MIRRORED_CT,
+    UNMATCHED_SPHERE,
+    SPHERE_FAILED,
+    WRONG_SPHERE,
+    CART_MISPLACED,
+    CART_UNLOCKED,
+    REFERENCE_MOVED,
+    CART_MOVED,
+    MOVE_FOLLOWED,
+    MOVED_SPHERE,
+    FIT_DISAGREES,
+    BEYOND_MARGIN,
+    UNREACHABLE,
+    NOT_CLEAR_NOW,
+    ARM_FAULT,
+    KEPT_REGISTRATION,
+    WRONG_TOOL,
+    TOOL_BESIDE_GAUGE,
+    WRONG_STOP,
+    WORK_BEGUN,
+    GUIDE_PUSHED,
+    INSTRUMENT_INSIDE,
+    ABORTED,
 )

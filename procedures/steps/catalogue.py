@@ -1,8 +1,19 @@
-"""The clinical steps, in the order of a case. A new step is one new module and its entry here."""
+"""Clinical steps in the order of a case, and the questions that each may ask.
+
+A new step is a new module and an entry here.
+"""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 from procedures.engine.order import Steps
+from procedures.engine.step import StepSpec
+from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
+from procedures.operator.question import NO, NOBODY, READ, YES, words
+from procedures.operator.topic import Topic
+from procedures.results.result import StepResult
+from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,
     cart_lock,
@@ -23,6 +34,8 @@ from procedures.steps.clinical import (
     tool_change,
     tool_check,
 )
+from procedures.steps.clinical.at_target import DONE, HOLD
+from procedures.steps.clinical.work_progress import STAGES
 
 CLINICAL_STEPS: Steps = (
     ct_import.STEP,
@@ -43,11 +56,49 @@ CLINICAL_STEPS: Steps = (
     retreat.STEP,
     confirmation.STEP,
 )
+ANSWER_WORDS: dict[Topic, tuple[str, ...]] = {
+    **dict.fromkeys(Topic, (YES, NO)),
+    **{branch.topic: branch.answers for branch in BRANCHES if branch.topic is not None},
+    Topic.PAUSE: (GO_ON, ABORT),
+    Topic.GUARD: (WAIT, LEAVE),
+    Topic.READING: (READ, NOBODY),
+    **{stage.topic: (DONE, HOLD) for stage in STAGES},
+}
+AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 
 def clinical_steps(*, measure_targets: bool = False) -> Steps:
-    """The steps of a case; on a phantom, those that measure the targets come before the exchange of tools."""
+    """Steps of a case; to measure targets on a phantom, they include that before the exchange of tools."""
     if not measure_targets:
         return CLINICAL_STEPS
     place = CLINICAL_STEPS.index(tool_change.STEP)
     return (*CLINICAL_STEPS[:place], target_measurement.STEP, *CLINICAL_STEPS[place:])
+
+
+@dataclass(frozen=True)
+class PlannedQuestion:
+    """Topic of a question and the condition under which it is asked; empty if it always is."""
+
+    topic: Topic
+    condition: str = ""
+
+    @property
+    def answers(self) -> tuple[str, ...]:
+        """Possible answers: the first continues, the last is assumed on silence."""
+        return ANSWER_WORDS[self.topic]
+
+    def __str__(self) -> str:
+        return f"{self.topic}: {words(self.answers)}{f', if {self.condition}' if self.condition else ''}"
+
+
+def planned_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
+    """Questions of a step's normal course in order, then of its branches, but not those of any step."""
+    course = [PlannedQuestion(topic) for topic in spec.asks]
+    if spec.moves:
+        course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))
+    branches = [
+        PlannedQuestion(branch.topic, branch.event)
+        for branch in BRANCHES
+        if branch.topic is not None and spec.name in branch.steps and branch.topic not in spec.asks
+    ]
+    return (*course, *branches)

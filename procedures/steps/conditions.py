@@ -5,15 +5,17 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from procedures.engine.context import StepContext
+from procedures.steps.errors import ReadingTooOld
 from procedures.workcell import MountedTool
 
 REMOUNTED = "; with the arm home, run global_localization: it is mounted there again"
+LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
 
 def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries that tool, and it is on no axis. What is unchecked is read again.
+    """The arm carries this tool and is on no axis; an unchecked tool is identified first.
 
-    `remedy` names the step that mounts it in place of the guide, where no earlier one is listed.
+    `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
     """
 
     def unmet(context: StepContext) -> tuple[str, ...]:
@@ -39,7 +41,7 @@ def exchangeable(context: StepContext) -> tuple[str, ...]:
 
 
 def localizable(context: StepContext) -> tuple[str, ...]:
-    """Nothing that the localizations descend from is repeated when they could not be made again."""
+    """Refuse to repeat what localizations depend on while the guide is mounted: they could not be redone."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
             "the arm carries the guide: if this result changed, the spheres could not be localized again; "
@@ -49,7 +51,7 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 
 def away_from_head(context: StepContext) -> tuple[str, ...]:
-    """Nobody leans on the cart, or works at the clamp, while the arm reaches over the head."""
+    """The arm is home: nobody works at cart or clamp while it reaches over the head."""
     place = context.workcell.place
     if place.is_home:
         return ()
@@ -69,3 +71,12 @@ def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)
+
+
+def require_recent(context: StepContext, what: str, read_s: float) -> None:
+    """Raise TOOL-007 if a reading taken by hand at this theatre time is too old to rely on."""
+    age_s = context.setting.clock.now_s() - read_s
+    if age_s > LONGEST_S:
+        raise ReadingTooOld(
+            f"{what}: read too long ago", limit=f"{LONGEST_S / 60:.0f} min", got=f"{age_s / 60:.0f} min"
+        )

@@ -1,4 +1,4 @@
-"""What a step would move, by the motions that the path check has previewed, and those over the gauge.
+"""Dry run: the motions that a step would make, from the previews of the path check, and those over the gauge.
 
 Nothing is asked or moved.
 """
@@ -12,22 +12,20 @@ from dataclasses import dataclass, replace
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting
 from procedures.engine.step import StepKey
-from procedures.planning.path_check.motions import BACK, HOME, LINE, MOVE
-from procedures.steps.clinical.confirmation import ConfirmedTarget
+from procedures.planning.motions import BACK, HOME, LINE, MOVE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import SPHERE, MotionPreview, motions_over_spheres
-from procedures.steps.clinical.paths.surroundings import planning_scene
+from procedures.steps.clinical.path_check import SPHERE, CheckedPaths, MotionPreview, motions_over_spheres
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import ConfirmedTarget, Relocalization
 from procedures.steps.clinical.retreat import Retreated
+from procedures.steps.clinical.surroundings import planning_scene
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.motion_facts import facts_from
+from procedures.workcell.motions import facts_from
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -39,8 +37,8 @@ from ronna_hw.devices.readings import JointVector
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
-def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
-    """One line for each motion of a step, from the arm's present position; None before the path check."""
+def planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
+    """Describe each motion of a step from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
         return None
@@ -64,7 +62,7 @@ def would_move(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...
 
 @dataclass(frozen=True)
 class _PlannedArm:
-    """The arm as it will be, with the guide mounted."""
+    """The arm with the guide mounted, for previews."""
 
     kinematics: Kinematics
     limits: MotionLimits
@@ -75,7 +73,7 @@ class _PlannedArm:
 
 
 def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """The motions over the gauge, from home: another tool may be mounted and no path be recorded."""
+    """Preview the motions over the gauge from home; no path is recorded for them."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
@@ -94,7 +92,7 @@ def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
-    """The sphere that the stereo head is over when a localization was interrupted, counted from 0."""
+    """Index of the sphere below the stereo head after an interrupted localization; None if there is none."""
     if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.tool_pose().translation_mm
@@ -131,6 +129,6 @@ def _described(motion: MotionPreview) -> str:
 
 
 def _place(name: str) -> str:
-    """A place as people count: spheres from 1."""
+    """Name a place with spheres counted from 1."""
     before, sphere, number = name.partition(SPHERE)
     return f"{before}/sphere {int(number) + 1}" if sphere else name

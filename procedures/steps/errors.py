@@ -1,4 +1,4 @@
-"""Errors of the cart, the tools and the instruments."""
+"""Errors of cart, tools and instruments."""
 
 from __future__ import annotations
 

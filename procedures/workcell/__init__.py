@@ -1,7 +1,7 @@
-"""The only way in which procedures look and move: arm, mounted tool, surroundings, stereo head, tracker."""
+"""The workcell: the only way in which procedures look and move."""
 
-from procedures.workcell.insertion import Insertion
-from procedures.workcell.mounted_tool import MountedTool
+from procedures.workcell.arm_place import Insertion
+from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 
 __all__ = ["Insertion", "MountedTool", "Workcell"]

@@ -1,7 +1,7 @@
-"""The history of an arm and of the hands at it: where it is, the way it came, the work through the guide.
+"""History of an arm and of the work through its guide: where it is, how it came there, what was done.
 
-It is folded from the lines of the journal, one after the other: while the case runs by `ArmLog`, after it
-from the file. So a resumed case knows what the running one knew.
+Folded line by line from the journal: by `ArmLog` while the case runs, afterwards from the file. A resumed
+case therefore knows what the running one knew.
 """
 
 from __future__ import annotations
@@ -11,44 +11,44 @@ from dataclasses import dataclass, field, replace
 from functools import reduce
 from typing import cast
 
-from procedures.journal.journal import Entry, JournalValue, Line
-from procedures.workcell.arm_place import ArmPlace, Where
-from procedures.workcell.arm_view import stands_at
-from procedures.workcell.cell_motion import MotionName
-from procedures.workcell.insertion import Insertion
+from procedures.journal.journal import Entry, Journal, JournalValue, Line
+from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
+from procedures.workcell.errors import InstrumentInGuide
+from procedures.workcell.motions import MotionKind
+from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 
-# Joint angles that are kept to find the way back: without the first ones it could end where the way home is
-# not clear. A localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5
-# spheres each made 92 between two homes, so 4 with 8 come near 200 without any search.
+# Places kept for the way back; without the first ones it could end where the way home is not clear. A
+# localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5 spheres each made
+# 92 between two visits of home, so 4 with 8 come near 200 without any search.
 TRAIL = 2000
-Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed to be done
-Stop = Mapping[str, JournalValue]  # how a depth stop was set
+Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed as done
+Stop = Mapping[str, JournalValue]  # setting of a depth stop
 
 
 @dataclass(frozen=True)
 class ArmHistory:
-    """The history of one arm; `trail` is where it was since it left home.
+    """History of one arm; `trail` holds its places since it left home.
 
-    A guide counts as on its axis from the intent to approach along it to the end of its withdrawal, an
-    instrument as inside from before it goes in until it was confirmed to be out. After a kill an instrument
-    may be inside a guide on an axis unless it was confirmed to be out in the lines that are left.
+    A guide is on its axis from the intent to approach along it to the end of its withdrawal. An instrument is
+    inside from before it goes in until it is confirmed to be out. After a kill, one may be inside a guide
+    that is on an axis, unless the surviving lines confirm that it is out.
     """
 
     arm: str = MASTER
     place: ArmPlace = field(default_factory=ArmPlace)
     trail: tuple[JointVector, ...] = ()
     motions: int = 0  # begun
-    journeys: int = 0  # of these, the ones that led the arm anywhere, or may have
-    under_way: str | None = None  # the motion whose end is not recorded yet
-    instrument_out: bool = False  # confirmed since the guide was brought to its axis last
+    journeys: int = 0  # of these, those that moved the arm elsewhere, or may have
+    under_way: str | None = None  # the motion without a result yet
+    instrument_out: bool = False  # confirmed since the guide was last brought to its axis
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
     def after(self, line: Line) -> ArmHistory:
-        """With one more line; raises LookupError, TypeError or ValueError for one that is not ours."""
+        """Fold one more line. Raises LookupError, TypeError or ValueError for a line that is not ours."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
             return self.after_restart(torn=bool(line.get("torn_bytes")))
@@ -73,7 +73,7 @@ class ArmHistory:
                 return self
 
     def after_restart(self, *, torn: bool) -> ArmHistory:
-        """The history that the next program must assume; `torn` if the last lines may be lost."""
+        """Fold the end of a program; `torn` if its last lines may be lost."""
         place = self.place
         if torn or place.where is Where.MOVING:
             place = replace(place, where=Where.UNKNOWN, moved=True)
@@ -93,7 +93,7 @@ class ArmHistory:
             journeys=self.journeys + 1,
             under_way=what,
         )
-        if what != MotionName.INSERT:
+        if what != MotionKind.INSERT:
             return begun
         axis = Insertion.from_plain(str(line["trajectory"]), line["axis"])
         return replace(
@@ -104,20 +104,20 @@ class ArmHistory:
         arrived = "joints_rad" in line
         joints_rad, ended = _joints_rad(line) if arrived else None, self.under_way
         place, trail, journeys = self.place, self.trail, self.journeys
-        if arrived and ended == MotionName.WITHDRAW and place.axis is not None:
+        if arrived and ended == MotionKind.WITHDRAW and place.axis is not None:
             place = replace(place, axis=None, withdrawn_from=place.axis.trajectory)
         refused = not arrived and line.get("at_home") is True and place.axis is None  # before it began
-        if refused or (arrived and ended == MotionName.START):
+        if refused or (arrived and ended == MotionKind.START):
             journeys -= 1
-        if joints_rad is not None and ended == MotionName.BACK:
+        if joints_rad is not None and ended == MotionKind.BACK:
             trail = self._trail_to(joints_rad)
-        elif joints_rad is not None and ended not in (MotionName.START, MotionName.INSERT):
+        elif joints_rad is not None and ended not in (MotionKind.START, MotionKind.INSERT):
             trail = (*trail, joints_rad)[-TRAIL:]
         moved = replace(self, place=replace(place, moved=journeys > 0), journeys=journeys, under_way=None)
         return replace(moved, trail=trail)._resting(line.get("at_home"))
 
     def _after_look(self, line: Line) -> ArmHistory:
-        """The measured joints decide, whatever led the arm there."""
+        """Fold a comparison of the measured joints with home, which overrides the motions before it."""
         if (axis := line.get("axis")) is not None:
             found = Insertion.from_plain(str(line["trajectory"]), axis)
             place = replace(
@@ -133,7 +133,7 @@ class ArmHistory:
         return self._resting(False)
 
     def _resting(self, at_home: object) -> ArmHistory:
-        """Where the arm came to rest; `at_home` is None where that was not measured."""
+        """Set where the arm came to rest; `at_home` is None if that was not measured."""
         if self.place.axis is not None:
             return replace(self, place=replace(self.place, where=Where.ON_AXIS))
         where = Where.UNKNOWN if at_home is None else Where.HOME if at_home is True else Where.AWAY
@@ -141,7 +141,7 @@ class ArmHistory:
         return replace(self, place=replace(self.place, where=where), trail=trail)
 
     def _trail_to(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
-        """The trail up to a place on it: the arm went back there, and what lies beyond is behind it."""
+        """Cut the trail at a place to which the arm went back."""
         for number in range(len(self.trail), 0, -1):
             if stands_at(joints_rad, self.trail[number - 1]):
                 return self.trail[:number]
@@ -159,12 +159,12 @@ UNMOVED = ArmHistory()
 
 
 def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
-    """Fold a journal into the history of one arm; raises PRO-011 for a line that this version cannot read."""
+    """Fold a journal into the history of one arm. Raises PRO-011 for a line that this version cannot read."""
     return reduce(_followed_by, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
 def history_left_by(chain: Chain, arm: str = MASTER) -> ArmHistory:
-    """The history of an arm after the program that moved it has ended; raises as `arm_history`."""
+    """Fold the journal of a program that has ended. Raises as `arm_history`."""
     return arm_history(chain.lines, arm).after_restart(torn=bool(chain.torn))
 
 
@@ -179,3 +179,95 @@ def _followed_by(history: ArmHistory, line: Line) -> ArmHistory:
         raise JournalCorrupt(
             f"line {line.get('sequence')}, {line.get('entry')}, is not as this version writes it"
         ) from error
+
+
+class ArmLog:
+    """Journals what happens to one arm and keeps its history; knows the arm's home."""
+
+    def __init__(self, journal: Journal, clock: Clock, history: ArmHistory) -> None:
+        """`history` is folded from the lines that the journal already has."""
+        self._journal = journal
+        self._clock = clock
+        self.history = history
+        self.home_rad: JointVector | None = None
+
+    def write(self, entry: Entry, **data: JournalValue) -> None:
+        """Journal what is about to happen; on disk when this returns. Raises PRO-003."""
+        self._journal.write(entry, self._clock.now_s(), arm=self.history.arm, **data)
+        self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
+
+    def note(self, entry: Entry, **data: JournalValue) -> None:
+        """Journal what has happened. Raises PRO-003."""
+        self._journal.note(entry, self._clock.now_s(), arm=self.history.arm, **data)
+        self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
+
+    def is_home(self, joints_rad: JointVector) -> bool | None:
+        """Whether these joints are those of home; None before there is a home."""
+        return None if self.home_rad is None else stands_at(joints_rad, self.home_rad)
+
+
+class WorkedStages:
+    """Stages of work through the guide, by trajectory; they survive motions, failures and restarts.
+
+    A stage is journalled as begun before anybody works, and as done once that is confirmed.
+    """
+
+    def __init__(self, log: ArmLog) -> None:
+        self._log = log
+
+    def at(self, trajectory: str) -> Mapping[str, bool]:
+        """Whether each stage begun at a trajectory was confirmed as done, by task."""
+        return self._log.history.stages.get(trajectory, {})
+
+    def stop_at(self, trajectory: str) -> Stop | None:
+        """Last setting of the depth stop at a trajectory, or None."""
+        return self._log.history.stops.get(trajectory)
+
+    def stop_is_set(self, trajectory: str, stop: Stop) -> None:
+        """Record that the depth stop was set, read and confirmed."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
+
+    def begins(self, trajectory: str, task: str) -> None:
+        """Record that a stage begins."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
+
+    def is_done(self, trajectory: str, task: str) -> None:
+        """Record that somebody confirmed a stage as done."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=True)
+
+
+class Instrument:
+    """The instrument in the guide: while it is, or may be, in an entry or in the gauge, nothing moves.
+
+    An insertion is journalled before it begins, a removal once it is confirmed.
+    """
+
+    def __init__(self, log: ArmLog) -> None:
+        self._log = log
+        self.stages = WorkedStages(log)
+
+    @property
+    def inside(self) -> str | None:
+        """Trajectory, gauge or divot in which it is or may be; None while it is out."""
+        return self._log.history.place.instrument_may_be_inside
+
+    def goes_in(self, trajectory: str) -> None:
+        """Record that it goes in."""
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
+
+    def is_out(self) -> None:
+        """Record that somebody confirmed that it is out."""
+        if self.inside is not None:
+            self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
+
+    def assume_inside(self, trajectory: str) -> None:
+        """Record that it may be inside although no earlier line says so."""
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
+
+    def require_out(self, what: str) -> None:
+        """Raise TOOL-001 while it is inside; `what` is the refused action."""
+        if self.inside is not None:
+            raise InstrumentInGuide(
+                f"{what}: an instrument is in the guide, and in {self.inside}",
+                expected="the instrument removed, and confirmed to be out",
+            )

@@ -1,4 +1,4 @@
-"""Looks at one ball from planned poses, each settled onto from the same side."""
+"""Looks at one ball from planned poses, each reached from the same side."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from procedures.calibration import Observation, Outline
 from procedures.calibration.pose_set import PlannedLook, moved_to
 from procedures.relocalization.errors import PairNotUsable
 from procedures.strategies.strategy import ONE_SIDE
-from procedures.workcell.search import refusal, settled_around
+from procedures.workcell.centring import refusal, search_poses
 from procedures.workcell.stereo_look import Look
 from procedures.workcell.workcell import Workcell
 from ronna_hw.arm.clearance.bodies import ArmRadii, Capsule, Obstacle, Part, SpeedZone, Surroundings
@@ -27,16 +27,16 @@ from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]
 
-STAND_RADIUS_MM = 90.0  # what carries the ball is taken for a post as thick as a head
+STAND_RADIUS_MM = 90.0  # the ball's stand is modelled as a post as thick as a head
 STAND_BELOW_MM = 16.0  # from the ball's centre to the top of that post
 STAND_LENGTH_MM = 400.0
-NEIGHBOUR_RADIUS_MM = 7.0  # another ball, with what its coarse position leaves open
-ANOTHER_BALL_MM = 10.0  # from where this one should be seen: more than tool frame and arm can be wrong by
+NEIGHBOUR_RADIUS_MM = 7.0  # another ball, with the uncertainty of its position
+ANOTHER_BALL_MM = 10.0  # from the expected position: more than the error of tool frame and arm
 
 
 @dataclass
 class BallWatcher:
-    """Looks at one ball. `ball_mm` is its place in the robot frame, as well as it is known so far."""
+    """Looks at one ball; `ball_mm` (3,) is the best known position in the robot frame."""
 
     workcell: Workcell
     ball_mm: Array
@@ -44,13 +44,13 @@ class BallWatcher:
     last: Look | None = None
 
     def find(self, first: PlannedLook) -> Look:
-        """Go to the first look and, when the ball is not in view, around it in a spiral. Raises STE-009."""
+        """Go to the first look; unless the ball is in view, search in a spiral. Raises STE-009."""
 
         def settle(pose: Transform) -> None:
-            self._settle(self._joints(pose, self.workcell.home_rad))
+            self._settle(self.workcell.joints_at(pose, self.workcell.home_rad))
 
         settle(first.pose)
-        poses = settled_around(first.pose, settle, self.workcell.arm)
+        poses = search_poses(first.pose, settle, self.workcell.arm)
         while True:
             seen = self.workcell.look()
             if seen.point is not None:
@@ -59,16 +59,16 @@ class BallWatcher:
             next(poses)
 
     def observe(self, planned: PlannedLook) -> Observation | None:
-        """One look at the ball; None, and the reason counted, when it cannot be taken or shows no ball."""
+        """Look at the ball; None, with the reason counted, if that fails or shows no ball."""
         seen = self.take(planned)
         return None if seen is None else self._observation(seen, planned.orientation)
 
     def take(self, planned: PlannedLook, arriving: Sequence[int] = ONE_SIDE) -> Look | None:
-        """The same as it was seen, with each joint arriving in its direction."""
+        """Look at the ball with each joint arriving in its direction; None as for `observe`."""
         pose = moved_to(planned, self.ball_mm).pose
 
         def settle() -> None:
-            self._settle(self._joints(pose, self.workcell.joints_rad()), arriving)
+            self._settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), arriving)
 
         if (refused := refusal(settle, self.workcell.arm)) is not None:
             self.rejected[refused.code] += 1
@@ -76,7 +76,7 @@ class BallWatcher:
         return self._looked(planned.ball_in_tool_mm)
 
     def observe_at(self, joints: JointVector, orientation: int | None) -> Observation | None:
-        """One look from given joint angles; raises what the move raises."""
+        """Look from given joint angles. Raises the errors of the motion."""
         self._settle(joints)
         seen = self._looked(None)
         return None if seen is None else self._observation(seen, orientation)
@@ -84,7 +84,7 @@ class BallWatcher:
     def observe_all(
         self, plan: Iterable[PlannedLook], wanted: int, progress: Callable[[int], None]
     ) -> list[Observation]:
-        """Looks from the plan until so many show the ball."""
+        """Take looks from the plan until enough show the ball."""
         taken: list[Observation] = []
         for planned in plan:
             if len(taken) >= wanted:
@@ -98,13 +98,13 @@ class BallWatcher:
     def reaches(self, pose: Transform) -> bool:
         """Whether the arm reaches a tool pose in its branch at home."""
         try:
-            self._joints(pose, self.workcell.home_rad)
+            self.workcell.joints_at(pose, self.workcell.home_rad)
         except LimitError:
             return False
         return True
 
     def why_rejected(self) -> str:
-        """The reasons, the most frequent first."""
+        """Reasons of rejection, the most frequent first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def _looked(self, expected_in_tool_mm: Vector3 | None) -> Look | None:
@@ -140,9 +140,6 @@ class BallWatcher:
             orientation=orientation,
         )
 
-    def _joints(self, pose: Transform, near: JointVector) -> JointVector:
-        return self.workcell.joints_at(pose, near)
-
     def _settle(self, joints: JointVector, arriving: Sequence[int] = ONE_SIDE) -> None:
         self.workcell.settle(joints, arriving, from_afar=True)
 
@@ -153,7 +150,7 @@ def around_ball(
     ball_mm: ArrayLike,
     neighbours_mm: ArrayLike = (),
 ) -> Surroundings:
-    """What the arm carries and its surroundings: the ball on its post, other balls (n, 3) mm, the room."""
+    """Surroundings of the stereo head: the ball on its post, other balls (n, 3) mm, the room."""
     ball = _three(ball_mm)
     x, y, z = ball
     below = (x, y, z - STAND_BELOW_MM)
@@ -165,7 +162,7 @@ def around_ball(
 
 
 def stand_under(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """What carries a ball, without it."""
+    """Stand of a ball, without the ball."""
     x, y, z = _three(ball_mm)
     top = z - STAND_BELOW_MM - STAND_RADIUS_MM
     body = Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM)
@@ -178,7 +175,7 @@ def in_free_room(
     tool: Sequence[ToolBody],
     obstacles: Sequence[Obstacle] = (),
 ) -> Surroundings:
-    """A tool on the arm, without a patient: the bodies of the room, and what else stands there."""
+    """Surroundings of a tool without a patient: bodies of the room and further obstacles."""
     flange = Pose.from_matrix(flange_from_tool.as_matrix().tolist())
     standing = (body for body in surroundings.bodies if body.frame is BodyFrame.ROBOT)
     room = [Obstacle(body.name, body.capsule) for body in standing]

@@ -1,40 +1,42 @@
-"""Brings the tool centre onto a sphere: approach along the tool axis, look, servo, back off the same way."""
+"""Centring of the tool on a sphere: approach along the tool axis, look, servo, back off the same way."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import partial
+from itertools import count
 from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization import ServoSettings, ServoState, recorded_point
+from procedures.relocalization import ServoSettings, ServoState, recorded_point, search_pose
 from procedures.relocalization.errors import NoContrast, NotTrusted, Saturated, SphereNotInView
 from procedures.strategies.trajectory import back_along_axis
+from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SphereNotFound
-from procedures.workcell.search import settled_around
 from procedures.workcell.stereo_look import Look
+from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
 
 if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell
 
 Array = NDArray[np.float64]
-
 SHORTER, LONGER = 0.25, 4.0  # shares of the configured exposure that are tried
 EXACT = ServoSettings()
-# From whatever side, steps smaller than the backlash end anywhere in it. The residual is recorded with the
-# pose, so a larger one costs nothing: 0.02 deg of dead way in every joint displace the tool by up to 0.4 mm.
+# From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
+# so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.
 WITHIN_BACKLASH = ServoSettings(tolerance_mm=0.5)
-OF_LIGHT = (NoContrast, NotTrusted)  # what another exposure may help against, beside saturation
+OF_LIGHT = (NoContrast, NotTrusted)  # besides saturation, problems that another exposure may solve
 
 
 @dataclass(frozen=True)
 class CentredSphere:
-    """One sphere, measured: `point_mm` in the robot frame, `residuals_mm` the servo's way to it."""
+    """A measured sphere: `point_mm` (3,) in the robot frame, `residuals_mm` of the servo's steps."""
 
     fiducial: int
     point_mm: Array
@@ -49,9 +51,9 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """How spheres are centred: direction in which each joint arrives, area of the sensors, approach.
+    """Centring of spheres: direction in which each joint arrives, area of the sensors, approach.
 
-    With `arriving` None each joint arrives from whatever side it stands.
+    With `arriving` None, each joint arrives from any side.
     """
 
     workcell: Workcell
@@ -60,10 +62,10 @@ class Centring:
     approach_mm: float
 
     def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
-        """Centre one sphere that is expected at a pose ROBOT <- TOOL.
+        """Centre the sphere expected at a pose ROBOT <- TOOL.
 
-        Raises PRO-008 when it is not there, STE-011 when nothing but light is seen, STE-007 and STE-008 when
-        the servo does not end; the arm then rests where it looked last, see `back_off`.
+        Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
+        servo does not converge; the arm then rests where it looked last, see `back_off`.
         """
         try:
             return self._onto(fiducial, expected, near)
@@ -71,7 +73,7 @@ class Centring:
             self.workcell.sensors.expose(1.0)
 
     def back_off(self) -> None:
-        """Back along the tool axis from where the arm looked last."""
+        """Back off along the tool axis from the last look."""
         self.workcell.line_to(self._before(self.workcell.tool_pose()))
 
     def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
@@ -109,7 +111,7 @@ class Centring:
         )
 
     def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
-        """Look in the servo's area, on the whole sensors, around in a spiral, then in other light."""
+        """Look in the servo's area, on the whole sensors, in a spiral around, then with other exposures."""
         workcell = self.workcell
         workcell.sensors.read_around_tool(self.area_px)
         try:
@@ -122,7 +124,7 @@ class Centring:
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
         telling, pose = seen, expected
-        poses = settled_around(expected, self._settle, workcell.arm)
+        poses = search_poses(expected, self._settle, workcell.arm)
         try:
             while seen.point is None:
                 around = next(poses)
@@ -142,7 +144,7 @@ class Centring:
     def _in_other_light(
         self, looks: int, exposures: Sequence[float], refusal: RonnaError
     ) -> tuple[Look, int]:
-        """Look again with other exposures; raises the refusal when none shows the sphere."""
+        """Look with other exposures. Raises the refusal if none shows the sphere."""
         workcell = self.workcell
         for share in exposures:
             workcell.sensors.expose(share)
@@ -155,9 +157,43 @@ class Centring:
         raise refusal
 
     def _settle(self, pose: Transform) -> None:
-        """Take a pose; where it is asked for, each joint arrives from the same side as at the target."""
+        """Move to a pose; with `arriving`, each joint arrives from its side."""
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 
     def _before(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.approach_mm)
+
+
+def search_poses(
+    expected: Transform, settle: Callable[[Transform], object], arm: ArmView
+) -> Iterator[Transform]:
+    """Settle onto the poses of the search pattern around the expected one, yielding those reached.
+
+    The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
+    the last, and errors that trip the arm.
+    """
+    passed = 0
+    for number in count():
+        try:
+            pose = search_pose(expected, number)
+        except SphereNotInView as error:
+            if not passed:
+                raise
+            what = f"no sphere in {number - passed} image pairs, {passed} poses not clear"
+            raise SphereNotInView(what, limit=error.limit) from error
+        if refusal(partial(settle, pose), arm) is None:
+            yield pose
+        else:
+            passed += 1
+
+
+def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
+    """Make a motion; return a refusal from before the arm moved, or None. Raises if the arm trips."""
+    try:
+        move()
+    except LimitError as error:
+        if arm.state is not Lifecycle.ACTIVE:
+            raise
+        return error
+    return None

@@ -1,88 +1,60 @@
-"""The devices as steps, guards and commands may see them, by type: what moves the arm is in none of these."""
+"""Devices as steps, guards and commands see them: nothing here moves an arm."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from contextlib import AbstractContextManager
-from typing import Protocol, Self
+from typing import Protocol
 
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.devices import RobotArm
 from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
-from ronna_hw.devices.readings import TrackerFrame, Vector3
+from ronna_hw.devices.readings import ArmReading
 
 
 class DeviceView(Protocol):
-    """A device of whatever kind: to open its connection, and to see what it last knew."""
+    """The part of `Device` that opens a connection and shows the last known state."""
+
+    @property
+    def state(self) -> Lifecycle: ...
+
+    @property
+    def notices(self) -> tuple[str, ...]: ...
+
+    def observe(self) -> LastKnown[object]: ...
+
+    def connect(self, timeout_s: float = 10.0) -> Identity: ...
+
+    def configure(self, timeout_s: float = 10.0) -> None: ...
+
+
+class ArmView:
+    """An arm without the calls that move it: those are the workcell's."""
+
+    def __init__(self, arm: RobotArm) -> None:
+        self._arm = arm
+        self.kinematics = arm.kinematics
 
     @property
     def state(self) -> Lifecycle:
-        """As `Device.state`."""
-        ...
+        """Lifecycle state of the arm."""
+        return self._arm.state
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """As `Device.notices`."""
-        ...
+        """Observations of the driver at `configure`."""
+        return self._arm.notices
 
-    def observe(self) -> LastKnown[object]:
-        """As `Device.observe`."""
-        ...
+    def limits(self) -> MotionLimits:
+        """Limits of every motion in the present operating mode."""
+        return self._arm.limits()
+
+    def observe(self) -> LastKnown[ArmReading]:
+        """Last known state and reading."""
+        return self._arm.observe()
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """As `Device.connect`."""
-        ...
+        """Open the connection and check the identity."""
+        return self._arm.connect(timeout_s)
 
     def configure(self, timeout_s: float = 10.0) -> None:
-        """As `Device.configure`."""
-        ...
-
-
-class StereoView(DeviceView, Protocol):
-    """The stereo head: to start it where no arm is started. It looks by `Workcell.look`."""
-
-    @property
-    def serials(self) -> tuple[str, str]:
-        """As `StereoPair.serials`."""
-        ...
-
-    def activate(self, timeout_s: float = 10.0) -> None:
-        """As `Device.activate`."""
-        ...
-
-
-class TrackerView(Protocol):
-    """The tracker: to measure with it. Its connection is opened as any device's."""
-
-    @property
-    def state(self) -> Lifecycle:
-        """As `Device.state`."""
-        ...
-
-    @property
-    def tools(self) -> tuple[str, ...]:
-        """As `OpticalTracker.tools`."""
-        ...
-
-    @property
-    def markers_mm(self) -> Mapping[str, tuple[Vector3, ...]]:
-        """As `OpticalTracker.markers_mm`."""
-        ...
-
-    def observe(self) -> LastKnown[TrackerFrame]:
-        """As `OpticalTracker.observe`."""
-        ...
-
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        """As `Device.active`."""
-        ...
-
-    def activate(self, timeout_s: float = 10.0) -> None:
-        """As `Device.activate`."""
-        ...
-
-    def deactivate(self, timeout_s: float = 10.0) -> None:
-        """As `Device.deactivate`."""
-        ...
-
-    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
-        """As `OpticalTracker.read_frame`."""
-        ...
+        """Bring the arm's controller to its verified configuration."""
+        self._arm.configure(timeout_s)

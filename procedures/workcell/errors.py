@@ -1,8 +1,8 @@
-"""Motions and looks that the workcell refuses."""
+"""Errors of motions and looks that the workcell refuses."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import ConfigurationError, LimitError, RefusedError
+from ronna_hw.errors import LimitError, RefusedError
 
 
 class WrongTool(LimitError):
@@ -33,20 +33,6 @@ class InstrumentInGuide(RefusedError):
 
     code = "TOOL-001"
     action = "Remove the instrument from the guide and confirm that it is out."
-
-
-class NoToolRecord(ConfigurationError):
-    """The theatre file lacks a tool record that the case needs, or has one that contradicts the others."""
-
-    code = "TOOL-002"
-    action = "Write the record with ronna-tool define and name it in the theatre file; see ronna-tool check."
-
-
-class ForeignTool(RefusedError):
-    """A tool record was made on another flange, or with a tip calibration other than the one in use."""
-
-    code = "TOOL-003"
-    action = "Measure the tool on this flange, with its tip, and define it again; no motion until then."
 
 
 class SphereNotFound(RefusedError):

@@ -1,8 +1,13 @@
-"""One look of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
+"""Looks of the stereo head at a sphere: a triggered pair, two outlines, one point in the tool frame."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
 
 from procedures.relocalization.errors import (
     NoContrast,
@@ -12,7 +17,7 @@ from procedures.relocalization.errors import (
     RaysDoNotMeet,
     WrongSize,
 )
-from procedures.relocalization.outline import SphereImage
+from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.relocalization.sphere_measurement import AreaImage, locate_sphere
 from procedures.relocalization.triangulation import Camera, StereoPoint
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
@@ -21,16 +26,22 @@ from ronna_hw.devices import StereoPair
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
-# What a look may end with when the sphere is not there, or is another thing; everything else is a fault.
+# Errors that mean no sphere, or another object; everything else is a fault.
 NOT_SEEN = (NoContrast, NoSphere, RaysDoNotMeet, WrongSize)
 FURTHER_TRIES = 2  # a lost image is an everyday matter on a network; three in a row are a fault
-CLOCK_ERROR_S = 0.1  # theatre time; between the clocks of cameras and theatre. The arm rests for longer
+CLOCK_ERROR_S = 0.1  # theatre time, between the clocks of cameras and theatre; the arm rests for longer
 OFFSET_STEP_PX = 16  # of the older firmware of the camera family; newer firmware takes any
+PICTURE_HEIGHT_PX = 300  # of the report
+TRUSTED_BGR, DOUBTED_BGR, PAPER_BGR = (80, 220, 80), (40, 160, 255), (255, 255, 255)
+GAP_PX = 8
+CAPTION_PX = 22
+LETTERS, LETTER_SCALE = cv2.FONT_HERSHEY_SIMPLEX, 0.4
+Picture = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
 class Look:
-    """What one look gave; `point` is None when no sphere could be measured in both images."""
+    """Result of one look; `point` is None unless a sphere was measured in both images."""
 
     reading: StereoReading
     left: SphereImage | None
@@ -40,12 +51,12 @@ class Look:
 
     @property
     def reason(self) -> str:
-        """What kept it from giving a point, in words."""
+        """Reason for a missing point, in words."""
         return "" if self.problem is None else self.problem.what
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
-    """The area of that size whose middle is where the tool centre point appears, inside the sensor."""
+    """Area of this size about the image of the tool centre point, inside the sensor."""
     columns, rows = camera.sensor_px
     width, height = min(size_px[0], columns), min(size_px[1], rows)
     (x, y), _ = Camera(camera).project((0.0, 0.0, 0.0))
@@ -55,15 +66,15 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
 
 
 def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
-    """The area of the whole sensor."""
+    """Area of the whole sensor."""
     columns, rows = camera.sensor_px
     return AreaOfInterest(0, 0, columns, rows)
 
 
 def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
-    """Take a pair and measure the sphere in it; one that did not come whole, or is old, is taken again.
+    """Take a pair and measure the sphere in it; an incomplete or old pair is taken again.
 
-    Raises STE-012 when none does: to search for the sphere elsewhere would not help.
+    Raises STE-012 if none is usable: a search elsewhere would not help.
     """
     for _ in range(1 + FURTHER_TRIES):
         reading = _grabbed(stereo, clock)
@@ -88,7 +99,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
 
 
 def _grabbed(stereo: StereoPair, clock: Clock) -> StereoReading:
-    """A pair; STALE when it was exposed before it was asked for, when the arm was elsewhere."""
+    """Grab a pair; STALE if it was exposed before the request, when the arm was elsewhere."""
     asked_s = clock.now_s()
     reading = stereo.grab_pair()
     sides = (side for side in (reading.left, reading.right) if side is not None)
@@ -110,3 +121,64 @@ def _offset(centre_px: float, size: int, whole: int) -> int:
     wanted = round((centre_px - size / 2) / OFFSET_STEP_PX) * OFFSET_STEP_PX
     largest = (whole - size) // OFFSET_STEP_PX * OFFSET_STEP_PX
     return max(0, min(wanted, largest))
+
+
+class Sensors:
+    """Area and exposure of both cameras of the stereo head."""
+
+    def __init__(self, stereo: Callable[[], StereoPair], head: StereoHeadCalibration) -> None:
+        self._stereo = stereo
+        self._head = head
+        self._exposure_share = 1.0  # of the configured one
+
+    def read_around_tool(self, size_px: tuple[int, int]) -> None:
+        """Read only this many columns and rows around the tool centre, which is faster."""
+        left, right = (area_around_tool(side, size_px) for side in (self._head.left, self._head.right))
+        self._stereo().set_areas(left, right)
+
+    def read_whole(self) -> None:
+        """Read all of both sensors."""
+        self._stereo().set_areas(whole_sensor(self._head.left), whole_sensor(self._head.right))
+
+    def expose(self, share: float) -> None:
+        """Expose both sensors for a share of the configured time."""
+        if share != self._exposure_share:
+            self._stereo().scale_exposure(share)
+            self._exposure_share = share
+
+
+def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
+    """Both images side by side as PNG with the fitted outlines, without a missing side."""
+    sides = (("left", seen.reading.left, seen.left), ("right", seen.reading.right, seen.right))
+    drawn = [_draw(name, image, sphere, height_px) for name, image, sphere in sides if image is not None]
+    height = min((picture.shape[0] for picture in drawn), default=height_px)
+    gap = np.full((height, GAP_PX, 3), PAPER_BGR, dtype=np.uint8)
+    parts = [part for picture in drawn for part in (gap, picture[:height])]
+    picture = np.hstack([*parts[1:], *([] if parts else [gap])])
+    _, content = cv2.imencode(".png", picture)
+    return content.tobytes()
+
+
+def _draw(side: str, image: CameraImage, sphere: SphereImage | None, height_px: int) -> Picture:
+    pixels = image.pixels
+    eight_bit = pixels if pixels.dtype == np.uint8 else (pixels >> 4).astype(np.uint8)
+    scale = height_px / pixels.shape[0]
+    small = cv2.resize(eight_bit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
+    colour = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
+    caption = np.full((CAPTION_PX, colour.shape[1], 3), PAPER_BGR, dtype=np.uint8)
+    words = f"{side} {image.serial}: " + ("no sphere" if sphere is None else _words(sphere))
+    cv2.putText(caption, words, (2, CAPTION_PX - 7), LETTERS, LETTER_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
+    if sphere is not None:
+        ink = TRUSTED_BGR if sphere.status is SphereStatus.OK else DOUBTED_BGR
+        x = (sphere.centre_px[0] - image.area.offset_x) * scale
+        y = (sphere.centre_px[1] - image.area.offset_y) * scale
+        radius = round(scale * (sphere.axes_px[0] + sphere.axes_px[1]) / 2)
+        centre = (round(x), round(y))
+        cv2.circle(colour, centre, radius, ink, 1, cv2.LINE_AA)
+        cv2.drawMarker(colour, centre, ink, cv2.MARKER_CROSS, 14, 1, cv2.LINE_AA)
+    return np.asarray(np.vstack([caption, colour]), dtype=np.uint8)
+
+
+def _words(sphere: SphereImage) -> str:
+    x, y = sphere.centre_px
+    return f"{x:.2f} {y:.2f} px, rim {sphere.rim_fraction:.0%}, {sphere.doubt or sphere.status}"

@@ -1,14 +1,14 @@
-"""Around every motion: a checkpoint before it, its intent and its result in the journal.
+"""Checkpoint, confirmation and journal around every motion of an arm.
 
-The intent is on disk before the motion begins, the result follows when the arm rests. A motion that someone
-else stopped is asked about, and re-planned from the arm's present position. The first motion since the arm
-was last stopped or its stream ended is confirmed by the operator.
+The intent is on disk before a motion begins; its result follows once the arm rests. A motion that was
+stopped from outside is asked about and re-planned from where the arm then is. The first motion after a stop
+or after the end of the stream is confirmed by the operator.
 """
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, JournalValue
@@ -16,130 +16,151 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question
 from procedures.operator.topic import Topic
-from procedures.workcell.arm_log import ArmLog
-from procedures.workcell.cell_motion import CellMotion, MotionName
-from procedures.workcell.motion_facts import in_a_question, motion_facts
-from ronna_hw.devices import Lifecycle, RobotArm
+from procedures.workcell.arm_history import ArmLog
+from procedures.workcell.motions import MotionKind, PlannedMotion, in_a_question, motion_facts
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
 from ronna_hw.devices.lifecycle import RUNNING
-from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.devices.readings import ArmReading
+from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 
 IN_WORDS = {
-    MotionName.GO: "to the next pose, via home if necessary",
-    MotionName.HOME: "home",
-    MotionName.BACK: "back the way the arm came",
-    MotionName.STEP: "directly to the next pose",
-    MotionName.SETTLE: "to the next pose, each joint arriving from its own side",
-    MotionName.LINE: "in a straight line",
-    MotionName.INSERT: "along the axis to where the guide is held",
-    MotionName.WITHDRAW: "out along the axis",
+    MotionKind.GO: "to the next pose, via home if necessary",
+    MotionKind.HOME: "home",
+    MotionKind.BACK: "back the way the arm came",
+    MotionKind.STEP: "directly to the next pose",
+    MotionKind.SETTLE: "to the next pose, each joint arriving from its own side",
+    MotionKind.LINE: "in a straight line",
+    MotionKind.INSERT: "along the axis to where the guide is held",
+    MotionKind.WITHDRAW: "out along the axis",
 }
 REPLANNED = "re-plans it from the arm's present position"
 COVERS = (
     "; a yes also covers every later motion without a question of its own, until the arm is stopped or its "
     "stream ends{}"
 )
+OPERATOR = "the operator of the case"  # the journal names the person, with the answer
 
 
 class SupervisedMotion:
-    """Carries motions of one arm out one after the other, numbered as they are in the journal."""
+    """Carries out the motions of one arm, numbered as in the journal.
+
+    `settled_home` says that the last motion home ended with every joint arriving from its usual side.
+    """
 
     def __init__(
-        self,
-        log: ArmLog,
-        arm: Callable[[], RobotArm],
-        is_home: Callable[[JointVector], bool | None],
-        require: Callable[[CellMotion], None],
+        self, log: ArmLog, arm: Callable[[], RobotArm], require_allowed: Callable[[PlannedMotion], None]
     ) -> None:
-        """`is_home` compares joints with those of home; `require` raises what forbids a motion."""
+        """`arm` opens the arm on first use; `require_allowed` raises if a motion must not be made now."""
         self._log = log
         self._arm = arm
-        self._is_home = is_home
-        self._require = require
+        self._require_allowed = require_allowed
+        self.settled_home = False
         self._checkpoint: Checkpoint | None = None
         self._ask: Callable[[Question], str] | None = None
         self._confirmed = False  # the first motion
         self._held = False  # the arm, by ourselves or when a motion was last asked about
-        self._course = ""
+        self._step_motions = ""
 
     @contextlib.contextmanager
-    def leading(self, course: str) -> Iterator[None]:
-        """Within, a confirmation of the first motion also says what all motions of the step come to."""
-        self._course = course
+    def announcing(self, step_motions: str) -> Iterator[None]:
+        """Have a first-motion confirmation within the block also state all motions of the step."""
+        self._step_motions = step_motions
         try:
             yield
         finally:
-            self._course = ""
+            self._step_motions = ""
 
     def ask_before(self, checkpoint: Checkpoint, ask: Callable[[Question], str]) -> None:
-        """From now on every motion meets that checkpoint, and the first one is asked about."""
+        """Pass this checkpoint before every motion from now on, and ask before the first one."""
         self._checkpoint, self._ask = checkpoint, ask
 
     def begin_anew(self) -> None:
-        """The arm was stopped or its stream ended: the next motion is a first one again."""
+        """Have the next motion confirmed as a first one: the arm was stopped, or its stream ended."""
         self._confirmed = False
 
-    def is_held(self) -> None:
-        """The arm was stopped between two motions of a step: the next one leads on."""
+    def note_hold(self) -> None:
+        """The arm was stopped between two motions of a step: the next one continues unasked."""
         self._held = True
 
     def confirm(
         self,
         topic: Topic,
         subject: str,
-        motions: Sequence[CellMotion],
+        motions: Sequence[PlannedMotion],
         trajectory: str | None = None,
         covers: str = "",
     ) -> None:
-        """Have motions confirmed, in two steps where a person answers; raises PRO-002 unless it is a yes.
+        """Have motions confirmed, in two steps by a person. Raises PRO-002 unless the answer is yes.
 
-        `covers` says what else is confirmed with them.
+        `covers` states what else the answer confirms.
         """
         facts = motion_facts(self._arm(), motions) if motions else []
-        read_back = facts[0].read_back if facts else None
         question = Question(
             topic,
             subject,
             in_a_question(facts) + covers,
             trajectory=trajectory,
-            read_back=read_back,
+            read_back=facts[0].read_back if facts else None,
         )
         self._held = self._arm().state is Lifecycle.HOLD
         self._confirmed = self._require_yes(question) or self._confirmed
 
-    def confirm_start(self, words: str) -> bool:
-        """Have confirmed what a driver asks before the arm starts; False when there is nobody to ask.
+    def start(self, devices: Iterable[Device]) -> None:
+        """Activate the devices that are configured.
 
-        Raises PRO-002 unless the answer is yes.
+        A driver may demand a person's word before it starts its arm, and may then move it out and back: the
+        operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
         """
+        for device in devices:
+            if device.state is not Lifecycle.CONFIGURED:
+                continue
+            words = device.to_confirm if isinstance(device, ConfirmedStart) else None
+            if isinstance(device, ConfirmedStart) and words is not None and self._confirm_start(words):
+                device.confirm_start(OPERATOR)
+                self._start_arm(device)
+            else:
+                device.activate()
+
+    def _confirm_start(self, words: str) -> bool:
         self._confirmed = False
         return self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words))
 
-    def start(self, activate: Callable[[], None]) -> None:
-        """Start the arm as confirmed: its driver may move it out and back. Raises what `activate` raises."""
-
+    def _start_arm(self, arm: Device) -> None:
         def drive() -> ArmReading:
-            activate()
+            arm.activate()
             return self._arm().read_state()
 
-        self._recorded({"what": MotionName.START, "to": [], "trajectory": None}, drive)
+        self._journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
 
     def _require_yes(self, question: Question) -> bool:
-        """False when there is nobody to ask; raises PRO-002 unless the answer is yes."""
+        """Ask; False without anybody to ask. Raises PRO-002 unless the answer is yes."""
         if self._ask is None:
             return False
         if self._ask(question) != YES:
             raise NotConfirmed(f"the operator did not confirm: {question.subject}", got=question.value)
         return True
 
-    def carry_out(self, motion: CellMotion) -> ArmReading:
-        """Carry out a motion; re-planned after a stop if the operator says so.
+    def carry_out_with_detour(self, motion: PlannedMotion) -> ArmReading:
+        """Carry out a motion or, if it is not clear, those that replace it. Raises as `carry_out`."""
+        try:
+            return self.carry_out(motion)
+        except NotClear:
+            if not motion.otherwise:
+                raise
+            return [self.carry_out(one) for one in motion.otherwise][-1]
 
-        What forbids it is asked first, and each time right before it is driven. Raises PRO-002, PRO-003,
-        PRO-004, what a guard or a watch found, and what `require` and the motion raise.
+    def carry_out(self, motion: PlannedMotion) -> ArmReading:
+        """Carry out a motion; after a stop, re-plan it if the operator agrees.
+
+        Whether it is allowed is checked first, and again right before the arm moves. Raises PRO-002, PRO-003,
+        PRO-004, the findings of guards and watches, what forbids the motion, and the errors of the arm.
         """
-        self._require(motion)
+        if motion.what is MotionKind.HOME:
+            self.settled_home = False
+        self._require_allowed(motion)
         checkpoint = self._checkpoint
         if checkpoint is None:
             raise NotConfirmed(
@@ -149,24 +170,25 @@ class SupervisedMotion:
 
         def drive() -> ArmReading:
             with checkpoint.watching(named, True):
-                self._require(motion)
-                return motion.drive(self._arm())
+                self._require_allowed(motion)
+                return [leg.drive(self._arm()) for leg in motion.legs][-1]
 
         while True:
             checkpoint.here(f"before {named}")
             if not self._confirmed:
+                here = f", here {self._step_motions}" if self._step_motions else ""
                 self.confirm(
                     Topic.FIRST_MOTION,
                     f"first motion: {IN_WORDS[motion.what]}",
                     [motion],
                     motion.trajectory,
-                    COVERS.format(f", here {self._course}" if self._course else ""),
+                    COVERS.format(here),
                 )
                 if checkpoint.wanted:  # such as a stop while the question stood
                     self._confirmed = False
-                continue  # the question may have stood for minutes: the guards are asked again
+                continue  # the question may have stood for minutes: ask the guards again
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
-                if not self._held:  # somebody else has stopped it
+                if not self._held:  # stopped from outside
                     self._confirmed = False
                     checkpoint.stopped(f"the arm, before {named},", REPLANNED)
                     continue
@@ -176,20 +198,20 @@ class SupervisedMotion:
                 self._confirmed = False
                 continue
             try:
-                intent: dict[str, JournalValue] = {"what": motion.what, "to": list(motion.to)}
-                intent["trajectory"] = motion.trajectory
-                if motion.axis is not None:
-                    intent["axis"] = motion.axis.as_plain()
-                return self._recorded(intent, drive)
+                reached = self._journalled(motion.as_intent(), drive)
             except (MotionInterrupted, WrongState) as error:
                 # A stop right before the motion, or between its legs, puts the arm into HOLD: it refuses.
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
                     raise
                 self._confirmed = False
                 checkpoint.stopped(named, REPLANNED)
+                continue
+            if motion.what is MotionKind.HOME:
+                self.settled_home = True
+            return reached
 
-    def _recorded(self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]) -> ArmReading:
-        """The last reading of a motion that is written down before and after."""
+    def _journalled(self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]) -> ArmReading:
+        """Drive a motion between its two lines in the journal; return its last reading."""
         number = self._log.history.motions + 1
         self._log.write(Entry.MOTION, number=number, **intent)
         try:
@@ -197,16 +219,17 @@ class SupervisedMotion:
         except BaseException as error:  # also an interruption: every intent has its result
             code = error.code if isinstance(error, RonnaError) else type(error).__name__
             at_home = self._rests_at_home() if isinstance(error, RonnaError) else None
-            with contextlib.suppress(JournalNotWritable):  # what ended the motion is told
+            with contextlib.suppress(JournalNotWritable):  # the error that ended the motion is reported
                 self._log.note(Entry.MOVED, number=number, error=code, at_home=at_home)
             raise
-        A, at_home = reached.joints_rad, self._is_home(reached.joints_rad)
-        self._log.note(Entry.MOVED, number=number, joints_rad=list(A), at_home=at_home)
+        joints_rad = reached.joints_rad
+        at_home = self._log.is_home(joints_rad)
+        self._log.note(Entry.MOVED, number=number, joints_rad=list(joints_rad), at_home=at_home)
         return reached
 
     def _rests_at_home(self) -> bool | None:
-        """Where a motion that failed left the arm; None if its joints cannot be read."""
+        """Whether a failed motion left the arm at home; None if its joints cannot be read."""
         with contextlib.suppress(RonnaError):
             if self._arm().state in RUNNING:
-                return self._is_home(self._arm().read_state().joints_rad)
+                return self._log.is_home(self._arm().read_state().joints_rad)
         return None

@@ -1,58 +1,64 @@
-"""Tracker readings while the arm is at rest: a number of distinct measurements, and their mean."""
+"""Tracker readings while the arm rests: a number of distinct frames, and mean poses.
+
+A tracker with the definition of the x-shaped frame loaded reports the frame on the head as one pose instead
+of as strays. The markers of that pose are added to the strays, so that watches of the spheres need not care.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
 from procedures.results.errors import GateFailed
-from procedures.workcell.device_views import TrackerView
-from procedures.workcell.frame_as_tool import with_its_spheres
-from procedures.workcell.mounted_tool import MountedTool
+from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
+from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, Quaternion, TrackerFrame, Validity, Vector3
+from ronna_hw.devices.readings import JointVector, Quaternion, StrayReading, TrackerFrame, Validity, Vector3
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
+ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals
 FRAMES = 60  # one second of a 60 Hz tracker
-FRAME_S = 1 / 60
+FRAME_S = 1 / 60  # period of the tracker's frame counter
 LEAST_FRAMES_WITH_TOOL = 30
 READING_LIMIT_S = 10.0  # theatre time; a 20 Hz illuminator needs three
 MOST_LOST_READINGS = 20  # a quarter of all: beyond it the line needs a person
 
 
 def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
-    """Nominal pose ROBOT <- MARKER of the reference frame on the arm."""
+    """Pose ROBOT <- MARKER of the reference frame, by the arm."""
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     flange = workcell.flange_pose(joints_rad)
     return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
 
 
 def frames_at_rest(
-    tracker: TrackerView,
+    tracker: OpticalTracker,
     clock: Clock,
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
 ) -> tuple[list[TrackerFrame], int]:
-    """As `fresh_frames`, with the tracking begun for them and ended after them."""
+    """Track, read `fresh_frames` and end the tracking."""
     tracker.activate()
     try:
         return fresh_frames(tracker, clock, progress, count)
     finally:
-        if tracker.state is not Lifecycle.FAULT:  # a fault has ended the tracking, and is what must be told
+        if tracker.state is not Lifecycle.FAULT:  # a fault ended the tracking, and must be reported
             tracker.deactivate()
 
 
 def fresh_frames(
-    tracker: TrackerView, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
+    tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
-    """So many measurements, each another one, and how many readings were lost on the way.
+    """Read distinct frames; also return the number of readings lost.
 
     A lost or garbled reply costs one reading: the driver has recovered by the next. Raises PRO-007 if the
-    tracker returns too few in time, and the driver's own error when the line is too bad.
+    tracker returns too few in time, and the driver's error if too many are lost.
     """
     limit_s = clock.now_s() + READING_LIMIT_S
     frames: list[TrackerFrame] = []
@@ -79,7 +85,7 @@ def fresh_frames(
 
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
-    """Mean pose TRACKER <- MARKER of the reference frame over the frames that show it. Raises PRO-007."""
+    """Mean pose TRACKER <- MARKER of a tool over the frames that show it. Raises PRO-007 for too few."""
     shown = _shown(frames, tool)
     if len(shown) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
@@ -91,8 +97,14 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     return _mean_of(shown)
 
 
+def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
+    """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
+    shown = _shown(frames, tool)
+    return _mean_of(shown) if len(shown) >= least else None
+
+
 def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
-    """What most frames without the tool have in common, and what to do about it."""
+    """Most frequent reason for frames without the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]
     outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
     disturbed = sum(
@@ -106,14 +118,8 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     return "", "Clear the line of sight between tracker and tool"
 
 
-def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
-    """Mean pose TRACKER <- MARKER of the reference frame; None when fewer than `least` frames show it."""
-    shown = _shown(frames, tool)
-    return _mean_of(shown) if len(shown) >= least else None
-
-
 def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
-    """Rotations and places of the reference frame in the frames that show it."""
+    """Rotations and positions of a tool in the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [
         (one.rotation, one.position_mm)
@@ -123,7 +129,7 @@ def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vect
 
 
 def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
-    """Mean of their poses TRACKER <- MARKER; at least one."""
+    """Mean pose TRACKER <- MARKER of at least one."""
     from scipy.spatial.transform import RigidTransform, Rotation
 
     quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*shown, strict=True))
@@ -132,3 +138,22 @@ def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
         raise FrameMismatch("expected finite poses from the tracker")
     mean = RigidTransform.from_components(np.mean(places_mm, axis=0), Rotation.from_matrix(rotations).mean())
     return Transform(Frame.TRACKER, Frame.MARKER, mean)
+
+
+def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
+    """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
+    name = name_of_frame(tracker.markers_mm)
+    if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
+        return frame
+    places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
+    more = tuple(StrayReading((x, y, z), Validity.OK) for x, y, z in places)
+    return replace(frame, strays=(*frame.strays, *more))
+
+
+def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
+    """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
+    frame = np.array(SPHERE_CENTRES_MM)
+    for name, markers in markers_mm.items():
+        if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
+            return name
+    return None

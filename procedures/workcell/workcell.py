@@ -1,39 +1,33 @@
 """Arm, mounted tool, surroundings, stereo head and tracker as one: how procedures look and move.
 
-It exists only with an open journal, and every motion is an intent and a result in it. While the guide is held
-before an entry, nothing but motion along its own axis is possible, whatever asks for it; while an instrument
-is in it, nothing moves at all.
+A workcell needs an open journal, in which every motion is an intent and a result. While the guide is held
+before an entry, only motion along its axis is possible, whoever asks; while an instrument is in the guide,
+nothing moves at all.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal
+from procedures.operator.topic import Topic
+from procedures.planning.tool_records import ToolRecords
+from procedures.results.errors import StepRefused
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
-from procedures.workcell.arm_history import UNMOVED, ArmHistory
-from procedures.workcell.arm_log import ArmLog
-from procedures.workcell.arm_place import ArmPlace, Where
-from procedures.workcell.arm_view import ArmView, stands_at
-from procedures.workcell.carried_tool import CarriedTool, Sides, calibrated_arm
-from procedures.workcell.cell_motion import CellMotion, MotionName
-from procedures.workcell.device_views import DeviceView, StereoView, TrackerView
+from procedures.workcell.arm_history import UNMOVED, ArmHistory, ArmLog, Instrument
+from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
+from procedures.workcell.device_views import ArmView, DeviceView
 from procedures.workcell.errors import InstrumentInside
-from procedures.workcell.insertion import Insertion
-from procedures.workcell.instrument import Instrument
-from procedures.workcell.mounted_tool import MountedTool, ToolMount
-from procedures.workcell.sensors import Sensors
-from procedures.workcell.starting import start
-from procedures.workcell.stereo_look import Look, look
+from procedures.workcell.motions import MotionKind, PlannedMotion
+from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tool_records import ToolRecords
-from procedures.workcell.way_home import WayHome
+from procedures.workcell.tools import CarriedTool, MountedTool, Sides, ToolMount, calibrated_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.config import MASTER, Calibrations
-from ronna_hw.devices import JointMove, LineMove, RobotArm, StereoPair
+from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
 from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
@@ -56,11 +50,11 @@ class Workcell:
         calibrating: bool = False,
         history: ArmHistory = UNMOVED,
     ) -> None:
-        """Opens nothing and moves nothing. `calibrations` take the place of those of the theatre file; while
-        `calibrating`, the record of a tool may be of a former tip. A resumed run has a `history` already.
+        """Open nothing and move nothing.
 
-        Raises PRO-003 without an open journal, DEV-007 without a device or calibrations, ARM-009, CFG-004 and
-        CAL-013.
+        `calibrations` replace those of the theatre file. While `calibrating`, a tool's record may refer to a
+        former tip. A resumed run has a `history`. Raises PRO-003 without an open journal, DEV-007 without a
+        device or calibrations, ARM-009, CFG-004 and CAL-013.
         """
         if journal.closed:
             raise JournalNotWritable("the journal is closed: nothing may move without it")
@@ -70,25 +64,19 @@ class Workcell:
         self._theatre = theatre
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
-        self._way_home = WayHome(
-            self.joints_rad,
-            lambda: self._log.history.trail,
-            lambda what, to_rad: self.supervised.carry_out(self._joint_motion(what, *_legs(what, to_rad))),
-        )
-        self.supervised = SupervisedMotion(
-            self._log, lambda: self._arm, self._way_home.is_home, self._require_allowed
-        )
-        self._mount = ToolMount(self.reported_tool_number, self.calibrations)
+        self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
+        self.mount = ToolMount(self.reported_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(self._log)
-        self.surroundings: Surroundings | None = None  # as the arm was last told
-        self.on_look: Callable[[Look], None] = lambda _look: None  # of whoever shows it; quick, never raises
-        self.on_stop_failed: Callable[[str], object] = lambda _failure: None  # as above
-        self.sensors = Sensors(lambda: self._stereo, self.calibrations.stereo_head)
+        self.surroundings: Surroundings | None = None  # as last declared to the arm
+        # Callbacks of a display: quick, never raise.
+        self.on_look: Callable[[Look], None] = lambda _look: None
+        self.on_stop_failed: Callable[[str], object] = lambda _failure: None
+        self.sensors = Sensors(lambda: self.stereo, self.calibrations.stereo_head)
 
     @property
     def arm(self) -> ArmView:
-        """The arm, for looking."""
+        """The arm without the calls that move it."""
         return ArmView(self._arm)
 
     @property
@@ -96,31 +84,27 @@ class Workcell:
         return self._theatre.arms[MASTER]
 
     @property
-    def _stereo(self) -> StereoPair:
+    def stereo(self) -> StereoPair:
+        """The stereo head; it looks by `look`."""
         return self._theatre.stereo
 
     @property
-    def stereo(self) -> StereoView:
-        """The stereo head."""
-        return self._stereo
-
-    @property
-    def tracker(self) -> TrackerView:
+    def tracker(self) -> OpticalTracker:
         """The tracker."""
         return self._theatre.tracker
 
     @property
-    def devices(self) -> dict[str, DeviceView]:
-        """All devices by role, in the order in which they are connected; of other kinds by their tables."""
+    def devices(self) -> Mapping[str, DeviceView]:
+        """Devices by role, in the order of connection; other kinds by their tables."""
         return {**self._devices, "arm": self.arm}
 
     @property
     def _devices(self) -> dict[str, Device]:
         others = {f"device.{name}": self.device(name, Device) for name in self._theatre.file.device}
-        return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self._stereo, **others}
+        return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008, also for an arm."""
+        """A device of table `[device.NAME]` as `interface`. Raises DEV-007; DEV-008, also for an arm."""
         device = self._theatre.device(name, interface)
         if isinstance(device, RobotArm):
             raise WrongKind(
@@ -129,56 +113,46 @@ class Workcell:
             )
         return device
 
-    # What hangs on the arm
+    # Mounted tool
 
     @property
     def tool(self) -> MountedTool:
-        """What was found mounted when it was last checked."""
-        return self._mount.tool
+        """The tool found mounted at the last check."""
+        return self.mount.tool
 
     def check_mounted(self, tool: MountedTool) -> int:
-        """The tool's number, read from the controller's inputs. Raises PRO-009 when another is mounted."""
-        return self._mount.check(tool)
+        """Read the tool's number from the controller's inputs. Raises PRO-009 if another tool is mounted."""
+        return self.mount.check(tool)
 
     def identify_mounted(self) -> MountedTool:
-        """Whichever tool the controller's inputs report; unchecked when it is none of ours or is not said."""
-        return self._mount.identify()
-
-    @property
-    def streaming(self) -> bool:
-        """Whether the arm's correction stream runs; while it does not, nothing of ours can move the arm."""
-        return self._arm.observe().state in RUNNING
-
-    @property
-    def checked_tool_number(self) -> int | None:
-        """The number of the tool that was found mounted; None while that is not known."""
-        return self._mount.checked_number
+        """Identify the mounted tool by the controller's inputs; UNKNOWN unless it is one of ours."""
+        return self.mount.identify()
 
     def reported_tool_number(self) -> int:
-        """The number that the controller's inputs report now; 0 is none."""
+        """Number reported by the controller's inputs now; 0 is none."""
         return self._arm.read_tool_identity().number
 
     def flange_from(self, tool: MountedTool) -> Transform:
-        """FLANGE <- TOOL of a tool, from its calibration record. Raises PRO-009 for an unchecked one."""
-        return self._mount.flange_from(tool)
+        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
+        return self.mount.flange_from(tool)
 
     @property
     def flange_from_tool(self) -> Transform:
         """FLANGE <- TOOL of the mounted tool."""
         return self.flange_from(self.tool)
 
-    # Where it is
+    # Pose and place of the arm
 
     def joints_rad(self) -> JointVector:
-        """The measured joints."""
+        """Measure the joints."""
         return self._arm.read_state().joints_rad
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
-        """Pose of the mounted tool at joint angles, by default at the measured ones; see `Sides`."""
+        """Pose of the mounted tool at joint angles, by default the measured ones; see `Sides`."""
         return self._carried.pose(joints_rad or self.joints_rad(), arrived)
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """ROBOT <- FLANGE at joint angles, by the arm's calibration or else nominal."""
+        """Pose ROBOT <- FLANGE at joint angles, by the arm's calibration if there is one."""
         return self._calibrated.flange_pose(joints_rad)
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
@@ -191,197 +165,224 @@ class Workcell:
 
     @property
     def home_rad(self) -> JointVector:
-        """Where the arm stood when the case was set up; raises PRO-001 before that."""
-        return self._way_home.home_rad
+        """Joints of the arm when the case was set up. Raises PRO-001 before that."""
+        if self._log.home_rad is None:
+            raise StepRefused("the arm has no home position yet", action="Run set_up first.")
+        return self._log.home_rad
 
     @property
     def settled_home(self) -> bool:
-        """Whether the arm stands at home, each joint having arrived from the same side as ever."""
-        return self._way_home.settled and self.place.is_home
+        """Whether the arm is at home, each joint having arrived from its usual side."""
+        return self.supervised.settled_home and self.place.is_home
 
     def set_home(self) -> JointVector:
-        """Take where the arm stands for home: the pose it parks in, and goes by when the way is not clear."""
-        home_rad = self._way_home.set_home()
+        """Make the present position home, where the arm parks and which it passes if a way is not clear."""
+        home_rad = self._log.home_rad = self.joints_rad()
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
 
     def take_up(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
-        """Restore how a run that is resumed left the arm; home stays where it is not given. Moves nothing."""
+        """Restore the arm's history, and its home if given, in a resumed run. Moves nothing."""
         if home_rad is not None:
-            self._way_home.take_up(home_rad)
+            self._log.home_rad = home_rad
         self._log.history = history
 
     def compare_place(self) -> None:
-        """Compare the measured joints with home, and write down if the arm is not where the journal says.
+        """Compare the measured joints with home, and journal it if the arm is not where the journal has it.
 
-        Somebody may have jogged it. An axis it left by hand is compared before the next motion along it.
-        Raises the arm's error where it reports no joints.
+        Somebody may have jogged it. Whether it left its axis is checked before the next motion along that.
+        Raises the arm's error if it reports no joints.
         """
-        if self._way_home.known_rad is None:
+        if self._log.home_rad is None:
             return
         joints_rad = self.joints_rad()
-        at_home = stands_at(joints_rad, self.home_rad)
+        at_home = stands_at(joints_rad, self._log.home_rad)
         if at_home != self.place.is_home or self.place.where is Where.UNKNOWN:
-            self._way_home.settled = False
+            self.supervised.settled_home = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def found_on_axis(self, axis: Insertion) -> None:
-        """The guide was found on an axis on which the journal does not have it: its lines may be lost."""
+        """Journal that the guide is on an axis of which the journal has no line: it may have been lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(
             Entry.PLACED, joints_rad=joints_rad, at_home=False, trajectory=axis.trajectory, axis=plain
         )
 
-    # Moving
+    # Motion
 
     @property
     def history(self) -> ArmHistory:
-        """What the arm and the hands at it have done so far, as the journal has it."""
+        """History of the arm and of the work through its guide, from the journal."""
         return self._log.history
 
     @property
     def place(self) -> ArmPlace:
-        """Where the arm is, and whether an instrument may be inside."""
+        """Place of the arm, and whether an instrument may be inside."""
         return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
-        """Say what is carried and what stands around it: checks are exact near these joints, or home."""
-        near_rad = near_rad or self._way_home.known_rad or self.arm.kinematics.home_rad
+        """Declare tool and surroundings to the arm; clearance is exact near these joints, by default home."""
+        near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
-        """Start the correction stream, and the cameras, where they do not run. Raises PRO-002, TOOL-001."""
+        """Start the correction stream, and the cameras, unless they run. Raises PRO-002, TOOL-001."""
         if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
             self.instrument.require_out("start the arm")
-        start((self._arm, self._stereo) if cameras else (self._arm,), self.supervised)
+        self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
 
-    def going(self, joints_rad: JointVector) -> CellMotion:
-        """The motion that `go` makes."""
-        return self._joint_motion(MotionName.GO, JointMove(joints_rad), by_home=True)
+    def going(self, joints_rad: JointVector) -> PlannedMotion:
+        """Return the motion that `go` makes."""
+        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), by_home=True)
 
-    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> CellMotion:
-        """The motion that `settle` makes."""
+    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> PlannedMotion:
+        """Return the motion that `settle` makes."""
         onto = JointMove(joints_rad)
         if arriving is None:
-            return self._joint_motion(MotionName.STEP, onto)
+            return self._joint_motion(MotionKind.STEP, onto)
         back = JointMove(approach_joints(joints_rad, arriving))
-        return self._joint_motion(MotionName.SETTLE, back, onto, by_home=from_afar)
+        return self._joint_motion(MotionKind.SETTLE, back, onto, by_home=from_afar)
 
-    def returning_home(self) -> CellMotion:
-        """All that `return_home` does."""
-        home = self._joint_motion(MotionName.HOME, *_legs(MotionName.HOME, self.home_rad))
-        back = tuple(JointMove(joints_rad) for joints_rad in self._way_home.back_rad)
-        return replace(home, otherwise=back and (*back, *home.legs), detour="back the way the arm came")
+    def returning_home(self) -> PlannedMotion:
+        """Return the motion that `return_home` makes."""
+        home = self._home_motion(self.home_rad)
+        back = tuple(
+            self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
+            for joints_rad in reversed(self.history.trail)
+        )
+        return replace(home, otherwise=back and (*back, home), detour="back the way the arm came")
 
     def straight(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
-    ) -> CellMotion:
-        """The motion that `line_to` makes, in the branch of `near_rad` or else of where the arm is."""
+    ) -> PlannedMotion:
+        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present one."""
         commanded = self._commanded(pose, arriving, near_rad)
-        return self._line_motion(MotionName.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
+        return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
-    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> CellMotion:
-        """The motion that `insert` makes; `near_rad` as for `straight`."""
+    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
+        """Return the motion that `insert` makes; `near_rad` as for `straight`."""
         commanded = self._commanded(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
-        return self._line_motion(MotionName.INSERT, insertion.held, line, insertion)
+        return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
-    def withdrawing(self, insertion: Insertion) -> CellMotion:
-        """The motion that `withdraw` makes."""
+    def withdrawing(self, insertion: Insertion) -> PlannedMotion:
+        """Return the motion that `withdraw` makes."""
         line = LineMove(self._commanded(insertion.start, insertion.arriving), self.flange_from_tool)
-        return self._line_motion(MotionName.WITHDRAW, insertion.start, line, insertion)
+        return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
-        """A joint move, by way of home where the straight one is not clear; ARM-007 when neither is."""
-        return self._way_home.past(self.going(joints_rad), self.supervised.carry_out)
+        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is."""
+        return self.supervised.carry_out_with_detour(self.going(joints_rad))
 
     def go_home(self) -> ArmReading:
-        """A joint move to where the case began."""
-        return self._way_home.go()
+        """Move the joints home, each arriving from the same side, so that small changes show there."""
+        return self.supervised.carry_out(self._home_motion(self.home_rad))
 
     def return_home(self) -> ArmReading:
-        """As `go_home`; where that is not clear, back along the way the arm came since it left home."""
-        return self._way_home.go_back()
+        """Go home, or back along the way the arm came if the direct way is not clear."""
+        return self.supervised.carry_out_with_detour(self.returning_home())
+
+    def park(self, subject: str = "park the arm") -> ArmReading:
+        """Return home once the operator has confirmed it. Raises PRO-002."""
+        self.start()
+        self.supervised.confirm(Topic.PARK, subject, [self.returning_home()])
+        return self.return_home()
 
     def settle(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> ArmReading:
-        """Take joint angles, each joint arriving in its direction, +1 or -1: backlash is then the same.
+        """Move to joint angles with each joint arriving in its direction (+1 or -1), for equal backlash.
 
-        With None straight from where it stands. From afar by way of home where the direct way is not clear.
+        Without directions, go straight there. `from_afar` allows the way via home if the direct one is not
+        clear.
         """
         settling = self.settling(joints_rad, arriving, from_afar=from_afar)
-        return self._way_home.past(settling, self.supervised.carry_out)
+        return self.supervised.carry_out_with_detour(settling)
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
-        """A straight line of the flange that brings the mounted tool to a pose."""
+        """Bring the mounted tool to a pose by a straight line of the flange."""
         return self.supervised.carry_out(self.straight(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
-        """From where the approach of a trajectory begins along its axis to where the guide is held.
+        """Move the guide along its axis from the start of the approach to where it is held.
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
-        self._require_outside(MotionName.INSERT)
+        self._require_outside(MotionKind.INSERT)
         self.check_mounted(MountedTool.GUIDE)
         return self.supervised.carry_out(self.inserting(insertion))
 
     def hold(self) -> None:
-        """Stand still, with the standstill watched by the link: out of it leads only the next motion."""
+        """Stand still, watched by the link, until the next motion."""
         if self._arm.state is Lifecycle.ACTIVE:
             self._arm.stop()
-            self.supervised.is_held()
+            self.supervised.note_hold()
 
     def withdraw(self, trajectory: str) -> ArmReading:
-        """Back along the axis to where the approach began.
+        """Move the guide back along its axis to the start of the approach.
 
-        Raises PRO-014 when the guide is not on that trajectory, PRO-015 when it is beside its axis, TOOL-001
-        while an instrument is in it.
+        Raises PRO-014 if it is not on that trajectory, PRO-015 if it is beside its axis, TOOL-001 while an
+        instrument is in it.
         """
+        return self.supervised.carry_out(self.withdrawing(self._axis_of(trajectory)))
+
+    def retreat(self, trajectory: str) -> None:
+        """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
+        self.start()
+        way_out = [self.withdrawing(self._axis_of(trajectory))]
+        self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
+        self.withdraw(trajectory)
+
+    def _axis_of(self, trajectory: str) -> Insertion:
         axis = self.place.axis
         if axis is None or axis.trajectory != trajectory:
             on = self.place.trajectory or "no trajectory"
             raise InstrumentInside(f"the guide is not on {trajectory}", expected=trajectory, got=on)
-        return self.supervised.carry_out(self.withdrawing(axis))
+        return axis
 
     def recover(self, role: str, by: str) -> None:
-        """Recover a device from its fault; moves nothing. What hangs on the arm counts as unchecked then."""
+        """Recover a device from its fault; moves nothing. After the arm's, the mounted tool is unchecked."""
         device = self._devices[role]
         device.recover(by)
         if device is self._arm:
-            self._way_home.settled = False  # somebody may have jogged it
+            self.supervised.settled_home = False  # somebody may have jogged it
             self.supervised.begin_anew()
-            if not self.place.on_axis:  # what is on an axis is the guide
-                self._mount.tool = MountedTool.UNKNOWN
+            if not self.place.on_axis:  # only the guide can be on an axis
+                self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
-        """Take a pair and measure the sphere in it. Raises STE-012 when no new pair comes whole."""
-        seen = look(self._stereo, self.calibrations.stereo_head, self._theatre.clock)
+        """Take a stereo pair and measure the sphere in it. Raises STE-012 if no new pair comes whole."""
+        seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
 
+    @property
+    def streaming(self) -> bool:
+        """Whether the arm's correction stream runs; otherwise nothing of ours can move the arm."""
+        return self._arm.observe().state in RUNNING
+
     def link_statistics(self) -> LinkStatistics:
-        """Health of the robot link since the arm was last activated."""
+        """Health of the robot link since the last activation of the arm."""
         return self._arm.link_statistics()
 
     def rest(self) -> None:
-        """End the arm's correction stream and the cameras, as a tool change and a parked arm want it."""
-        for device in (self._arm, self._stereo):
+        """End the arm's correction stream and the cameras, for a tool change or a parked arm."""
+        for device in (self._arm, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self.supervised.begin_anew()
 
     def stop(self) -> None:
-        """Bring the arm to rest as well as the link still allows; never raises."""
+        """Bring the arm to rest, as well as the link still allows; never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
         self.supervised.begin_anew()
 
     def close(self) -> None:
-        """End all connections, the arm's first; never raises."""
+        """Close all connections, the arm's first; never raises."""
         self._theatre.close()
 
-    def _require_allowed(self, motion: CellMotion) -> None:
-        """Along its axis while the guide is on it: after a stop someone may have pushed it aside."""
+    def _require_allowed(self, motion: PlannedMotion) -> None:
+        """Raise unless a motion keeps to the guide's axis, checked anew: a hand may have pushed it."""
         on, axis = self.place.axis, motion.axis
         if axis is None or (on is not None and axis.trajectory != on.trajectory):
             self._require_outside(motion.what)
@@ -390,15 +391,22 @@ class Workcell:
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
-    def _joint_motion(self, what: MotionName, *legs: JointMove, by_home: bool = False) -> CellMotion:
-        home_rad = self._way_home.known_rad if by_home else None
-        otherwise = () if home_rad is None else (*_legs(MotionName.HOME, home_rad), *legs)
-        return CellMotion(what, f"the {self.tool}", legs[-1].target_rad, legs, otherwise)
+    def _joint_motion(self, what: MotionKind, *legs: JointMove, by_home: bool = False) -> PlannedMotion:
+        direct = PlannedMotion(what, f"the {self.tool}", legs[-1].target_rad, legs)
+        if not by_home or self._log.home_rad is None:
+            return direct
+        return replace(direct, otherwise=(self._home_motion(self._log.home_rad), direct))
+
+    def _home_motion(self, home_rad: JointVector) -> PlannedMotion:
+        before = JointMove(approach_joints(home_rad, ONE_SIDE))
+        return self._joint_motion(MotionKind.HOME, before, JointMove(home_rad))
 
     def _line_motion(
-        self, what: MotionName, pose: Transform, line: LineMove, axis: Insertion | None = None
-    ) -> CellMotion:
-        return CellMotion(what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis)
+        self, what: MotionKind, pose: Transform, line: LineMove, axis: Insertion | None = None
+    ) -> PlannedMotion:
+        return PlannedMotion(
+            what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis
+        )
 
     def _commanded(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
         return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)
@@ -407,9 +415,3 @@ class Workcell:
         self.instrument.require_out(what)
         for held in self.place.why_held:
             raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")
-
-
-def _legs(what: MotionName, to_rad: JointVector) -> tuple[JointMove, ...]:
-    if what is not MotionName.HOME:
-        return (JointMove(to_rad),)
-    return (JointMove(approach_joints(to_rad, ONE_SIDE)), JointMove(to_rad))

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.path_check.wrist import LEAST_BEND_RAD
+from procedures.planning.free_angle import LEAST_BEND_RAD
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory, target_pose

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.template import propose_template
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import propose_template
 from procedures.registration.correspondence import Match, Prior
 from procedures.registration.matching import match
 from procedures.registration.template import match_by_template

@@ -36,7 +36,7 @@ from painted_ct import write_series
 from waiting import eventually
 
 from console.planning.slice_panel import CHOSEN
-from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan_lock import lock_plan
 
 ENTRY, TARGET = ("8,4", "-112.7", "871.8"), ("-2.2", "-70.9", "820.1")
 Open = Callable[[Path], dict[str, str]]
@@ -252,7 +252,7 @@ def test_a_case_that_starts_on_the_plan_blocks_editing_until_it_ends(
     opened: Open, page: Any, plan: Path
 ) -> None:
     enter_planner(page, opened(plan)["url"])
-    with held_plan(plan):
+    with lock_plan(plan):
         type_number(page, "target L", "-3.0")
         assert "read-only" in said(page, "PLAN-026")
         page.wait_for_function("document.querySelector('[data-field=\"target L\"]').value === '-2.2'")

@@ -13,7 +13,7 @@ from procedures.journal.journal import Entry
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.steps.clinical import registration
-from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
+from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
 from procedures.workcell import MountedTool
 
 PHONE_PX = 390

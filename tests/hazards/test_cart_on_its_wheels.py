@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 from room_trials import STILL, TrackedCase
 
-from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_watch import RoomWatch
 from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, moved_against_head
 from procedures.steps.errors import CartNotLocked
 

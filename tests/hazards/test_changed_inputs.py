@@ -31,8 +31,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
-from procedures.planning.cart.proposed_place import read_place
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
+from procedures.planning.proposed_place import read_place
 from procedures.recovery.comparison import Comparison
 from procedures.recovery.inputs import compare_inputs
 from procedures.results.errors import StepRefused
@@ -41,9 +41,9 @@ from procedures.steps.clinical import positioning
 from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.inputs import UnchangedInputs
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import MountedTool
 from ronna_hw.evidence.inspection import inspected
 

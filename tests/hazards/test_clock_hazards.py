@@ -26,7 +26,7 @@ DATING = {
     "sim/theatre/theatre_file.py",
     "sim/phantom",
     "procedures/journal/journal.py",
-    "procedures/guards/wall_clock.py",
+    "procedures/guards/default_guards.py",
     "procedures/engine/events/stream.py",
     "procedures/engine/context.py",
     "procedures/recovery/devices.py",

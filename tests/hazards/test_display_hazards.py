@@ -14,7 +14,7 @@ from procedures.engine.step import StepKey
 from procedures.journal.journal import Entry, Journal
 from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, TargetTruth, Truth
 from procedures.reporting.report import write_report
-from procedures.steps.clinical.registration import Prediction
+from procedures.steps.clinical.results import Prediction
 from ronna_hw.command_line import messages
 
 EXTREMES_MM = (0.0004, 0.0006, 9.9996, 12345.6789, 99999.9994)

@@ -30,10 +30,9 @@ from procedures.operator.topic import Topic
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import RegisteredRobot, Relocalization
+from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
 from procedures.workcell import MountedTool
 
 pytestmark = [pytest.mark.hazard(12), pytest.mark.branch("MOVE_FOLLOWED")]

@@ -11,7 +11,7 @@ from oriented_heads import LAYOUTS, OrientedHead, drawn_head
 
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
-from procedures.steps.clinical.spheres.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM
+from procedures.steps.clinical.coarse_match import SIGMA_CT_MM, SIGMA_TRACKER_MM
 from sim.world.rigid import apply
 
 RUNS = [100, pytest.param(1000, marks=[pytest.mark.slow, pytest.mark.timeout(600)])]

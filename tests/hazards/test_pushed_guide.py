@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from room_trials import TrackedCase
 
-from procedures.guards.guide_still import (
+from procedures.guards.guide_displacement import (
     END_READINGS,
     END_SEEN_MM,
     FRAMES,

@@ -24,13 +24,12 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.ghosts import ghosts_of
-from procedures.guards.room_reading import read_room
-from procedures.guards.room_watch import NEAR_HEAD_MM, RoomReading
+from procedures.guards.room_reading import RoomReading, ghosts_of, read_room
+from procedures.guards.room_watch import NEAR_HEAD_MM
 from procedures.registration.movement import NEAR_MM
 from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning, relocalization
-from procedures.steps.clinical.validity.room import require_unmoved
+from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.optics import eyes_mm, phantoms
@@ -59,7 +58,7 @@ def test_a_thousand_quiet_cases_raise_no_alarm() -> None:
         stays = int(case.generator.integers(len(case.rests)))  # there it is read again before it leaves
         for number, place in enumerate(case.rests):
             for _ in range(2 if number == stays else 1):
-                assert watch.check(case.reading(watch, place)) == []
+                assert watch.compare(case.reading(watch, place)).require() == ()
 
 
 @pytest.mark.slow
@@ -77,9 +76,9 @@ def test_a_shift_while_the_arm_rests_is_detected_before_the_next_motion_in_a_tho
         watch, way = case.begin(), case.direction()
         rest = int(case.generator.integers(len(case.rests)))
         for place in case.rests[: rest + 1]:
-            watch.check(case.reading(watch, place))
+            watch.compare(case.reading(watch, place)).require()
         with pytest.raises(noticed):
-            watch.check(case.reading(watch, case.rests[rest], head_mm * way, cart_mm * way))
+            watch.compare(case.reading(watch, case.rests[rest], head_mm * way, cart_mm * way)).require()
 
 
 @pytest.mark.hazard(13)
@@ -90,14 +89,14 @@ def test_a_moved_tracker_is_distinguished_from_a_moved_cart_and_a_moved_head() -
         watch = case.begin()
         what = rf"the {said}.*(1\.9|2\.\d)\d mm.*y \+[12]\.\d\d"
         with pytest.raises((BaseShifted, PatientMoved), match=what):
-            watch.check(case.reading(watch, case.home_rad, head_mm, cart_mm))
+            watch.compare(case.reading(watch, case.home_rad, head_mm, cart_mm)).require()
 
 
 @pytest.mark.hazard(13)
 def test_a_slightly_moved_tracker_is_a_finding_because_arm_and_head_agree() -> None:
     case = TrackedCase(3)
     watch, way = case.begin(), np.array([0.6, 0.0, 0.0])
-    (finding,) = watch.check(case.reading(watch, case.home_rad, way, way))
+    (finding,) = watch.compare(case.reading(watch, case.home_rad, way, way)).require()
     assert "arm and head agree" in finding
 
 
@@ -123,7 +122,7 @@ def test_a_head_turned_about_the_middle_of_its_spheres_has_moved() -> None:
         reading.robot_from_flange, reading.frame_mm, middle + turn.apply(reading.spheres_mm - middle)
     )
     with pytest.raises(PatientMoved, match="the head has moved"):
-        watch.check(turned)
+        watch.compare(turned).require()
 
 
 @pytest.mark.hazard(12)
@@ -133,7 +132,7 @@ def test_a_single_displaced_sphere_is_not_reported_as_a_moved_head() -> None:
     reading = case.reading(watch, case.home_rad)
     reading.spheres_mm[1] += (1.2, -0.9, 0.0)
     with pytest.raises(PatientMoved, match=r"one sphere has moved by 1\.[45] mm.*the other 4 have not"):
-        watch.check(reading)
+        watch.compare(reading).require()
 
 
 @pytest.mark.hazard(12)
@@ -143,7 +142,7 @@ def test_two_displaced_spheres_suffice_to_detect_a_moved_head() -> None:
     reading = case.reading(watch, case.home_rad, np.array([0.0, 3.0, 0.0]))
     two = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:2])
     with pytest.raises(PatientMoved, match="the mean of 2 spheres"):
-        watch.check(two)
+        watch.compare(two).require()
 
 
 @pytest.mark.hazard(12)
@@ -153,7 +152,7 @@ def test_an_unknown_sphere_near_the_head_is_not_ignored_while_others_are_hidden(
     reading = case.reading(watch, case.home_rad, np.array([0.0, 9.0, 0.0]))
     one = type(reading)(reading.robot_from_flange, reading.frame_mm, reading.spheres_mm[:1])
     with pytest.raises(PatientUnseen, match=r"PRO-022.*1 sphere near the head"):
-        watch.check(one)
+        watch.compare(one).require()
 
 
 def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:

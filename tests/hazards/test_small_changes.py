@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from room_trials import TrackedCase
 from scipy.spatial.transform import Rotation
 
-from procedures.guards.room_watch import RoomLook, RoomReading, RoomWatch
+from procedures.guards.room_reading import RoomReading
+from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM, unnoticed_mm
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.steps.clinical.tool_check import APPROACHES

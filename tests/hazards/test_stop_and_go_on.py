@@ -109,7 +109,7 @@ def stopped_case(folder: Path, arm: PlanningArm) -> ClinicalCell:
     cell.theatre = cell.theatre.model_copy(update={"cell": bodies})
     arm.joints_rad, arm.state, arm.mounted = cell.arm.joints_rad, cell.arm.state, cell.arm.mounted
     cell.arm = cell.room.arm = arm
-    cell.opened._devices["robot.master"] = arm
+    cell.opened.replace_device("robot.master", arm)
     cell.carrying(MountedTool.STEREO_HEAD)
     return cell
 

@@ -16,13 +16,13 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from drivers.kuka_rsi.options import KukaOptions
 from procedures.planning.errors import NotReachable
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.motions import previews_of
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.visits import ArmSetting
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.theatre.scene import PlanningScene
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.motions import previews_of
+from procedures.planning.paths import check_paths
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900

@@ -33,7 +33,7 @@ NOTHING_MM = SPHERES_MM[:0]
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.guards.room_watch.MOST_UNSEEN_S", UNSEEN_S)
-    monkeypatch.setattr("procedures.guards.head_in_sight.PATIENCE_S", 0.0)
+    monkeypatch.setattr("procedures.guards.tracker_guards.PATIENCE_S", 0.0)
 
 
 def guarded(cell: ClinicalCell) -> Engine:

@@ -20,7 +20,7 @@ from procedures.engine.events import Advisory
 from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_watch import RoomWatch
-from procedures.guards.tracker_link import JUDGED
+from procedures.guards.tracker_guards import JUDGED
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry
 from procedures.operator.question import Question
@@ -98,11 +98,11 @@ def test_an_interruption_while_the_first_frame_is_awaited_ends_the_watch(
     cell = ClinicalCell(tmp_path)
     engine = watched(cell)
 
-    def interrupted(looking: motion_watch._Looking) -> None:
+    def interrupted(looking: motion_watch._WatchThread) -> None:
         looking._thread.start()
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(motion_watch._Looking, "begin", interrupted)
+    monkeypatch.setattr(motion_watch._WatchThread, "begin", interrupted)
     with pytest.raises(KeyboardInterrupt):
         positioned(engine)
     assert "patient watch" not in {thread.name for thread in threading.enumerate()}

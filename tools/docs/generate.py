@@ -37,11 +37,10 @@ from procedures.engine.machine import mermaid
 from procedures.exchange import allowed_fields
 from procedures.operator.question import words
 from procedures.operator.topic import FOR_A_PERSON, Topic
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_model import Plan
 from procedures.results.result import StepResult
-from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
-from procedures.steps.catalogue import clinical_steps
+from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
 from ronna_hw.config import TheatreFile
 from ronna_hw.errors import RonnaError, concrete_errors
 from sim.named_parameters import rows

@@ -22,7 +22,7 @@ from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import Operator, Question, words
 from procedures.operator.topic import FOR_A_PERSON, Topic
-from procedures.steps.answer_words import ANSWER_WORDS
+from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes

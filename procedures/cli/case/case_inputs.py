@@ -11,8 +11,8 @@ if TYPE_CHECKING:
     from procedures.engine.context import ClinicalInput
     from procedures.engine.left_run import LeftRun
     from procedures.engine.order import CaseOrder
-    from procedures.planning.plan.lock import HeldPlan
-    from procedures.planning.plan.model import Plan
+    from procedures.planning.plan_lock import HeldPlan
+    from procedures.planning.plan_model import Plan
 
 
 def case_folder(request: CaseRequest, folder: Path) -> Path:
@@ -37,10 +37,10 @@ def clinical_input(request: CaseRequest, folder: Path, plan: HeldPlan | None = N
 
 def order_of_case(request: CaseRequest, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
     """The steps of a run, by its plan as held and its strategy. Raises what reading the plan raises."""
-    from procedures.planning.plan.file import plan_of, read_plan
+    from procedures.planning.plan_file import parse_plan_bytes, read_plan
 
     file = case_folder(request, folder) / "plan.toml"
-    return _order(request, read_plan(file) if held is None else plan_of(held.content, file.name))
+    return _order(request, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
 
 
 def recorded_order(request: CaseRequest, left: LeftRun) -> CaseOrder:

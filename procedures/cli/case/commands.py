@@ -109,21 +109,21 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
         return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
-    from procedures.steps.planned_questions import planned_questions
+    from procedures.steps.catalogue import planned_questions
 
     for question in planned_questions(engine.order.spec(key)):
         say(f"  asks {question}")
 
 
 def _dry(engine: Engine, argument: str, say: Say) -> None:
-    from procedures.steps.dry_run import would_move
+    from procedures.steps.dry_run import planned_motions
 
     key = _named(engine, argument)
     _why(engine, str(key), say)
     if not engine.order.spec(key).moves:
         say("this step moves nothing")
         return
-    motions = would_move(engine.case, key, engine.setting)
+    motions = planned_motions(engine.case, key, engine.setting)
     if motions is None:
         say("this step moves the arm; its motions are known after path_check")
         return

@@ -18,10 +18,7 @@ from procedures.cli.case.alarms import Alarms
 from procedures.cli.case.asking import Asking, undisturbed
 from procedures.cli.case.case_inputs import case_folder, clinical_input, order_of_case, recorded_order
 from procedures.cli.case.leaving_report import begin_report
-from procedures.cli.case.operators import (
-    SimulatedRoom,
-    TerminalRoom,
-)
+from procedures.cli.case.operators import SimulatedRoom, TerminalRoom
 from procedures.cli.case.request import CaseRequest, TheatreRequest
 from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.case.simulated_case import SimulatedCase
@@ -178,8 +175,8 @@ def opened_case(
     """The engine of a clinical case, as `opened_engine`. Its plan is held meanwhile."""
     from procedures.calibration.validity import require_valid
     from procedures.engine.context import this_second
-    from procedures.planning.plan.lock import held_plan
-    from procedures.workcell.tool_records import ToolRecords
+    from procedures.planning.plan_lock import lock_plan
+    from procedures.planning.tool_records import ToolRecords
     from ronna_hw.records import write_whole
 
     case = case_folder(request, folder)
@@ -196,7 +193,7 @@ def opened_case(
         if request.plan is not None and (resumption is None or resumption.left.untouched):
             plan_bytes = read_bounded(request.plan, LARGEST_TOML_BYTES)
             write_whole(case / "plan.toml", plan_bytes)  # instead of the phantom's own
-        plan = held.enter_context(held_plan(case / "plan.toml"))
+        plan = held.enter_context(lock_plan(case / "plan.toml"))
         order = order_of_case(request, folder, plan)
         if request.answers is not None:
             request.answers.check_trajectories(order.trajectories)

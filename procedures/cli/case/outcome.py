@@ -140,9 +140,9 @@ def _outcome(
 ) -> FinishedRun:
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome
     from procedures.reporting.run_reading import registrations_of
-    from procedures.steps.clinical.confirmation import ConfirmedTarget
     from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
     from procedures.steps.clinical.plan_check import CheckedPlan
+    from procedures.steps.clinical.results import ConfirmedTarget
     from procedures.steps.clinical.retreat import Retreated
     from procedures.steps.clinical.tool_change import MountedGuide
 

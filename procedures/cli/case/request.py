@@ -103,12 +103,12 @@ def check_request(request: CaseRequest) -> None:
             if not path.exists():
                 raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
         if request.answers is not None:
-            from procedures.planning.plan.file import read_plan
+            from procedures.planning.plan_file import read_plan
 
             plan = read_plan(case / "plan.toml")
             request.answers.check_trajectories([one.id for one in plan.trajectories])
     if request.plan is not None:
-        from procedures.planning.plan.file import read_plan
+        from procedures.planning.plan_file import read_plan
 
         planned = [one.id for one in read_plan(request.plan).trajectories]
         if request.answers is not None:

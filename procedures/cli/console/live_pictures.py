@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING
 
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 
 if TYPE_CHECKING:
     from procedures.workcell.stereo_look import Look

@@ -13,11 +13,10 @@ from functools import partial
 from procedures.cli.doctor.camera_serials import camera_endpoint
 from procedures.cli.doctor.pictures import pair_diagnostics
 from procedures.cli.doctor.theatre_use import TOOL
+from procedures.planning.tool_records import ToolRecords
 from procedures.relocalization.triangulation import check_serial
-from procedures.workcell.carried_tool import calibrated_arm, require_this_arm
-from procedures.workcell.mounted_tool import MountedTool, ToolMount
 from procedures.workcell.stereo_look import FURTHER_TRIES
-from procedures.workcell.tool_records import ToolRecords
+from procedures.workcell.tools import MountedTool, ToolMount, calibrated_arm, require_this_arm
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from procedures.planning.sight.stereo_head import SPHERE_RADIUS_MM
+from procedures.planning.line_of_sight import SPHERE_RADIUS_MM
 from procedures.relocalization import measure_sphere
 from procedures.relocalization.errors import BadImage, NoContrast, NoSphere, Saturated
 from procedures.relocalization.outline import TOO_FAINT, SphereImage, SphereStatus

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-from procedures.guards.disk_space import DiskSpace
+from procedures.guards.default_guards import DiskSpace
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.probing import Diagnostic

@@ -8,8 +8,7 @@ from typing import Any
 from procedures.calibration.tip_calibration import LOOKS_FILE, TipLooks, TipResult, calibrate_tip
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration_figures import TipFigures
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
 
 MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
 

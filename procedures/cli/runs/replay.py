@@ -16,7 +16,7 @@ from procedures.engine.replay.comparison import ReplayedRecord, Verdict
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.run_folder import RunFolder, run_of, typed
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp

@@ -100,8 +100,8 @@ def check(
     then.require_complete()
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.reporting.calibration_figures import write_figures
-    from procedures.steps.calibration.baseline_visit import VisitedBaseline
-    from procedures.steps.calibration.procedures import head_check
+    from procedures.steps.calibration.head_looks import VisitedBaseline
+    from procedures.steps.calibration.recipe import head_check
 
     folder = new_folder(asked.out, "check")
     found: list[HeadCheckFigures] = []
@@ -156,7 +156,7 @@ def measure(
     theatre = asked.theatre()
     from procedures.cli.calibrating.running import new_folder, run_steps
     from procedures.cli.case.leaving_report import leaving_report
-    from procedures.steps.calibration.procedures import head_look, look_where_it_stands
+    from procedures.steps.calibration.recipe import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
     steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
@@ -167,7 +167,7 @@ def measure(
         seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"
         if picture is not None:
-            from procedures.workcell.stereo_picture import pair_picture
+            from procedures.workcell.stereo_look import pair_picture
             from ronna_hw.records import write_whole
 
             write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))

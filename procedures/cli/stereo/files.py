@@ -16,7 +16,7 @@ from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import CalibrationKind
 from procedures.reporting.calibration_figures import HeadCheckFigures, HeadFigures, SignFigures
-from procedures.steps.calibration.ball_observation import ObservedBall
+from procedures.steps.calibration.head_looks import ObservedBall
 from ronna_hw.command_line.messages import tell
 from ronna_hw.records import write_whole
 

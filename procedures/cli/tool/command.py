@@ -180,7 +180,7 @@ def check(config: ConfigOption) -> None:
     mistakes, 3 refused.
     """
     from procedures.calibration.validity import options_of, require_valid
-    from procedures.workcell.tool_records import ToolRecords
+    from procedures.planning.tool_records import ToolRecords
     from ronna_hw.config import read_theatre_file
 
     theatre = read_theatre_file(config)

@@ -10,8 +10,8 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.tool.gauge_readings import read_gauge
-from procedures.workcell.errors import NoToolRecord
-from procedures.workcell.tool_records import GUIDE, ToolRecords
+from procedures.planning.errors import NoToolRecord
+from procedures.planning.tool_records import GUIDE, ToolRecords
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake

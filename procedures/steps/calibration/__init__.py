@@ -1,1 +1,1 @@
-"""The steps of calibrations, one module each."""
+"""Steps of calibrations."""

@@ -1,4 +1,4 @@
-"""Where the ball is before the head has seen it: as the operator says, or as the tracker sees it."""
+"""The ball of a calibration: its coarse position, by the operator or by the tracker, and the way over it."""
 
 from __future__ import annotations
 
@@ -10,43 +10,54 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.errors import NoBall
-from procedures.calibration.pose_set import PlannedLook
+from procedures.calibration.errors import NoBall, PosesOutOfReach
+from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
+from procedures.relocalization.errors import SphereNotInView
+from procedures.relocalization.servo import SEARCH_RADIUS_MM
 from procedures.results.result import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.trajectory import tool_orientation
+from procedures.workcell import MountedTool, Workcell
+from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.stereo_look import pair_picture
+from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import Numbers3
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 
 Array = NDArray[np.float64]
 
 DOWN = np.array([0.0, 0.0, -1.0])
 ALONE_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
+BALL_PICTURE = "stereo-ball.png"
+SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
 
 
 class BallPlace(StepResult, kind="ball_place"):
-    """Coarse place of the ball and of other balls, robot frame."""
+    """Coarse position of the ball and of other balls, robot frame."""
 
     ball_mm: Numbers3 = Field(description="The ball to measure.")
     others_mm: tuple[Numbers3, ...] = Field(description="Other balls to keep clear of.")
 
     @classmethod
     def among(cls, points_mm: Array, number: int) -> Self:
-        """One of the balls (n, 3)."""
+        """Choose one of the balls (n, 3)."""
         x, y, z = points_mm[number].tolist()
         others = tuple((float(u), float(v), float(w)) for u, v, w in np.delete(points_mm, number, axis=0))
         return cls(ball_mm=(x, y, z), others_mm=others)
 
     @property
     def reference(self) -> Rotation:
-        """Orientation robot <- tool that looks straight down on the ball, mount turned outwards."""
+        """Orientation robot <- tool looking straight down on the ball, with the mount turned outwards."""
         return tool_orientation(DOWN, np.array(self.ball_mm), 0.0)
 
     @property
     def first_look(self) -> PlannedLook:
-        """The ball in the tool centre, looked at from above."""
+        """Look from above with the ball in the tool centre."""
         pose = Transform.of(
             Frame.ROBOT,
             Frame.TOOL,
@@ -58,20 +69,17 @@ class BallPlace(StepResult, kind="ball_place"):
 
 @dataclass(frozen=True)
 class StatedPlace:
-    """The place that the operator states, in the robot frame."""
+    """Position stated by the operator, robot frame."""
 
     ball_mm: Numbers3
 
     def run(self, _context: StepContext) -> Outcome[BallPlace]:
-        """Take it as it is."""
+        """Accept the position as stated."""
         return Outcome(BallPlace(ball_mm=self.ball_mm, others_mm=()), "as stated")
 
 
 def run(context: StepContext) -> Outcome[BallPlace]:
-    """By the tracker: the ball nearest to the head in its present pose. Raises CAL-009.
-
-    The arm rests, as the localization by the tracker wants it.
-    """
+    """Choose the isolated ball, seen by the tracker, that is nearest to the head. Raises CAL-009."""
     points = context.result(GlobalLocalization).points_mm
     alone = standing_alone(points)
     if not alone:
@@ -84,7 +92,7 @@ def run(context: StepContext) -> Outcome[BallPlace]:
 
 
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
-    """The step; with a stated place the tracker is not asked."""
+    """Build the step; with a stated position, the tracker is not asked."""
     if stated_mm is not None:
         return StepSpec(
             BallPlace, "Use the given ball position", Phase.PREPARATION, StatedPlace(stated_mm).run
@@ -93,10 +101,74 @@ def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
 
 
 def standing_alone(points_mm: Array) -> list[int]:
-    """Numbers of the balls (n, 3) that are far enough from every other one."""
+    """Indices of the balls (n, 3) that are far enough from every other one."""
     return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ALONE_MM]
 
 
 def _nearest_mm(points: Array, number: int) -> float:
     others = np.delete(points, number, axis=0)
     return float(np.linalg.norm(others - points[number], axis=1).min()) if len(others) else np.inf
+
+
+def bring_over_ball(
+    context: StepContext,
+    place: BallPlace,
+    purpose: str,
+    poses: int,
+    *,
+    ball: str = "the ball",
+    if_missing: str | None = None,
+) -> BallWatcher:
+    """Bring the head over the ball, once confirmed, until the ball is in view.
+
+    Before anything moves, `poses` poses around the ball must be within reach. Raises CAL-010, PRO-002 unless
+    confirmed, STE-009 with the advice `if_missing` if the ball is not found.
+    """
+    workcell = context.workcell
+    ball_mm = np.array(place.ball_mm)
+    watcher = BallWatcher(workcell, ball_mm)
+    plan = calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
+    reached = sum(watcher.reaches(look.pose) for look in plan)
+    if not watcher.reaches(place.first_look.pose) or reached < poses:
+        raise PosesOutOfReach(
+            "the poses around the ball are out of the arm's reach",
+            expected=f"{poses} poses",
+            got=f"{reached} of {len(plan)}",
+        )
+    x, y, z = place.ball_mm
+    context.confirm(
+        Topic.CALIBRATION,
+        f"The arm will move around the ball: {purpose}. Nobody and nothing else may be within its reach",
+        f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
+    )
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(around_ball(context.setting.surroundings, tool, ball_mm, place.others_mm))
+    workcell.start(cameras=True)
+    workcell.sensors.read_whole()
+    try:
+        seen = watcher.find(place.first_look)
+    except SphereNotInView as error:
+        raise SphereNotInView(
+            f"{ball} was not seen within {SEARCH_RADIUS_MM:g} mm of {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
+            got=error.what,
+            action=if_missing,
+        ) from error
+    context.keep_picture(BALL_PICTURE, pair_picture(seen))
+    return watcher
+
+
+def return_home_if_clear(context: StepContext) -> list[str]:
+    """Go home, or remark that the way is not clear: the looks are worth keeping."""
+    try:
+        context.workcell.go_home()
+    except NotClear as error:  # raised before anything moved
+        return [f"the arm stays where it is: {error.what}"]
+    return []
+
+
+def reachable_joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
+    """Joints for a planned look in the arm's branch at home, or None."""
+    try:
+        return workcell.joints_at(look.pose, workcell.home_rad)
+    except LimitError:
+        return None

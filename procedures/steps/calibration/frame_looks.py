@@ -1,5 +1,4 @@
-"""Rotate the reference frame in view of the tracker: arm and tracker from poses in all directions about
-it."""
+"""Rotation of the reference frame about its position, in all directions, in view of the tracker."""
 
 from __future__ import annotations
 
@@ -21,12 +20,12 @@ from procedures.calibration.frame_calibration import (
 )
 from procedures.calibration.hand_eye import LEAST_LOOKS
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import PlannedLook
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
+from procedures.steps.calibration.ball_place import reachable_joints
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.strategies.strategy import ONE_SIDE
@@ -40,11 +39,11 @@ from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
 
 SPARE = 1.5  # planned poses for each wanted one: from some the tracker does not see the frame
-RETURN_AFTER = 10  # looks, then one at home: whatever has moved is noticed
+RETURN_AFTER = 10  # looks, then one at home to notice any move
 
 
 class ObservedFrame(StepResult, kind="frame_looks"):
-    """The looks that a calibration of the reference frame is computed from."""
+    """Looks from which a calibration of the reference frame is computed."""
 
     observed: FrameLooks = Field(description="Contents of `frame-looks.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -52,13 +51,13 @@ class ObservedFrame(StepResult, kind="frame_looks"):
 
 @dataclass(frozen=True)
 class FrameTurning:
-    """How many looks to find the frame with, and how many to judge it by."""
+    """Number of looks to fit the frame with, and to validate it by."""
 
     count: int
     validation: int
 
     def run(self, context: StepContext) -> Outcome[ObservedFrame]:
-        """Raises CAL-010, CAL-002 with too few poses, PRO-002 unless confirmed, DEV-003 for no such tool."""
+        """Take the looks. Raises CAL-010, CAL-002 for too few poses, PRO-002 unless confirmed, DEV-003."""
         context.result(CheckedSetUp)
         workcell, calibrations = context.workcell, context.workcell.calibrations
         plan = self._plan(workcell)
@@ -107,13 +106,13 @@ class FrameTurning:
         )
 
     def _plan(self, workcell: Workcell) -> Sequence[JointVector]:
-        """Joints of poses within reach."""
+        """Joints of the poses within reach."""
         head = workcell.flange_from(MountedTool.STEREO_HEAD)
         frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = workcell.flange_pose(workcell.home_rad) @ head
         wanted = self.count + self.validation
         planned = frame_poses(reference, frame, round(SPARE * wanted))
-        reached = [joints for look in planned if (joints := _joints(workcell, look)) is not None]
+        reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
         if len(reached) < wanted:
             raise PosesOutOfReach(
                 "too few poses of the reference frame are reachable",
@@ -126,7 +125,7 @@ class FrameTurning:
 
 @dataclass
 class _Turning:
-    """Takes the looks."""
+    """The looks taken so far."""
 
     context: StepContext
     looks: list[FrameLook] = field(default_factory=list)
@@ -134,22 +133,22 @@ class _Turning:
 
     @property
     def taken(self) -> int:
-        """Looks so far, without those at home."""
+        """Number of looks, without those at home."""
         return sum(one.use is not Use.RETURN for one in self.looks)
 
     @property
     def why_rejected(self) -> str:
-        """The reasons, the most frequent first."""
+        """Reasons of rejection, the most frequent first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def look_at(self, joints: JointVector, use: Use) -> None:
-        """One look, settled onto from the same side; a pose that cannot be used is counted."""
+        """Look from one pose, reached from the same side; a pose that cannot be used is counted."""
         workcell = self.context.workcell
         try:
             workcell.settle(joints, ONE_SIDE, from_afar=True)
         except (LimitError, NotClear) as error:
             if workcell.arm.observe().state is not Lifecycle.ACTIVE:
-                raise  # not refused before it began: tripped
+                raise  # tripped, not refused before it began
             self.rejected[error.code] += 1
             return
         tool = workcell.calibrations.tracker_frame.tool
@@ -158,7 +157,7 @@ class _Turning:
             seen = average_pose(frames, tool)
         except GateFailed as error:
             if use is Use.RETURN:
-                raise  # from there the frame was in view, or nothing is
+                raise  # from home, the frame must be in view
             self.rejected[error.what.partition(" is in ")[0] + " not in view"] += 1
             return
         measured = workcell.joints_rad()
@@ -174,7 +173,7 @@ class _Turning:
 
 
 def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
-    """The step for so many looks."""
+    """Build the step for a number of looks."""
     return StepSpec(
         ObservedFrame,
         "Rotate the reference frame in view of the tracker",
@@ -184,10 +183,3 @@ def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),
     )
-
-
-def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
-    try:
-        return workcell.joints_at(look.pose, workcell.home_rad)
-    except LimitError:
-        return None

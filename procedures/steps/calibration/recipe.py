@@ -1,4 +1,4 @@
-"""What the steps of a calibration are made from, so that a replay makes the same ones again."""
+"""Steps of each calibration in order, and the recipe from which a replay makes the same steps again."""
 
 from __future__ import annotations
 
@@ -6,9 +6,15 @@ from enum import StrEnum
 
 from pydantic import Field, ValidationError
 
+from procedures.calibration import Baseline
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
-from procedures.steps.calibration.procedures import arm_looks, frame_looks, head_calibration, tip_readings
+from procedures.steps.calibration.ball_place import place_step
+from procedures.steps.calibration.frame_looks import turning_step
+from procedures.steps.calibration.head_looks import look_step, observation_step, visit_step
+from procedures.steps.calibration.sphere_looks import looks_step
+from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step
+from procedures.steps.clinical import global_localization, set_up
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.config import Calibrations
 from ronna_hw.mistakes import describe_mistakes
@@ -16,8 +22,49 @@ from ronna_hw.mistakes import describe_mistakes
 MOST_LOOKS = 1000  # no command takes half of it
 
 
+def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
+    """Set up, find the ball, look at it from all sides."""
+    return (*_to_ball(ball_mm), observation_step(poses, visits))
+
+
+def head_check(baseline: Baseline, visits: int) -> Steps:
+    """Set up, and look at the ball as the calibration did."""
+    return (set_up.STEP, visit_step(baseline, visits))
+
+
+def head_look(ball_mm: Numbers3 | None) -> Steps:
+    """Set up, find the ball, look at it once."""
+    return (*_to_ball(ball_mm), look_step(over_ball=True))
+
+
+def look_where_it_stands() -> Steps:
+    """Look once; nothing moves."""
+    return (look_step(over_ball=False),)
+
+
+def arm_looks(count: int, validation: int) -> Steps:
+    """Set up, find the spheres, look at them from all sides."""
+    return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
+
+
+def frame_looks(count: int, validation: int) -> Steps:
+    """Set up, and rotate the reference frame in view of the tracker."""
+    return (set_up.STEP, turning_step(count, validation))
+
+
+def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:
+    """Set up, look at the ball of the stand, exchange head for guide, read the divot in its place."""
+    place = place_step(ball_mm) if ball_mm is not None else stand_place_step()
+    return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
+
+
+def _to_ball(ball_mm: Numbers3 | None) -> Steps:
+    by_tracker: Steps = () if ball_mm is not None else (global_localization.STEP,)
+    return (set_up.STEP, *by_tracker, place_step(ball_mm))
+
+
 class Calibrated(StrEnum):
-    """What a calibration is of."""
+    """Subject of a calibration."""
 
     HEAD = "stereo head"
     ARM = "arm"
@@ -26,7 +73,7 @@ class Calibrated(StrEnum):
 
 
 class Recipe(Strict):
-    """The steps of one calibration."""
+    """Parameters of the steps of one calibration."""
 
     of: Calibrated = Field(description="What is calibrated.")
     looks: int = Field(ge=0, le=MOST_LOOKS, description="Measurements, poses or readings to compute from.")
@@ -39,7 +86,7 @@ class Recipe(Strict):
 
     @property
     def steps(self) -> Steps:
-        """In their order."""
+        """Steps in order."""
         match self.of:
             case Calibrated.HEAD:
                 return head_calibration(self.looks, self.more, self.ball_mm)
@@ -52,7 +99,7 @@ class Recipe(Strict):
 
     @property
     def starts(self) -> frozenset[str]:
-        """The records that this calibration only starts from, by their names: they may have expired."""
+        """Names of the records that this calibration only starts from, so they may have expired."""
         match self.of:
             case Calibrated.HEAD:
                 return frozenset(Calibrations.model_fields)
@@ -63,7 +110,7 @@ class Recipe(Strict):
 
     @classmethod
     def read(cls, plain: object) -> Recipe:
-        """As it was recorded. Raises PRO-024 for one that this version does not know."""
+        """Read a recorded recipe. Raises PRO-024 for one unknown to this version."""
         try:
             return cls.model_validate(plain, strict=False)
         except ValidationError as error:

@@ -1,4 +1,4 @@
-"""Measure every isolated sphere from the poses that determine most of the arm."""
+"""Looks at every isolated sphere from the poses that determine most of the arm's calibration."""
 
 from __future__ import annotations
 
@@ -27,30 +27,34 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_place import BallPlace, standing_alone
-from procedures.steps.calibration.over_ball import BALL_PICTURE
+from procedures.steps.calibration.ball_place import (
+    BALL_PICTURE,
+    BallPlace,
+    reachable_joints,
+    return_home_if_clear,
+    standing_alone,
+)
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
-from procedures.workcell.stereo_picture import pair_picture
-from ronna_hw.arm.errors import NotClear
+from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
 
-MOST_SPHERES = 6  # more add travel and hardly knowledge
+MOST_SPHERES = 6  # more add travel and little information
 CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken
-CHOICE = 1.5  # planned looks for each wanted one where there are few spheres
+CHOICE = 1.5  # planned looks for each wanted one if there are few spheres
 SPARE = 1.15  # planned looks for each wanted one: some show a sphere half hidden
-GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns, whatever is counted
+GOLDEN = 0.6180339887498949  # its multiples spread evenly over the 64 patterns
 NOT_KNOWN = ((1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0))  # before a look, its covariance
 
 
 class ObservedSpheres(StepResult, kind="sphere_looks"):
-    """The looks that a calibration or check of the arm is computed from."""
+    """Looks from which a calibration or check of the arm is computed."""
 
     observed: ArmLooks = Field(description="Contents of `looks.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
@@ -58,7 +62,7 @@ class ObservedSpheres(StepResult, kind="sphere_looks"):
 
 @dataclass(frozen=True)
 class _Planned:
-    """A look that can be reached; `look` is what it would be worth."""
+    """A look within reach; `look` is its expected content."""
 
     pose: PlannedLook
     look: SphereLook
@@ -66,13 +70,13 @@ class _Planned:
 
 @dataclass(frozen=True)
 class SphereLooks:
-    """How many looks to identify the arm with, none for a check, and how many to judge it by."""
+    """Number of looks to identify the arm with (0 for a check), and to validate it by."""
 
     count: int
     validation: int
 
     def run(self, context: StepContext) -> Outcome[ObservedSpheres]:
-        """Raises CAL-009, CAL-010 with too few poses, CAL-014 for a check, PRO-002 unless confirmed."""
+        """Measure the spheres. Raises CAL-009, CAL-010 for too few poses, CAL-014 for a check, PRO-002."""
         set_up = context.result(CheckedSetUp)
         workcell = context.workcell
         if self.count == 0:
@@ -98,10 +102,7 @@ class SphereLooks:
         for number in sorted(planned):
             mine = [one for one in plan if one.look.sphere == number]
             seen += self._looks_at(context, places[number], mine, len(seen) / len(plan), remarks)
-        try:
-            workcell.go_home()
-        except NotClear as error:  # raised before anything moved; what was seen is worth keeping
-            remarks.append(f"the arm stays where it is: {error.what}")
+        remarks += return_home_if_clear(context)
         observed = ArmLooks(
             created=context.setting.began,
             arm=workcell.arm.kinematics.name,
@@ -117,7 +118,7 @@ class SphereLooks:
         )
 
     def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
-        """The most telling looks, and evenly spread ones to judge by."""
+        """Choose the most telling looks, and evenly spread ones for validation."""
         telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
         wanted = telling_count + judging_count
         each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
@@ -125,7 +126,7 @@ class SphereLooks:
             _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
             for number, place in enumerate(places)
             for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
-            if (joints := _joints(workcell, look)) is not None
+            if (joints := reachable_joints(workcell, look)) is not None
         ]
         if len(reached) < wanted:
             raise PosesOutOfReach(
@@ -160,7 +161,7 @@ class SphereLooks:
             context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
         except (LimitError, SphereNotInView) as error:
             if workcell.arm.observe().state is not Lifecycle.ACTIVE:
-                raise  # not refused before it began: tripped
+                raise  # tripped, not refused before it began
             remarks.append(f"{_named(place)} was left out: {error.what}")
             return []
         seen: list[SphereLook] = []
@@ -189,7 +190,7 @@ class SphereLooks:
 
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
-    """The step for so many looks."""
+    """Build the step for a number of looks."""
     return StepSpec(
         ObservedSpheres,
         "Measure the spheres",
@@ -202,7 +203,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
 
 
 def flanks_of(number: int) -> Flanks:
-    """From which side each joint arrives at look `number`: all patterns come alike."""
+    """Side from which each joint arrives at look `number`; all patterns are equally frequent."""
     pattern = int(GOLDEN * number % 1.0 * 64)
     sides: list[Side] = [1 if pattern >> axis & 1 else -1 for axis in range(6)]
     a, b, c, d, e, f = sides
@@ -210,14 +211,14 @@ def flanks_of(number: int) -> Flanks:
 
 
 def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
-    """Isolated spheres within reach, the nearest to the head first."""
+    """Isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
     alone = standing_alone(points_mm)
     if not alone:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.tool_pose().translation_mm
     near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
-    reached = [place for place in places if _joints(workcell, place.first_look) is not None]
+    reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
     remarks += [f"{_named(one)} was left out: it is out of reach" for one in places if one not in reached]
     if not reached:
         raise NoBall("no isolated sphere is within reach", got=", ".join(map(_named, places)))
@@ -227,13 +228,6 @@ def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[st
 def _named(place: BallPlace) -> str:
     x, y, z = place.ball_mm
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
-
-
-def _joints(workcell: Workcell, look: PlannedLook) -> JointVector | None:
-    try:
-        return workcell.joints_at(look.pose, workcell.home_rad)
-    except LimitError:
-        return None
 
 
 def _unseen(sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool) -> SphereLook:

@@ -1,4 +1,7 @@
-"""Exchange the head for the guide, bring its tip to where the ball was, and have the dials read."""
+"""Steps of the guide tip's calibration: the stand's ball by the stereo head, then a divot by dials.
+
+Head and tip visit the same orientations.
+"""
 
 from __future__ import annotations
 
@@ -9,7 +12,9 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
+from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, turned_about
 from procedures.calibration.tip_calibration import (
     DIALS_TRAVEL_MM,
     BallLook,
@@ -26,44 +31,152 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.stand_ball import ObservedStand
+from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tools.exchange import exchange_for
-from procedures.steps.conditions import exchangeable
+from procedures.steps.clinical.tool_mounting import exchange_tool
+from procedures.steps.conditions import carries, exchangeable
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import in_free_room, stand_under
+from procedures.workcell.ball_watcher import BallWatcher, in_free_room, stand_under
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS
 
+BALL = "ball"
+TILT_RAD = float(np.radians(25.0))
+TURN_RAD = float(np.radians(40.0))
 Array = NDArray[np.float64]
-
 DIVOT = "divot"
-HOVER_MM = 40.0  # back along the guide, on the way to the divot and from it
+HOVER_MM = 40.0  # back along the guide, before and after the divot
 READS = tuple(f"{axis} in mm, along the axes of the robot" for axis in "xyz")
 NEAR_MM = 0.3  # a reading below it needs no other: dials a degree askew then show 0.005 mm too much
 MOST_TRIES = 3  # at one orientation: the second is near, unless something gives way
 
 
+class ObservedStand(StepResult, kind="stand_ball"):
+    """Looks of the stereo head at the stand's ball."""
+
+    looks: tuple[BallLook, ...] = Field(description="One for each orientation.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
+
+
+@dataclass(frozen=True)
+class StandBall:
+    """Number of orientations."""
+
+    count: int
+
+    def run(self, context: StepContext) -> Outcome[ObservedStand]:
+        """Measure the ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without a ball."""
+        context.result(CheckedSetUp)
+        place, workcell = context.result(BallPlace), context.workcell
+        plan = self._plan(place, BallWatcher(workcell, np.array(place.ball_mm)))
+        context.setting.room.prepare_stand(BALL)
+        context.confirm(
+            Topic.CALIBRATION,
+            "the stand is screwed down and its ball is seated",
+            f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
+        )
+        watcher = bring_over_ball(
+            context,
+            place,
+            f"{self.count} measurements of the stand's ball",
+            0,
+            ball="the stand's ball",
+            if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
+            "[procedure].",
+        )
+        looks: list[BallLook] = []
+        for planned in plan:
+            if len(looks) == self.count:
+                break
+            seen = watcher.take(planned, ONE_SIDE)
+            context.progress(len(looks) / self.count, "measuring the stand's ball")
+            if seen is None or seen.point is None:
+                continue
+            joints = workcell.joints_rad()
+            x, y, z = seen.point.position_mm.tolist()
+            looks.append(
+                BallLook(
+                    joints_rad=joints,
+                    robot_from_flange=pose_record(workcell.flange_pose(joints)),
+                    ball_mm=(x, y, z),
+                )
+            )
+        workcell.go_home()
+        if len(looks) < self.count:
+            raise TooFewPoses(
+                "too few poses show the stand's ball",
+                expected=str(self.count),
+                got=f"{len(looks)}; {watcher.why_rejected()}",
+            )
+        left_out = watcher.rejected.total()
+        remarks = (
+            (f"{left_out} measurements of the ball failed: {watcher.why_rejected()}",) if left_out else ()
+        )
+        return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
+
+    def _plan(self, place: BallPlace, watcher: BallWatcher) -> list[PlannedLook]:
+        wanted = round(SPARE * self.count)
+        looks = turned_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
+        reached = [look for look in looks if watcher.reaches(look.pose)]
+        if len(reached) < self.count:
+            raise PosesOutOfReach(
+                "too few poses around the stand are reachable",
+                expected=f"{self.count} poses",
+                got=f"{len(reached)} of {wanted}",
+                action="Put the stand nearer to the middle of the workspace, with free space around it.",
+            )
+        # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
+        return [*order_by_orientation(reached[: self.count]), *reached[self.count :]]
+
+
+def _stated(context: StepContext) -> Outcome[BallPlace]:
+    """Take the stand's position from the theatre file. Raises CAL-009."""
+    stand_mm = context.setting.settings.stand_mm
+    if stand_mm is None:
+        raise NoBall(
+            "the position of the calibration stand is not given",
+            action="Give the position of its ball with --ball X Y Z, or as stand_mm in [procedure].",
+        )
+    return Outcome(BallPlace(ball_mm=stand_mm, others_mm=()), "according to the theatre file")
+
+
+def stand_place_step() -> StepSpec[BallPlace]:
+    """Build the step that takes the stand's position from the theatre file."""
+    return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _stated)
+
+
+def stand_step(count: int) -> StepSpec[ObservedStand]:
+    """Build the step for a number of orientations."""
+    return StepSpec(
+        ObservedStand,
+        "Measure the stand's ball",
+        Phase.OPERATION,
+        StandBall(count).run,
+        reads=(CheckedSetUp, BallPlace),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )
+
+
 class ReadTip(StepResult, kind="tip_readings"):
-    """What the calibration of the tip is computed from."""
+    """Readings from which the tip's calibration is computed."""
 
     observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
 @dataclass(frozen=True)
 class TipReadings:
-    """How many of the orientations are kept to judge by."""
+    """Number of orientations kept for validation."""
 
     validation: int
 
     def run(self, context: StepContext) -> Outcome[ReadTip]:
-        """Raises PRO-002 unless confirmed, PRO-009 for another tool, CAL-018 for impossible readings."""
+        """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
         context.result(CheckedSetUp)
-        context.have_instrument_out()  # of an earlier try
+        context.have_instrument_out()  # of an earlier attempt
         place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
-        number = exchange_for(context, MountedTool.GUIDE)
+        number = exchange_tool(context, MountedTool.GUIDE)
         context.setting.room.prepare_stand(DIVOT)
         context.confirm(
             Topic.CALIBRATION,
@@ -83,7 +196,7 @@ class TipReadings:
         return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
     def _observed(self, context: StepContext, stand: ObservedStand) -> TipLooks:
-        """Before the first reading."""
+        """Looks before the first reading."""
         workcell = context.workcell
         calibrations = workcell.calibrations
         return TipLooks(
@@ -100,13 +213,13 @@ class TipReadings:
 
 @dataclass
 class _Reading:
-    """Brings the tip to the divot, by what is known of it so far, and has the dials read."""
+    """Readings of the divot; the tip is brought there by the readings so far."""
 
     context: StepContext
     observed: TipLooks
 
     def take(self, look: int) -> None:
-        """One orientation; again where the first reading shows the tip far from the divot."""
+        """Read one orientation, again if the first reading shows the tip far from the divot."""
         for _ in range(MOST_TRIES):
             reading = self._read(look)
             others = tuple(one for one in self.observed.readings if one.look != look)
@@ -121,7 +234,7 @@ class _Reading:
         hover_rad = workcell.joints_at(back, over.joints_rad)
         workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
-        workcell.hold()  # hands raise the divot: only a motion that is asked for leads on
+        workcell.hold()  # hands raise the divot: only the next motion may move the arm
         workcell.instrument.goes_in(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
             Task(
@@ -144,7 +257,7 @@ class _Reading:
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
-        """ROBOT <- TOOL, as the workcell has the guide, with its tip where the head saw the ball."""
+        """Pose ROBOT <- TOOL of the guide with its tip where the head saw the ball."""
         workcell = self.context.workcell
         head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
@@ -156,14 +269,14 @@ class _Reading:
         return Transform(Frame.ROBOT, Frame.FLANGE, wanted) @ guide
 
     def _tip_mm(self, guide: Transform, head: Transform) -> Array:
-        """The tip in the tool frame of the head: by the readings so far, before the first by the record."""
+        """Tip in the tool frame of the head, by the readings so far, at first by the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
         return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
 
 
 def readings_step(validation: int) -> StepSpec[ReadTip]:
-    """The step; so many readings are kept to judge by."""
+    """Build the step with a number of readings for validation."""
     return StepSpec(
         ReadTip,
         "Read the divot at the tip of the guide",

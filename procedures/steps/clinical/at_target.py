@@ -1,7 +1,7 @@
-"""At the target: the guide is held outside the skin, and someone works through it, stage by stage.
+"""Work at the target: the guide is held outside the skin, and somebody works through it, stage by stage.
 
-From before the first stage until the instrument is confirmed to be out, nothing moves. The instrument's tip
-is at the target when its depth stop rests on the guide.
+Nothing moves from before the first stage until the instrument is confirmed to be out. The instrument's tip is
+at the target when its depth stop rests on the guide.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
@@ -24,9 +24,15 @@ from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkStage, begun_work, done_in_words
-from procedures.steps.clinical.tools.depth_stop import DepthStop
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.work_progress import (
+    STAGES,
+    DepthStop,
+    WorkProgress,
+    WorkStage,
+    done_in_words,
+    work_progress,
+)
 from procedures.steps.conditions import inserted
 from ronna_hw.text import beyond
 
@@ -39,9 +45,9 @@ DWELL_S = 0.5  # of theatre time, before the reading
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
-    """How the guide was held, and how deep the instrument went.
+    """Pose of the held guide, and depth of the instrument.
 
-    Of work that had been finished before, when the guide was there earlier, nothing watched how it was held.
+    For work finished on an earlier visit of the guide, how it was held was not watched.
     """
 
     tool_pose: FramedPose | None = Field(
@@ -65,7 +71,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Read the arm at rest, have the depth stop set, the work done stage by stage, the instrument out."""
+    """Check the arm's position; have the depth stop set, the stages done and the instrument removed."""
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
@@ -82,15 +88,15 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     _check_room_again(context)
     workcell.hold()
     with head_must_show(context), _watched_guide(context) as rest:
-        begun = begun_work(context)
-        context.progress(0.0, f"the guide is held at {trajectory}")  # or was left displaced: it is looked at
+        begun = work_progress(context)
+        context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
             if stage.task not in begun.done:
                 _work(context, stage, begun)
                 _look_at_guide(context, stage, rest, begun)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
                 context.progress(share, f"{stage.confirms} at {trajectory}")
-        context.have_instrument_out()  # nothing that comes now may keep the work from counting as finished
+        context.have_instrument_out()  # from here on, the work counts as finished whatever happens
     if begun.finished_before:
         return _not_watched(begun)
     pushed = begun.pushed_mm > PUSHED_MM
@@ -113,8 +119,8 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     )
 
 
-def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
-    """The present position of the guide says nothing about where it was during the work."""
+def _not_watched(begun: WorkProgress) -> Outcome[ReachedTarget]:
+    """Outcome of work finished earlier, when nothing watched the guide."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
@@ -128,8 +134,8 @@ def _not_watched(begun: BegunWork) -> Outcome[ReachedTarget]:
     )
 
 
-def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
-    """Have one stage done and confirmed; raises PRO-002 unless it is said to be done, TOOL-007."""
+def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
+    """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed as done, TOOL-007."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
     before = f"; earlier: {done_in_words(known)}" if known else ""
@@ -148,25 +154,25 @@ def _work(context: StepContext, stage: WorkStage, begun: BegunWork) -> None:
     )
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
-        if answer == DONE:  # it is done, whatever the watch has seen meanwhile
+        if answer == DONE:  # done, whatever the watch has seen meanwhile
             stages.is_done(trajectory, stage.task)
             begun.done.append(stage.task)
     if answer != DONE:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
 
 
-def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: BegunWork) -> None:
-    """After a stage: the guard at the next checkpoint suspends if it is out of place."""
+def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: WorkProgress) -> None:
+    """Measure the guide after a stage; a guard suspends the case if it is displaced."""
     rest.look(context.workcell, context.setting.clock)
     begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)
     if rest.unseen:
         begun.watched = False
-        if rest.seen_mm is not None:  # else it was told before the work began
+        if rest.seen_mm is not None:  # else reported before the work began
             context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
 
 
 def _check_room_again(context: StepContext) -> None:
-    """Where the step was left, or nothing watches the head, as after a resume. Raises PRO-019 and PRO-020."""
+    """Check the room if the step had been left, or if nothing watches the head. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.left):
@@ -175,9 +181,9 @@ def _check_room_again(context: StepContext) -> None:
 
 @contextmanager
 def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
-    """Within, the guide is compared with how it had come to rest, before anybody touched it.
+    """Compare the guide, within the block, with its position as it came to rest untouched.
 
-    Raises PRO-019 and PRO-020 where it was left because of a push that was none.
+    Raises PRO-019 or PRO-020 if the step is left because of a push that is a move of cart or head.
     """
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)

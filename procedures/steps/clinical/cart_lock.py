@@ -1,8 +1,7 @@
-"""People place and lock the cart of the arm; the tracker shows whether it is locked and at its proposed
-position.
+"""Placing and locking the arm's cart, with its position and its lock checked by the tracker.
 
-The frame on the arm moves with the cart, the spheres with the head: someone leans on the cart, and neither
-may have moved against the other.
+The frame on the arm moves with the cart, the spheres move with the head: after somebody leans on the cart,
+neither may have moved against the other.
 """
 
 from __future__ import annotations
@@ -16,22 +15,21 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
-from procedures.guards.room_reading import room_reading
-from procedures.guards.room_watch import RoomReading
+from procedures.guards.room_reading import RoomReading, room_reading
 from procedures.operator.question import YES, Question
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
-from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
+from procedures.planning.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.registration.movement import shift_of
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
+from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.spheres.coarse_match import coarse_match, room_prior
 from procedures.steps.conditions import away_from_head
 from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker
@@ -41,14 +39,14 @@ from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH
 
 Array = NDArray[np.float64]
 
-# Of the frame on the arm against the spheres between two looks from one pose. Their noise is 0.1 mm; a wheel
-# that is free gives way by centimetres.
+# Of the frame on the arm against the spheres, between two looks from one pose. The noise is 0.1 mm; a free
+# wheel gives way by centimetres.
 LOCKED_LIMIT_MM = 0.3
-HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for a head that lies differently
+HEAD_LEVEL_MM, HEAD_LEVEL_DEG = 5.0, 2.0  # beyond, the map was made for another position of the head
 
 
 class Proposal(Values):
-    """The place that was proposed."""
+    """Proposed position of the cart."""
 
     sha256: str = Field(description="Hash of the file that proposed it.")
     place: ProposedPlace = Field(description="The part of it that was compared.")
@@ -70,7 +68,7 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
     proposal: Proposal | None = Field(description="None if nothing was proposed.")
 
     def differences(self, path: Path) -> str:
-        """What that file proposes else than what was compared; empty when it is the same. Raises PLAN-022."""
+        """Describe how the file's proposal differs from the one compared; empty if equal. Raises PLAN-022."""
         found = read_place(path)
         if self.proposal is None or (found is not None and found.place == self.proposal.place):
             return ""
@@ -79,10 +77,10 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
 
 
 def run(context: StepContext) -> Outcome[LockedCart]:
-    """Have it placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
+    """Have the cart placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
     for before in context.spec.reads:
         context.result(before)
-    context.workcell.rest()  # hands are on the cart: nothing of ours may move the arm meanwhile
+    context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
     proposed = _proposal(context)
     proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
@@ -146,7 +144,7 @@ def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
 def _beside(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> BesideProposal | None:
-    """Position of the cart, from its own match; None, with a finding, where that is not unique."""
+    """Position of the cart relative to the proposal; None, with a finding, without a unique match."""
     image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
     prior = room_prior(plan, context.setting.settings, robot_from_tracker)
     found = coarse_match(plan, image, robot_from_tracker.apply(look.spheres_mm), prior)
@@ -163,7 +161,7 @@ def _beside(
 
 
 def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int) -> bool:
-    """Whether it may stay there; False to place it again. Raises PRO-042."""
+    """Whether the cart may stay there; False to place it again. Raises PRO-042."""
     if proposal.allows(beside):
         return True
     problem = CartMisplaced(
@@ -181,7 +179,7 @@ def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposa
 
 
 def _confirm(context: StepContext, subject: str, value: str) -> None:
-    """Ask before the tracker looks: hands need the time that they need."""
+    """Ask before the tracker looks, so that hands have all the time they need. Raises PRO-041."""
     if context.choose(Question(Topic.CART_LOCKED, subject, value)) != YES:
         raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
@@ -189,9 +187,9 @@ def _confirm(context: StepContext, subject: str, value: str) -> None:
 def moved_against_head(
     robot_from_tracker: Transform, first: RoomReading, second: RoomReading
 ) -> tuple[Array, int]:
-    """How far the frame on the arm has moved (3,) against the spheres, and how many show it.
+    """Displacement (3,) mm of the frame on the arm against the spheres, and the number of spheres used.
 
-    Raises PRO-041, and PRO-020 where it was the head.
+    Raises PRO-041, or PRO-020 if it was the head that moved.
     """
     head = shift_of(first.spheres_mm, second.spheres_mm)
     if head is None or first.frame_mm is None or second.frame_mm is None:

@@ -1,4 +1,4 @@
-"""Which sphere of the CT is which sphere in the room."""
+"""Correspondence of the spheres in CT and room."""
 
 from __future__ import annotations
 
@@ -16,11 +16,11 @@ from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
+from procedures.steps.clinical.coarse_match import coarse_match, matched, mirror_images, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.spheres.coarse_match import coarse_match, matched, mirror_images, room_prior
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
+from procedures.steps.clinical.results import LeftOutSphere
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
@@ -32,7 +32,7 @@ FARTHEST_MM = 3000.0  # of a head from the arm's base
 
 
 class TouchedLandmark(Values):
-    """A point of the head that was touched, as a mirrored CT would have fitted as well."""
+    """A touched point of the head, which excludes a mirrored CT."""
 
     landmark: str = Field(description="Which point.")
     touched_mm: Numbers3 = Field(description="As read, robot frame.")
@@ -58,9 +58,9 @@ class Correspondence(StepResult, kind="correspondence"):
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
-    """Match, by the template where the plan has one; anything but a unique answer stops with its reason.
+    """Match the spheres, by the plan's template if there is one. Raises unless the match is unique.
 
-    Where a sphere is not in its place, the others serve when the operator agrees.
+    If a sphere is out of place, the others serve if the operator agrees.
     """
     localization = context.result(LocalizedFiducials)
     room = context.result(GlobalLocalization)
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
 def _touch_if_mirrored(
     context: StepContext, robot_from_ct: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
 ) -> TouchedLandmark | None:
-    """Have a point of the head touched where a mirrored CT would fit as well. Raises REG-013."""
+    """Have a point of the head touched if a mirrored CT would fit as well. Raises REG-013."""
     landmark = choose_landmark(robot_from_ct, mirrored, prior)
     if landmark is None:
         return None
@@ -106,7 +106,7 @@ def _touch_if_mirrored(
             got=f"{landmark.apart_mm:.1f} mm",
             action="Add a sphere outside the plane of the others, and scan again.",
         )
-    context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
+    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
     x_mm, y_mm, z_mm = context.have_done(
         Task(
             TOUCH,
@@ -140,7 +140,7 @@ def _place(point_mm: ArrayLike) -> str:
 def _agreed_rest(
     context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
-    """The match as it is; or of fewer spheres than were implanted, which is unique, when agreed to."""
+    """The match or, if the operator agrees, a unique match of fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
     rest = matched(image, physical, prior)

@@ -1,4 +1,4 @@
-"""Import the CT: read the series, check its geometry, remember which one it is."""
+"""CT import: read the series, check its geometry, record its identity."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from ronna_hw.calibration import Numbers3
 
 
 class ImportedCt(StepResult, kind="ct_import"):
-    """Which CT series the case works on, and its geometry."""
+    """Identity and geometry of the CT series."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series.")
     frame_of_reference_uid: str = Field(description="DICOM UID of its patient coordinate system.")
@@ -32,7 +32,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 
     @classmethod
     def of(cls, volume: Volume) -> ImportedCt:
-        """What there is to say of a series."""
+        """Describe a series."""
         geometry = volume.geometry
         slices, rows, columns = geometry.shape
         return cls(
@@ -48,11 +48,11 @@ class ImportedCt(StepResult, kind="ct_import"):
         )
 
     def names_series(self) -> str:
-        """The one that was read."""
+        """Series instance UID."""
         return self.series_instance_uid
 
     def differences(self, volume: Volume) -> str:
-        """In what a series differs from this one, such as `voxels_sha256`; empty when in nothing."""
+        """Name the fields in which a series differs from this one, such as `voxels_sha256`; empty if none."""
         now = ImportedCt.of(volume)
         return ", ".join(
             name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)
@@ -60,7 +60,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 
 
 def run(context: StepContext) -> Outcome[ImportedCt]:
-    """Read and check the series; the record names it and holds the hash of its voxels."""
+    """Read and check the series, and record its identity with the hash of its voxels."""
     volume = read_series(
         context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
@@ -74,9 +74,9 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
 
 
 def volume_of(context: StepContext) -> Volume:
-    """The voxels of the imported CT, read again where they are not at hand.
+    """Return the imported CT, read again if it is not in memory.
 
-    Raises PRO-007 when the folder no longer holds the series that was imported.
+    Raises PRO-007 if the folder no longer holds the imported series.
     """
     imported = context.result(ImportedCt)
     kept = context.setting.memory.find(Volume)

@@ -1,4 +1,4 @@
-"""Find the spheres in the CT."""
+"""Localization of the spheres in the CT."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LocalizedMarker(Values):
 
     @classmethod
     def of(cls, marker: Marker) -> LocalizedMarker:
-        """The localizer's marker as plain numbers."""
+        """Convert the localizer's marker to plain numbers."""
         return cls(
             centre_mm=marker.centre_mm.tolist(),
             covariance_mm2=marker.covariance_mm2.tolist(),
@@ -45,7 +45,7 @@ class LocalizedMarker(Values):
 
 
 class DoubtfulSphere(Values):
-    """A body of the right size that was not taken for a sphere."""
+    """A body of the right size that was not accepted as a sphere."""
 
     centre_mm: Numbers3 = Field(description="Centre, LPS.")
     reason: str = Field(description="Why it is doubtful.")
@@ -53,7 +53,7 @@ class DoubtfulSphere(Values):
 
     @classmethod
     def of(cls, candidate: Candidate) -> DoubtfulSphere:
-        """The localizer's candidate as plain numbers."""
+        """Convert the localizer's candidate to plain numbers."""
         return cls(centre_mm=candidate.centre_mm, reason=candidate.reason, odds=float(candidate.odds))
 
 
@@ -68,7 +68,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
 
     @property
     def centres_mm(self) -> NDArray[np.float64]:
-        """All centres, (n, 3) LPS."""
+        """Centres (n, 3), LPS mm."""
         return np.array([marker.centre_mm for marker in self.markers], dtype=float).reshape(-1, 3)
 
     @property
@@ -78,7 +78,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
 
 
 def run(context: StepContext) -> Outcome[LocalizedFiducials]:
-    """Localize every sphere; how many there must be is the plan's word, checked with the plan."""
+    """Localize every sphere; their number is checked with the plan."""
     volume = volume_of(context)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     for number, picture in enumerate(marker_pictures(volume, found), start=1):

@@ -1,7 +1,7 @@
 """Global localization: the tracker reads the reference frame on the tool and all stray spheres.
 
-The arm rests and its correction stream is off. Exactly FRAMES measurements are taken and averaged. A tracker
-polled faster than it measures returns the same frame again; those do not count.
+The arm rests with its correction stream off. Exactly FRAMES measurements are averaged; frames that the
+tracker repeats because it is polled faster than it measures do not count.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tools.exchange import exchange_for
+from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import carries
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
@@ -33,7 +33,7 @@ SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that some
 
 
 class GlobalLocalization(StepResult, kind="global_localization"):
-    """The spheres in the room, coarsely, as the tracker sees them."""
+    """Coarse positions of the spheres in the room, by the tracker."""
 
     frames: int = Field(description="Measurements that were averaged.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Spheres in the robot frame.")
@@ -48,17 +48,17 @@ class GlobalLocalization(StepResult, kind="global_localization"):
 
     @property
     def points_mm(self) -> NDArray[np.float64]:
-        """The spheres (n, 3) in the robot frame."""
+        """Spheres (n, 3), robot frame, mm."""
         return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
 
 
 def run(context: StepContext) -> Outcome[GlobalLocalization]:
-    """Measure all strays in the robot frame by way of the reference frame M."""
+    """Measure all strays in the robot frame, via the reference frame M."""
     for before in context.spec.reads:
         context.result(before)
     workcell = context.workcell
-    if workcell.tool is MountedTool.GUIDE:  # what was localized before is void
-        exchange_for(context, MountedTool.STEREO_HEAD)
+    if workcell.tool is MountedTool.GUIDE:  # earlier localizations are void
+        exchange_tool(context, MountedTool.STEREO_HEAD)
     frames, lost = frames_at_rest(
         workcell.tracker,
         context.setting.clock,
@@ -95,7 +95,7 @@ def _rows(points_mm: NDArray[np.float64]) -> tuple[Numbers3, ...]:
 
 
 def _check_count(seen: int, least: int) -> None:
-    """Before anything is stored: a result with too few spheres would supersede a good one."""
+    """Raise PRO-007 for too few spheres, before the result could supersede a good one."""
     if seen < least:
         raise GateFailed(
             "the tracker sees too few spheres",
@@ -117,7 +117,7 @@ def _checked_spread_mm(strays: StrayAverage) -> float:
 
 
 def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
-    """The arm carries the stereo head; or the guide, and is parked where the tools can be exchanged."""
+    """The arm carries the stereo head, or the guide and is parked where the tools can be exchanged."""
     workcell = context.workcell
     unmet = carries(MountedTool.STEREO_HEAD)(context)
     if not unmet or workcell.place.on_axis or workcell.tool is not MountedTool.GUIDE:

@@ -1,4 +1,4 @@
-"""People clamp the head and say so; then the tracker must see the spheres on it."""
+"""Clamping of the head, confirmed by the operator and by the tracker's view of its spheres."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import PatientPosition
+from procedures.planning.plan_model import PatientPosition
 from procedures.registration.movement import LEAST_POINTS
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
@@ -22,7 +22,7 @@ from ronna_hw.wire.room_tasks import HEAD_CLAMP
 
 
 class ClampedHead(StepResult, kind="head_clamp"):
-    """The head as it was clamped, and what the tracker sees of it."""
+    """The clamped head, and the spheres that the tracker sees on it."""
 
     patient_position: PatientPosition = Field(
         description="Patient position according to the plan, as confirmed."
@@ -32,10 +32,10 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Have it clamped, have that confirmed, look at it. Raises PRO-002, and PRO-007 for a head unseen."""
+    """Have the head clamped and confirmed, then look at it. Raises PRO-002; PRO-007 for an unseen head."""
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
-    context.workcell.rest()  # hands are at the head: nothing of ours may move the arm meanwhile
+    context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
     lies = checked.plan.lies
     context.have_done(
         Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, attach the spheres")

@@ -1,38 +1,118 @@
-"""Check every pose and motion of the whole procedure before it moves: sight, reach, clearance, one branch."""
+"""Path check of the whole procedure before it moves: sight, reach, clearance, one branch of the arm.
+
+A trajectory that cannot be served is put to the operator: nothing is replaced or left out without consent.
+"""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
 
+import numpy as np
+from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.planning.path_check.free_angle import TurnedPaths
-from procedures.planning.path_check.motions import PreviewedMotion, previews_of
-from procedures.planning.path_check.visits import ArmSetting, PathCheck, VisitKind
-from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.operator.question import words
+from procedures.planning.free_angle import TurnedPaths, advice, alternatives, choose_free_angles, unreached
+from procedures.planning.guide import held_trajectories
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.motions import PreviewedMotion, previews_of
+from procedures.planning.target_error import choose_best_strategies
+from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
 from procedures.results.result import FramedPose, Numbers6, StepResult, Values
+from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from procedures.steps.clinical.paths.previews import MotionPreview
-from procedures.steps.clinical.paths.search import PathSearch
-from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.conditions import localizable
-from procedures.strategies.catalogue import BestOfEach
-from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.catalogue import BestOfEach, StrategyByTrajectory
+from procedures.strategies.strategy import Strategy, arrival_signs
+from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
+from ronna_hw.arm.clearance.sweep import Closest
 from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
+from ronna_hw.text import counted
+
+Array = NDArray[np.float64]
+
+
+SPHERE = "/fiducial "  # in the name of a pose, before its number
+
+
+class ClosestApproach(Values):
+    """Closest approach of two bodies."""
+
+    first: str = Field(description="One body.")
+    second: str = Field(description="The other.")
+    distance_mm: float = Field(description="Between their surfaces.")
+    at: float = Field(description="Where on the path, 0 to 1.")
+
+    @classmethod
+    def of(cls, closest: Closest) -> ClosestApproach:
+        """Convert a result of the clearance check."""
+        return cls(
+            first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
+        )
+
+
+class MotionPreview(Values):
+    """Preview of a motion from one named pose to another."""
+
+    start: str = Field(description="Name of the pose it begins at.")
+    end: str = Field(description="Name of the pose it ends at.")
+    kind: str = Field(description="`move` of the joints, straight `line`, or `back` on it.")
+    duration_s: float = Field(description="Duration at the intended speed.")
+    clear: bool = Field(description="Whether every body keeps enough clearance.")
+    closest: ClosestApproach | None = Field(description="The closest pair of bodies.")
+    largest_joint_speed_share: float = Field(description="Of the limits of the motion.")
+    largest_speed_mm_s: float = Field(description="Largest speed of any moving body.")
+    nearest_to_head_mm: float | None = Field(
+        description="Smallest distance of any moving body from the head."
+    )
+
+    @classmethod
+    def of(cls, motion: PreviewedMotion) -> MotionPreview:
+        """Convert a preview of the planner."""
+        preview = motion.preview
+        return cls(
+            start=motion.motion.start,
+            end=motion.motion.end,
+            kind=motion.motion.kind,
+            duration_s=preview.duration_s,
+            clear=preview.clear,
+            closest=None if preview.closest is None else ClosestApproach.of(preview.closest),
+            largest_joint_speed_share=preview.largest_joint_speed_share,
+            largest_speed_mm_s=preview.largest_speed_mm_s,
+            nearest_to_head_mm=preview.nearest_to_head_mm,
+        )
+
+
+def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
+    """Motions of one localization, incl. those via home: for a trajectory, or the one that serves all."""
+    own = f"{trajectory}/" if trajectory else ""
+    over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
+    return list(motions[over[0] : over[-1] + 1]) if over else []
+
+
+def in_one_line(motions: Sequence[MotionPreview]) -> str:
+    """Summarize at least one motion: number, duration, speed, clearance."""
+    near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
+    return (
+        f"{counted(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
+        f"{max(one.largest_speed_mm_s for one in motions):.0f} mm/s; "
+        + (f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm" if near else "nothing near")
+    )
 
 
 class LocalizationPose(Values):
-    """How one sphere will be localized."""
+    """Pose in which one sphere will be localized."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
@@ -41,7 +121,7 @@ class LocalizationPose(Values):
 
 
 class TargetPose(Values):
-    """How the guide comes to where it is held for one target, by the coarse registration."""
+    """Pose in which the guide is held for one target, and its approach, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
@@ -77,13 +157,13 @@ class CheckedPaths(StepResult, kind="path_check"):
         return self.left_out
 
     def strategy_of(self, trajectory: str) -> str:
-        """Name of the strategy of one trajectory."""
+        """Name of a trajectory's strategy."""
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """The localizations that serve a trajectory; for None the one set of a strategy that localizes once.
+        """Localizations for a trajectory; for None, the only set of a strategy that localizes once.
 
-        Raises KeyError when there are none for this trajectory, or more than one set.
+        Raises KeyError if there are none for this trajectory, or several sets.
         """
         if trajectory is not None:
             return self.localizations[trajectory]
@@ -93,13 +173,13 @@ class CheckedPaths(StepResult, kind="path_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedPaths]:
-    """Choose joints for every localization and target that remain; PLAN-007 with every pose that fails."""
+    """Choose joints for every remaining localization and target. Raises PLAN-007 naming all failing poses."""
     correspondence = context.result(Correspondence)
     localization = context.result(LocalizedFiducials)
     plan = context.result(CheckedPlan)
     matched = [pair[0] for pair in correspondence.pairs]
     workcell, settings = context.workcell, context.setting.settings
-    # The servo brings the head itself onto a sphere: the arm goes beside its path by what the mount is off.
+    # The servo brings the head onto a sphere, so the arm deviates from its path by the error of the mount.
     sizes = ErrorSizes.stated(settings, workcell.calibrations.arm)
     scene = planning_scene_of(context).with_reserve(sizes.tool_mm)
     setting = ArmSetting(
@@ -192,6 +272,83 @@ def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
         for reached in check.reached
         if reached.visit.kind is VisitKind.TARGET
     }
+
+
+@dataclass
+class PathSearch:
+    """Search for paths that asks the operator about trajectories that cannot be reached.
+
+    `centres_mm` (n, 3) are the fiducials in the CT. By trajectory, `left_out` has the reason and `replaced`
+    the strategy that serves it instead.
+    """
+
+    context: StepContext
+    setting: ArmSetting
+    centres_mm: Array
+    sight: StereoSight
+    left_out: dict[str, str] = field(default_factory=dict)
+    replaced: dict[str, Strategy] = field(default_factory=dict)
+    _tried: dict[str, set[str]] = field(default_factory=dict)
+
+    def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
+        """Paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
+        self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
+        while True:
+            remain = [one for one in trajectories if one.identifier not in self.left_out]
+            turned = choose_free_angles(self._setting(), remain, self.centres_mm, self.sight)
+            if turned.check.passed:
+                return turned
+            self._decide(turned.check, remain)
+
+    def _setting(self) -> ArmSetting:
+        if not self.replaced:
+            return self.setting
+        return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
+
+    def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
+        reasons = unreached(check, trajectories)
+        would = {one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons}
+        others = [one.identifier for one in trajectories if one.identifier not in reasons]
+        for name, reason in reasons.items():
+            self._ask(check, name, reason, would, others)
+
+    def _ask(
+        self,
+        check: PathCheck,
+        name: str,
+        reason: str,
+        would: dict[str, tuple[Strategy, ...]],
+        others: Sequence[str],
+    ) -> None:
+        """Offer another strategy, or to leave a trajectory out. Raises PLAN-007 if neither is agreed."""
+        # One registration for all cannot be made by two strategies.
+        offered = would[name] if self.setting.strategy.localizes_per_trajectory else ()
+        answers = (*(use(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
+        if answers == (HOLD,):
+            check.require(advice(would))
+        now = self.replaced.get(name, self.setting.strategy)
+        served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
+        remain = f"; {', '.join(others)} would remain without it" if others else ""
+        question = UNREACHABLE.question(
+            f"{name} cannot be reached with {now.name} at any angle about its axis",
+            f"{reason}{served}{remain}",
+            name,
+            answers,
+        )
+        answer = self.context.choose(question)
+        agreed = [one for one in offered if answer == use(one.name)]
+        if agreed:
+            self._tried.setdefault(name, set()).add(agreed[0].name)
+            self.replaced[name] = agreed[0]
+        elif answer == LEAVE_OUT:
+            self.left_out[name] = reason
+            self.replaced.pop(name, None)
+        else:
+            check.require(advice(would))
+
+    def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
+        tried = self._tried.get(trajectory.identifier, set())
+        return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
 
 
 STEP = StepSpec(

@@ -1,4 +1,4 @@
-"""Read the plan and check it against the CT and the spheres that were found in it."""
+"""Plan check: the plan against the CT and the spheres found in it; the operator confirms the patient."""
 
 from __future__ import annotations
 
@@ -15,11 +15,11 @@ from procedures.imaging.volume import Volume
 from procedures.operator.question import ReadBack
 from procedures.operator.topic import Topic
 from procedures.planning.errors import WrongMarkerCount
-from procedures.planning.head.shape import HeadEllipsoid, head_shape
-from procedures.planning.plan.check import PlanCheck, check_plan
-from procedures.planning.plan.file import plan_of
-from procedures.planning.plan.lock import held_plan
-from procedures.planning.plan.model import Plan, PlannedTrajectory
+from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.plan_check import PlanCheck, check_plan
+from procedures.planning.plan_file import parse_plan_bytes
+from procedures.planning.plan_lock import lock_plan
+from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.results.errors import GateFailed
 from procedures.results.result import StepResult
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
@@ -35,7 +35,7 @@ SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
-    """The plan as it was checked, and the head it is for."""
+    """The checked plan and its head."""
 
     plan: Plan = Field(description="The plan file's content.")
     implanted: int = Field(description="Number of spheres to match, from the plan or as the operator agreed.")
@@ -43,12 +43,12 @@ class CheckedPlan(StepResult, kind="plan_check"):
     warnings: tuple[str, ...] = Field(description="Warnings of the check.")
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
-        """The planned trajectory of that name; raises KeyError."""
+        """The planned trajectory of this name. Raises KeyError."""
         return self.plan.trajectory(identifier)
 
 
 def run(context: StepContext) -> Outcome[CheckedPlan]:
-    """Check the plan; raises PLAN-00x with everything that is wrong."""
+    """Check the plan. Raises one PLAN error that lists all findings."""
     localization = context.result(LocalizedFiducials)
     plan = _as_held(context)
     planned = tuple(trajectory.id for trajectory in plan.trajectories)
@@ -84,9 +84,9 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 
 
 def _as_held(context: StepContext) -> Plan:
-    """The plan, while it is the one that the case was opened with; raises PRO-007 for another one."""
+    """Read the plan. Raises PRO-007 unless it is the one that the case was opened with."""
     path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
-    with held_plan(path) as held:
+    with lock_plan(path) as held:
         if held_sha256 not in (None, held.sha256):
             raise GateFailed(
                 "the plan has changed since the case was opened",
@@ -94,11 +94,11 @@ def _as_held(context: StepContext) -> Plan:
                 got=held.sha256,
                 action="Start a new run with this plan.",
             )
-        return plan_of(held.content, path.name)
+        return parse_plan_bytes(held.content, path.name)
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
-    """The planned trajectories in the CT, for the operator now and the report later."""
+    """Keep pictures of the planned trajectories in the CT, for the operator and the report."""
     from procedures.imaging.trajectory_cuts import trajectory_cuts
 
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
@@ -107,9 +107,9 @@ def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
 
 
 def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> None:
-    """Raises PRO-002 unless the operator confirms, and reads the patient's identifier back.
+    """Have patient and plan confirmed by reading back the patient's identifier. Raises PRO-002.
 
-    The CT has it, and the wristband; neither the question nor any record does.
+    The identifier is in the CT and on the wristband, but neither in the question nor in any record.
     """
     identifier = patient_identifier(context.clinical.series)
     if not identifier:
@@ -124,7 +124,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
 
 
 def _shown(plan: Plan, head: HeadEllipsoid) -> str:
-    """What is confirmed, without a name: the series is identified by a hash of its UID."""
+    """Text to confirm, without a name: a hash of its UID identifies the series."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = "; ".join(
         f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
@@ -135,10 +135,10 @@ def _shown(plan: Plan, head: HeadEllipsoid) -> str:
 
 
 def _counted(context: StepContext, check: PlanCheck, localized: LocalizedFiducials) -> tuple[PlanCheck, int]:
-    """The check without a wrong count of spheres that the operator agreed to, and how many are to be matched.
+    """Remove a wrong count of spheres, if agreed, from the check; also return the number to match.
 
-    Of too many, tracker and matching show which are on the head; with too few it continues without the
-    missing ones.
+    If there are too many, tracker and matching show which are on the head; if too few, the case continues
+    without the missing ones.
     """
     planned, found = check.plan.implanted, len(localized.markers)
     others = tuple(one for one in check.findings if not isinstance(one, WrongMarkerCount))

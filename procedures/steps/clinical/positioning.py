@@ -1,4 +1,4 @@
-"""Carry the guide before an entry: a joint move over it, then a straight line along the axis, to a halt."""
+"""Positioning of the guide before an entry: a joint move over it, then a line along the axis to a halt."""
 
 from __future__ import annotations
 
@@ -9,34 +9,34 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_still import guide_at_rest
+from procedures.guards.guide_displacement import guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.operator.question import YES
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
-from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.planning.guide import held_trajectory
 from procedures.results.errors import GateFailed
 from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.surroundings import READS, surround_guide
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.clinical.tools.sight import require_seen_in_place
-from procedures.steps.clinical.validity.room import (
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import (
     ROOM_READS,
     check_room,
     expected_sight,
     head_must_show,
     require_unmoved,
 )
+from procedures.steps.clinical.surroundings import READS, surround_guide
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.tool_check import CheckedTool
+from procedures.steps.clinical.tool_mounting import require_seen_in_place
 from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
-from procedures.workcell.arm_view import stands_at
+from procedures.workcell.arm_place import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
@@ -48,14 +48,14 @@ REFUSED = (Unreachable, Singular, OutOfJointRange, NotClear)
 
 
 class PositionedGuide(StepResult, kind="positioning"):
-    """Where the guide was sent, and the joints that took it there."""
+    """Commanded pose of the guide, and the joints on arrival."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held, as commanded.")
     joints_rad: Numbers6 = Field(description="Measured joints on arrival.")
 
 
 def run(context: StepContext) -> Outcome[PositionedGuide]:
-    """Bring the guide to where it is held before the entry; the tool is read again right before."""
+    """Bring the guide to where it is held before the entry; the mounted tool is read again right before."""
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     context.result(CheckedTool)
@@ -108,7 +108,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
 
 
 def _require_guide_in_seat(context: StepContext) -> None:
-    """Raises TOOL-006, unless it is the frame on the mount, or the cart, that has moved: then PRO-019."""
+    """Raise TOOL-006, or PRO-019 if it is the frame on the mount, or the cart, that has moved."""
     frame = context.workcell.tools.guide.record.frame
     if frame is None:
         return
@@ -120,7 +120,7 @@ def _require_guide_in_seat(context: StepContext) -> None:
 
 
 def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
-    """Where the guide is held and how it comes there, by this trajectory's registration."""
+    """Insertion of the guide by this trajectory's registration."""
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
     checked = context.result(CheckedPlan)
@@ -132,7 +132,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 
 @contextmanager
 def refused_by_name(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
-    """What is refused is raised as PLAN-007, by the trajectory, and whether the arm of `moving` has moved."""
+    """Raise refusals as PLAN-007 with the trajectory's name, and whether the arm of `moving` has moved."""
     begun_rad = None if moving is None else moving.joints_rad()
     try:
         yield
@@ -151,7 +151,7 @@ def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
 
 
 def _kept_registration(context: StepContext) -> RegisteredRobot:
-    """The registration; one from before a fault of the arm only when the operator keeps it, else PRO-007."""
+    """The registration. Raises PRO-007 if a fault of the arm is newer and the operator does not keep it."""
     registered = context.result(RegisteredRobot)
     fault = context.doubt(RegisteredRobot)
     if fault is not None:

@@ -1,123 +1,70 @@
-"""Register the CT to the robot, and predict the error at every target that the registration is for.
+"""Registration of the CT to the robot, with a prediction of the error at every target it serves.
 
 The residual of the fit is never shown as accuracy; the operator accepts the predicted target error.
 """
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import PlannedTrajectory
-from procedures.planning.prediction.instrument_error import (
+from procedures.planning.guide import (
     DIRECTION,
     INSTRUMENT,
     direction_covariance_mm2,
     instrument_covariance_mm2,
 )
+from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import OwnErrors, UnnoticedPoint, predict_target_error
 from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, StepResult, Values
+from procedures.results.result import FramedPose
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.error_budget.arm import arm_errors, unknown_sides_mm2
-from procedures.steps.clinical.error_budget.evidence import NOT_PREDICTED, budget_table, two_way_table
-from procedures.steps.clinical.error_budget.gate import (
+from procedures.steps.clinical.error_budget import (
     arm_covariance_mm2,
+    arm_errors,
+    budget_table,
+    displaced_spheres_mm,
+    held_guide,
     moved_spheres,
     residual_gate,
+    two_way_table,
+    unknown_sides_mm2,
     unnoticed_sphere,
 )
-from procedures.steps.clinical.error_budget.held_guide import held_guide
-from procedures.steps.clinical.error_budget.tool_frame import displaced_spheres_mm
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.followed_move import MeasuredMove, followed_move
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.relocalization import Relocalization
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
-from procedures.steps.clinical.validity.followed_move import FollowedMove, MeasuredMove, followed_move
+from procedures.steps.clinical.results import (
+    NOT_PREDICTED,
+    ErrorShare,
+    LeftOutSphere,
+    Prediction,
+    RegisteredRobot,
+    Relocalization,
+)
 from procedures.workcell import MountedTool
 from ronna_hw.arm.error_budget import arm_error_mm
-from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame
 from ronna_hw.text import beyond, side_by_side
 
 Array = NDArray[np.float64]
 
 
-class ErrorShare(Values):
-    """What one source contributes to a predicted error; the squares of all shares add up to its square."""
-
-    source: str = Field(description="Such as `CT` or `guide tip`.")
-    rms_mm: float = Field(description="Root mean square at the target.")
-
-
-class Prediction(Values):
-    """Error to expect at the tip of the guide at one target."""
-
-    target: str = Field(description="Name of the trajectory.")
-    rms_mm: float = Field(description="Root mean square.")
-    limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
-    confidence: float = Field(description="Of that radius, 0 to 1.")
-    formula: str = Field(description="Method of prediction.")
-    budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
-    excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
-
-
-class RegisteredRobot(StepResult, kind="registration"):
-    """Pose of the CT in the robot frame, and how good it is where it is needed."""
-
-    robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
-    pairs: int = Field(description="Spheres it was fitted to.")
-    fre_mm: float = Field(description="Fiducial registration error: not a measure of accuracy.")
-    residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
-    leave_one_out_mm: tuple[float | None, ...] = Field(
-        description="Residual of each sphere when fitted without it."
-    )
-    predictions: tuple[Prediction, ...] = Field(description="One for each target it serves.")
-    two_way: TwoWayTable = Field(description="CT to room and room to CT.")
-    left_out_spheres: tuple[LeftOutSphere, ...] = Field(
-        default=(), description="Measured but not used in the fit: they disagree with all others."
-    )
-    followed: FollowedMove | None = Field(
-        default=None, description="The head movement that it follows; everything else is from before that."
-    )
-    left_out: dict[str, str] = Field(
-        default={},
-        description="Trajectories that it is not accurate enough for, and why; they are not targeted.",
-    )
-
-    def leaves_out(self) -> Mapping[str, str]:
-        return self.left_out
-
-    @property
-    def trajectories(self) -> frozenset[str]:
-        """The trajectories that it is for."""
-        return frozenset(one.target for one in self.predictions)
-
-    def prediction(self, target: str) -> Prediction:
-        """The prediction at a target; raises KeyError."""
-        for one in self.predictions:
-            if one.target == target:
-                return one
-        raise KeyError(target)
-
-
 @dataclass(frozen=True)
 class _Pairs:
-    """What is fitted, by sphere: index and place in the CT, place in the room, covariance of both."""
+    """Spheres to fit: index and position in the CT, position in the room, covariances."""
 
     fiducials: tuple[int, ...]
     image_mm: Array
@@ -152,17 +99,9 @@ class _Pairs:
         )
 
     def without(self, place: int) -> _Pairs:
-        kept = np.arange(len(self.fiducials)) != place
-        return _Pairs(
-            fiducials=tuple(np.array(self.fiducials)[kept].tolist()),
-            image_mm=self.image_mm[kept],
-            physical_mm=self.physical_mm[kept],
-            ct_mm2=self.ct_mm2[kept],
-            seating_mm2=self.seating_mm2[kept],
-            stereo_mm2=self.stereo_mm2[kept],
-            sides_mm2=self.sides_mm2[kept],
-            tool_mm=self.tool_mm[kept],
-        )
+        kept = [row for row in range(len(self.fiducials)) if row != place]
+        arrays = (getattr(self, one.name)[kept] for one in fields(self)[1:])
+        return _Pairs(tuple(self.fiducials[row] for row in kept), *arrays)
 
     def gate(self, arm_mm: float) -> FreGate:
         return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
@@ -172,9 +111,9 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with the covariances of all that is known; gate the residual; predict; have it accepted.
+    """Fit with all known covariances, gate the residual, predict, and have the prediction accepted.
 
-    With the guide mounted it is repeated because the head has moved: the tracker measures how.
+    With the guide mounted, the step is repeated because the head has moved: the tracker measures the move.
     """
     plan = context.result(CheckedPlan)
     arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
@@ -227,9 +166,9 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
 
 
 def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
-    """The pairs as they are, or without the one sphere that alone explains why they disagree, if agreed to.
+    """The pairs, or, if agreed, without the one sphere that alone explains a disagreement.
 
-    Raises PRO-007 when no sphere does, or more than one would: which one has moved is then anybody's guess.
+    Raises PRO-007 if no sphere explains it, or more than one would.
     """
     gate = pairs.gate(arm_mm)
     if gate.passed:
@@ -261,7 +200,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
 def _beyond_margin(
     context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
-    """Which trajectories are left out, and why; PRO-007 when not agreed to, or when none remains."""
+    """Trajectories to leave out, with reasons. Raises PRO-007 unless that is agreed and others remain."""
     left_out: dict[str, str] = {}
     for trajectory, predicted in zip(trajectories, predictions, strict=True):
         if predicted.rms_mm <= trajectory.margin_mm:
@@ -290,10 +229,9 @@ def predict_tip_error(
     planned: PlannedTrajectory,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Error of the instrument's tip at a target, from all that is known of spheres, arm, guide, instrument.
+    """Predict the error of the instrument's tip at a target from those of spheres, arm, guide and instrument.
 
-    What spheres and target share is counted as what is left of it; a `move` that is followed has an error of
-    its own.
+    Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
     """
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
@@ -339,7 +277,7 @@ def predict_tip_error(
 
 
 def _advice(moved: list[int], spheres: int) -> str:
-    """What to do about spheres, named by their index in the CT, without one of which the others agree."""
+    """Advice about spheres, by index in the CT, each of which alone would explain the disagreement."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:
@@ -349,7 +287,7 @@ def _advice(moved: list[int], spheres: int) -> str:
 
 
 def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
-    """Every sphere of the CT against the measurements of tracker and stereo head, and the reverse."""
+    """Compare every sphere of the CT with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
     return verify_two_way(
@@ -367,7 +305,7 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
 
 
 def _outside(context: StepContext) -> tuple[str, ...]:
-    """With the guide mounted the head is measured again, at home."""
+    """The guide is on no axis: with it mounted, the head is measured at home."""
     return context.workcell.place.why_held
 
 

@@ -1,43 +1,38 @@
-"""Fine localization of every matched sphere by visual servo, oriented as the strategy says.
+"""Fine localization of every matched sphere by visual servo, in the orientation of the strategy.
 
-The tool centre is moved onto a sphere until the residual is below the tolerance. Recorded is the nominal
-tool pose plus the last residual. What the first sphere teaches about the offset of the coarse positions
-helps to find the next one. It is checked before: a wrong sphere must not lead the head on to the next one.
+The tool centre is moved onto a sphere until the residual is below the tolerance; recorded is the nominal tool
+pose plus the last residual. The offset of the coarse position found at one sphere helps to find the next. It
+is checked first: a wrong sphere must not lead the head on.
 
-Where the strategy asks for it, every position that is looked from is approached with each joint turning the
-way it will turn on its way to the target, so that backlash is the same in all of them and cancels.
+If the strategy asks for it, each joint arrives at every look as it will arrive at the target, so that
+backlash is equal in all of them and cancels.
 """
 
 from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field, model_validator
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.relocalization.triangulation import check_head
 from procedures.results.errors import GateFailed
-from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import in_one_line, motions_over_spheres
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.path_check import CheckedPaths, in_one_line, motions_over_spheres
+from procedures.steps.clinical.results import LeftOutSphere, Relocalization
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.arm.error_budget import ErrorSizes
-from ronna_hw.calibration import Numbers3
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import beyond
 
@@ -47,48 +42,12 @@ SMALL_STEPS = "and the small steps over each sphere, or in search of one that is
 SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
-class Relocalization(StepResult, kind="relocalization", version=2):
-    """The spheres in the room, finely, as the stereo head sees them. One entry for each sphere."""
-
-    fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
-    points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
-    covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
-    residuals_mm: tuple[tuple[float, ...], ...] = Field(
-        description="Residuals of the servo, image pair by image pair."
-    )
-    ray_gaps_mm: tuple[float, ...] = Field(description="Distance between the two lines of sight.")
-    radii_mm: tuple[tuple[float, float], ...] = Field(
-        description="Centres of its outlines, left and right, at the measured position."
-    )
-    looks: tuple[int, ...] = Field(description="Image pairs taken.")
-    joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
-    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
-    left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
-    frame_at_home_mm: Numbers3 | None = Field(
-        default=None,
-        description="The frame on the arm before, home: by the tracker minus by the arm, robot frame.",
-    )
-
-    @model_validator(mode="after")
-    def _one_entry_for_each_sphere(self) -> Self:
-        counts = {len(self.points_robot_mm), len(self.covariances_mm2), len(self.residuals_mm)}
-        counts |= {len(self.ray_gaps_mm), len(self.radii_mm), len(self.looks), len(self.joints_rad)}
-        if counts != {len(self.fiducials)}:
-            raise ValueError("expected one entry for each of the fiducials")
-        return self
-
-    @property
-    def points_mm(self) -> Array:
-        """The spheres (n, 3) in the robot frame."""
-        return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
-
-
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Re-localize all matched spheres; raises PRO-008 for one that is not there, PRO-009, STE-014."""
+    """Localize all matched spheres again. Raises PRO-008 for a missing one, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
-    course = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
-    with context.workcell.supervised.leading(course):
+    step_motions = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
+    with context.workcell.supervised.announcing(step_motions):
         return _localized(context, paths)
 
 
@@ -125,7 +84,7 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
     for number, item in enumerate(planned):
         context.progress(number / len(planned), f"centring sphere {item.fiducial + 1}")
         coarse = item.tool_pose.transform
-        if spheres:  # the pose is displaced by what was seen: so is the head beside which the arm goes there
+        if spheres:  # the pose is displaced by the offset found, and so is the head that the arm must clear
             surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
             sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
@@ -167,11 +126,10 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
 
 
 def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Direction in which each joint arrives at the spheres; None when the strategy does not control it.
+    """Direction in which each joint arrives at the spheres; None if the strategy does not control it.
 
-    It is that in which the joint will arrive at the target. Where one registration serves all targets, a
-    calibrated arm arrives from one side: its backlash is known and counts only where it is known on which
-    side a joint rests.
+    It is that in which the joint will arrive at the target. If one registration serves all targets, a
+    calibrated arm arrives from one side: its known backlash helps only if the side is known as well.
     """
     if context.key.trajectory is None and context.workcell.calibrations.arm is not None:
         return ONE_SIDE
@@ -184,7 +142,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
 
 
 def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
-    """The operator agrees to do without a sphere; raises `problem` when not, or when too few remain."""
+    """Have the operator agree to do without a sphere. Raises `problem` if not, or if too few remain."""
     if remain < FEWEST_SPHERES:
         raise problem
     question = SPHERE_FAILED.question(
@@ -198,9 +156,9 @@ def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: in
 
 
 def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:
-    """A sphere whose offset differs from those before is another one, or the patient moved.
+    """Raise PRO-007 for a sphere with another offset: it is another sphere, or the patient moved.
 
-    What all spheres share is the error of tool frame and tracker frame: it alone bounds the first offset.
+    The spheres share the error of tool frame and tracker frame, which alone bounds the first offset.
     """
     *before, last = offsets_mm
     limit_mm = context.setting.settings.coarse_fine_limit_mm
@@ -208,7 +166,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
     if not before:
         limit_mm += _shared_mm(context)
         before = [np.zeros(3)]
-    elif len(before) == 1:  # which of two is wrong nobody knows
+    elif len(before) == 1:  # it is unknown which of the two is wrong
         name = f"{others[0]} or {name}"
     apart_mm = max(math.dist(last, one) for one in before)
     if apart_mm > limit_mm:
@@ -221,9 +179,9 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
 
 
 def _shared_mm(context: StepContext) -> float:
-    """How far tool frame and tracker frame may put the coarse position off: both turn with the tool.
+    """Bound on the error of coarse positions from tool frame and tracker frame, which turn with the tool.
 
-    The tracker looks in one orientation, the stereo head in another: at most the error counts twice.
+    Tracker and stereo head look in different orientations, so the error counts at most twice.
     """
     records = context.workcell.calibrations
     tool_mm = ErrorSizes.stated(context.setting.settings, records.arm).tool_mm

@@ -1,4 +1,4 @@
-"""Retreat along the axis, then park. An instrument is out before."""
+"""Retreat along the axis, once the instrument is out, then parking."""
 
 from __future__ import annotations
 
@@ -10,9 +10,8 @@ from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.results import LinkHealth, link_health
 from procedures.steps.conditions import inserted_or_just_out
-from procedures.steps.link_health import LinkHealth, link_health
-from procedures.workcell.parking import park, withdraw
 
 
 class Retreated(StepResult, kind="retreat", version=2):
@@ -23,16 +22,16 @@ class Retreated(StepResult, kind="retreat", version=2):
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
-    """Back out along the trajectory, then to the pose where the case began."""
+    """Withdraw along the trajectory, then go home."""
     workcell = context.workcell
-    # The surroundings are those of the way in. No record is read before the guide is away from the head: a
+    # The surroundings remain those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if (on := workcell.place.axis) is not None:
+    if workcell.place.on_axis:
         context.have_instrument_out()
-        withdraw(workcell, on, context.trajectory)
+        workcell.retreat(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
-    reached = park(workcell)
+    reached = workcell.park()
     link = link_health(context)
     workcell.rest()
     return Outcome(Retreated(joints_rad=reached.joints_rad, link=link), "parked")

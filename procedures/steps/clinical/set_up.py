@@ -1,4 +1,4 @@
-"""Set-up checks: every device answers, is the right one, is configured; the calibrations are valid."""
+"""Set-up: devices are connected, identified and configured; calibrations and tool records are valid."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.triangulation import check_serial
 from procedures.results.result import Numbers6, StepResult, Values
 from procedures.workcell import MountedTool
-from procedures.workcell.carried_tool import require_this_arm
+from procedures.workcell.tools import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.config import Calibrations, ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
@@ -19,7 +19,7 @@ from ronna_hw.tool_record import ToolRecord
 
 
 class DeviceIdentity(Values):
-    """Who answered, as the device itself says."""
+    """Identity of a device according to itself."""
 
     vendor: str = Field(description="Maker.")
     model: str = Field(description="Model.")
@@ -28,7 +28,7 @@ class DeviceIdentity(Values):
 
     @classmethod
     def of(cls, identity: Identity) -> DeviceIdentity:
-        """A driver's answer as plain text."""
+        """Convert a driver's answer."""
         return cls(
             vendor=identity.vendor,
             model=identity.model,
@@ -38,7 +38,7 @@ class DeviceIdentity(Values):
 
 
 class CheckedSetUp(StepResult, kind="set_up", version=2):
-    """What the case works with: devices, and what the theatre file says of calibrations, tools and cell."""
+    """Devices, calibrations, tools and cell that the case works with."""
 
     identities: dict[str, DeviceIdentity] = Field(
         description="By role: tracker, arm, stereo, and device.NAME as in the theatre file."
@@ -55,10 +55,10 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
-    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for a tool record that does not fit, DEV-003
-    for a frame that the tracker does not know, CAL-013 for another arm, CAL-020 and CAL-021 for an arm that
-    was calibrated with another stereo head or tip, STE-010 for another camera, PRO-009 for another tool,
-    PRO-002 unless a position that an earlier run left the arm in is confirmed.
+    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record, DEV-003 for a frame
+    unknown to the tracker, CAL-013 for another arm, CAL-020 and CAL-021 for an arm calibrated with another
+    stereo head or tip, STE-010 for another camera, PRO-009 for another tool, PRO-002 unless the position in
+    which an earlier run left the arm is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
 
 def _not_connected_yet(context: StepContext) -> tuple[str, ...]:
-    """Devices are connected once in a run: a second connection would meet the first."""
+    """No device is connected yet: a second connection would meet the first."""
     connected = [
         role
         for role, device in context.workcell.devices.items()

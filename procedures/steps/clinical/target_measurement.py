@@ -1,8 +1,8 @@
-"""On a phantom with a ball at each target: the stereo head takes the guide's place and measures the error.
+"""Application error on a phantom with a ball at each target, measured by the stereo head.
 
 The arm goes to the target as it will with the guide, by the same registration and along the same axis, with
-the centre of the stereo head where the tip will be. How far the ball is from there is the application error,
-as the thesis measured it. It needs no truth from outside, so it is the only way on hardware.
+the centre of the stereo head in place of the tip. The distance of the ball is the application error as the
+thesis measured it. It needs no external truth, so it is the only method on hardware.
 """
 
 from __future__ import annotations
@@ -16,21 +16,20 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.errors import Saturated
 from procedures.results.result import FramedPose, Matrix3, Numbers6, StepResult
 from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import refused_by_name
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.conditions import REMOUNTED, carries
 from procedures.strategies.trajectory import back_along_axis, refined_target_pose
 from procedures.workcell import MountedTool
-from procedures.workcell.stereo_look import Look
-from procedures.workcell.stereo_picture import pair_picture
+from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3
 
 
 class MeasuredTarget(StepResult, kind="target_measurement"):
-    """How far a ball at the target is from where the arm brought the centre of the stereo head."""
+    """Distance of a ball at the target from the centre of the stereo head, as positioned by the arm."""
 
     tool_pose: FramedPose = Field(
         description="Pose robot <- tool with its centre on the target, as commanded."
@@ -43,8 +42,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
-    """Bring the stereo head to the target, look, and back out. Without a ball in view, say so and
-    continue."""
+    """Bring the stereo head to the target, look and back out; a ball not in view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)
@@ -95,7 +93,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
 
 
 def _look(context: StepContext) -> tuple[Look | None, str]:
-    """A look with the ball in it, around the centre, then on the whole sensors; or why there is none."""
+    """Look for the ball around the centre, then on the whole sensors; without success, give the reason."""
     workcell = context.workcell
     why = ""
     for whole in (False, True):

@@ -1,4 +1,4 @@
-"""Exchange the stereo head for the guide, with the arm parked and its correction stream off."""
+"""Exchange of the stereo head for the guide, with the arm parked and its correction stream off."""
 
 from __future__ import annotations
 
@@ -9,18 +9,17 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.operator.topic import Topic
 from procedures.results.result import StepResult
-from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.results import LinkHealth, link_health
+from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.clinical.tools.exchange import exchange_for
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
+from procedures.steps.clinical.surroundings import READS, surround_stereo_head
+from procedures.steps.clinical.tool_mounting import exchange_tool
 from procedures.steps.conditions import exchangeable
-from procedures.steps.link_health import LinkHealth, link_health
 from procedures.workcell import MountedTool
-from procedures.workcell.parking import park
 
 
 class MountedGuide(StepResult, kind="tool_change"):
-    """The guide that was found mounted."""
+    """The guide found mounted."""
 
     tool_number: int = Field(description="As the controller's inputs report it.")
     calibration: str = Field(description="Name of the tip calibration in use.")
@@ -28,7 +27,7 @@ class MountedGuide(StepResult, kind="tool_change"):
 
 
 def run(context: StepContext) -> Outcome[MountedGuide]:
-    """Park, stop RSI, have the tool changed, then read the mounted tool from the controller's inputs."""
+    """Park, end the stream, have the tool changed, and read the mounted tool from the controller's inputs."""
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (
@@ -38,7 +37,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     ):
         _park(context)  # else an exchange was begun, and not ended
     link = link_health(context)
-    mounted = exchange_for(context, MountedTool.GUIDE)
+    mounted = exchange_tool(context, MountedTool.GUIDE)
     context.confirm(
         Topic.TOOL_TIP,
         "use this tip calibration of the guide",
@@ -56,7 +55,7 @@ def _park(context: StepContext) -> None:
     workcell.check_mounted(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, workcell.joints_rad())
     check_room(context, "before the arm parks")
-    park(workcell, "park the arm for the tool exchange")
+    workcell.park("park the arm for the tool exchange")
     check_room(context, "with the arm parked for the tool exchange", CAREFUL_FRAMES)
 
 

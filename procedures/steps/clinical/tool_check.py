@@ -1,7 +1,7 @@
-"""Compare the mounted guide with itself, as it was when its tip was calibrated: on a gauge on the table.
+"""Check of the mounted guide on a gauge: is it as it was when its tip was calibrated?
 
 The gauge is where the mandrel's end was then, with the arm in the recorded joints, reached from the same
-side. So only the arm's repeatability comes in, not its accuracy. Hands put the mandrel in and read the dials.
+side. So the arm's repeatability counts, not its accuracy. Hands insert the mandrel and read the dials.
 """
 
 from __future__ import annotations
@@ -23,16 +23,14 @@ from procedures.operator.topic import Topic
 from procedures.results.result import Numbers6, StepResult
 from procedures.steps.branches import TOOL_BESIDE_GAUGE
 from procedures.steps.clinical.correspondence import Correspondence
-from procedures.steps.clinical.paths.surroundings import READS, planning_scene_of
+from procedures.steps.clinical.room import ROOM_READS, check_room, doubt
+from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide
-from procedures.steps.clinical.tools.sight import require_seen_in_place
-from procedures.steps.clinical.validity.room import ROOM_READS, check_room
-from procedures.steps.conditions import carries
+from procedures.steps.clinical.tool_mounting import require_seen_in_place
+from procedures.steps.conditions import carries, require_recent
 from procedures.steps.errors import ToolBesideGauge
-from procedures.steps.reading_age import require_recent
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.parking import park
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import Numbers3
 from ronna_hw.tool_record import Gauge
@@ -40,15 +38,15 @@ from ronna_hw.wire.room_tasks import GAUGE
 
 # 0.1 degrees move the end of an instrument 100 mm long by 0.17 mm.
 TILT_LIMIT_DEG = 0.1
-# An arm of the usual repeatability, 0.015 mm per axis, comes 0.05 mm beside itself in 1 approach of 100. The
-# mean of three, with what changer, dials and the record of twelve add, is that far off in 4 of 1,000; then
-# three more are read.
+# An arm of the usual repeatability, 0.015 mm per axis, is off by 0.05 mm in 1 approach of 100. The mean of
+# three, including changer, dials and the record of twelve, is that far off in 4 of 1,000; then three more are
+# read.
 APPROACHES = 3
 DIALS = ("x", "y", "z", "upper x", "upper y")
 
 
 class CheckedTool(StepResult, kind="tool_check"):
-    """How the mounted guide compares with its record."""
+    """Comparison of the mounted guide with its record."""
 
     tool_record: str = Field(description="Identifier of the record it was compared with.")
     readings_mm: tuple[tuple[float, ...], ...] = Field(
@@ -65,12 +63,10 @@ class CheckedTool(StepResult, kind="tool_check"):
 
 
 def run(context: StepContext) -> Outcome[CheckedTool]:
-    """Check the guide; one that differs is mounted again and checked anew, if the operator agrees.
+    """Check the guide; one that differs is mounted and checked once more if the operator agrees.
 
     Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
     """
-    from procedures.steps.clinical.confirmation import doubt  # which reads the gauge as this step does
-
     try:
         return _checked(context)
     except ToolBesideGauge as problem:
@@ -89,20 +85,20 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
 
 
 def _checked(context: StepContext) -> Outcome[CheckedTool]:
-    """Look at head, base and guide, then check the guide on the gauge. Raises TOOL-005 to TOOL-007, PRO-002.
+    """Look at head and base, and at the guide's own frame if it has one; then check it on the gauge.
 
-    Where the guide bears a frame, the tracker looks at that first.
+    Raises TOOL-005 to TOOL-007, PRO-002.
     """
     workcell = context.workcell
     context.result(MountedGuide)
-    context.have_instrument_out()  # of an earlier try
+    context.have_instrument_out()  # of an earlier attempt
     workcell.check_mounted(MountedTool.GUIDE)
     check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
     found = read_on_gauge(context)
     if found.differs:
-        workcell.rest()  # hands seat it anew: nothing of ours may move the arm meanwhile
+        workcell.rest()  # hands reseat it: nothing may move the arm meanwhile
         raise ToolBesideGauge(
             "the guide is not as it was when its tip was calibrated",
             limit=f"{GUIDE_NOTICEABLE_MM:g} mm, {TILT_LIMIT_DEG:g} deg",
@@ -127,7 +123,7 @@ def _checked(context: StepContext) -> Outcome[CheckedTool]:
 
 @dataclass(frozen=True)
 class GuideOnGauge:
-    """The guide against its record: readings of each approach, offset of the mandrel's end, tilt."""
+    """Reading of the guide on its gauge, against its record."""
 
     readings_mm: tuple[tuple[float, ...], ...]
     offset_mm: Numbers3
@@ -141,15 +137,15 @@ class GuideOnGauge:
 
     @property
     def differs(self) -> bool:
-        """Bent or badly seated: off its calibrated pose by more than would be noticed."""
+        """Whether it is off its calibrated pose by a noticeable amount: bent or badly seated."""
         return self.off_mm > GUIDE_NOTICEABLE_MM or self.tilt_deg > TILT_LIMIT_DEG
 
 
 def read_on_gauge(context: StepContext) -> GuideOnGauge:
-    """Have the mandrel put into the gauge, read and taken out, three times; go home.
+    """Have the mandrel inserted in the gauge, read and removed, three times; go home.
 
-    Readings that differ from the record are read three times more: the mean of six decides. Raises PRO-002,
-    TOOL-007 and what the motions raise.
+    If the mean differs from the record, three more readings are taken and the mean of six decides. Raises
+    PRO-002, TOOL-007 and the errors of the motions.
     """
     workcell = context.workcell
     guide = workcell.tools.guide
@@ -172,7 +168,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     for number in range(2 * APPROACHES):
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ONE_SIDE, from_afar=number == 0)
-        workcell.hold()  # a hand pushes the mandrel in: only a motion that is asked for leads on
+        workcell.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
         workcell.instrument.goes_in(IN_GAUGE)
         readings.append(context.have_done(task))
         if number == 0:
@@ -181,13 +177,13 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         found = GuideOnGauge(tuple(readings), *compared(guide.gauge, readings), reached.joints_rad)
         if number + 1 == APPROACHES and not found.differs:
             break
-    park(workcell, "park the arm from the gauge")
+    workcell.park("park the arm from the gauge")
     require_recent(context, "the dials of the gauge", read_s)
     return found
 
 
 def compared(gauge: Gauge, readings_mm: Sequence[Sequence[float]]) -> tuple[Numbers3, float]:
-    """Offset of the mandrel's end in mm and its tilt in deg, against what the record has; of all readings."""
+    """Offset of the mandrel's end, mm, and its tilt, deg, against the record, from the mean reading."""
     recorded_mm = (*gauge.reading_mm, *gauge.upper_reading_mm)
     read_mm = np.mean(readings_mm, axis=0)
     x, y, z, upper_x, upper_y = np.subtract(read_mm, recorded_mm).tolist()

@@ -10,7 +10,7 @@ from drivers.kuka_rsi.motion import MotionPlanner
 from drivers.kuka_rsi.options import LARGEST_SPEED_FRACTION, KukaOptions
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints
-from procedures.planning.path_check.motions import Motion
+from procedures.planning.motions import Motion
 from ronna_hw.arm.clearance.bodies import Bodies
 from ronna_hw.arm.clearance.sweep import moving_ends
 from ronna_hw.arm.kr6_r900 import Kr6R900

@@ -22,8 +22,7 @@ from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.outline import SphereImage, SphereStatus
 from procedures.results.result import StepResult
-from procedures.steps.catalogue import CLINICAL_STEPS
-from procedures.steps.planned_questions import planned_questions
+from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.stereo_look import Look

@@ -19,9 +19,9 @@ from clinical_case import (
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.plan.guide_hold import held_trajectories
-from procedures.planning.plan.model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
+from procedures.planning.guide import held_trajectories
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
 from procedures.results.result import FramedPose, StepResult
@@ -33,12 +33,10 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.registration import Prediction, RegisteredRobot
-from procedures.steps.clinical.relocalization import Relocalization
+from procedures.steps.clinical.results import LinkHealth, Prediction, RegisteredRobot, Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.link_health import LinkHealth
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from procedures.workcell import MountedTool

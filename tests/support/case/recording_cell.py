@@ -294,10 +294,14 @@ class RecordingTheatre(Theatre):
     def _device(self, name: str, interface: Callable[..., Any]) -> Any:
         return self._devices[name] if name in self._devices else super()._device(name, interface)
 
+    def replace_device(self, name: str, device: Any) -> Any:
+        """Put a device in place of the one of this name, and return it."""
+        self._devices[name] = device
+        return device
+
     def replace_tracker(self, tracker: Any) -> Any:
         """Put another tracker in its place, and return it."""
-        self._devices["tracker"] = tracker
-        return tracker
+        return self.replace_device("tracker", tracker)
 
     def stop(self) -> list[str]:
         arm = cast("RecordingArm", self._devices["robot.master"])

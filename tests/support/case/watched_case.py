@@ -21,7 +21,7 @@ from procedures.engine.step import StepKey
 from procedures.guards import patient_watch
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.steps.clinical import at_target, positioning
-from procedures.steps.clinical.confirmation import void_moved
+from procedures.steps.clinical.room import void_moved
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError

@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.guards.head_frames import HeadFrames
-from procedures.guards.motion_watch import PASSED_FRAMES
-from procedures.guards.room_watch import PATIENT_LIMIT_MM
+from procedures.guards.motion_watch import SKIPPED_FRAMES
+from procedures.guards.room_reading import PATIENT_LIMIT_MM
 from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validity
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
@@ -48,7 +48,7 @@ def frames_to_alarm(trial: int, head_mm: float, hidden: float = 0.0) -> int | No
         head.take(shuffled_frame(places_mm, generator))
         if head.moved_mm is not None and head.moved_mm >= PATIENT_LIMIT_MM:
             return frame - shift + UNTIL_ORDERED
-        frame += 1 if head.doubtful else 1 + PASSED_FRAMES
+        frame += 1 if head.doubtful else 1 + SKIPPED_FRAMES
     return None
 
 

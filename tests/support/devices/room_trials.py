@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
-from procedures.guards.room_reading import FRAMES
-from procedures.guards.room_watch import RoomReading, RoomWatch
+from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_watch import RoomWatch
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose

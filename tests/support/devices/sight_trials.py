@@ -17,10 +17,10 @@ from room_trials import STILL, TrackedCase
 
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.head_frames import HeadFrames
-from procedures.guards.motion_watch import PASSED_FRAMES
-from procedures.guards.room_reading import FRAMES
-from procedures.guards.room_watch import PATIENT_LIMIT_MM, Approach, RoomReading
-from procedures.planning.sight.tracker import TrackerSight
+from procedures.guards.motion_watch import SKIPPED_FRAMES
+from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM, RoomReading
+from procedures.guards.room_watch import Approach
+from procedures.planning.line_of_sight import TrackerSight
 from procedures.registration.movement import LEAST_POINTS, shift_of
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
 from ronna_hw.arm.pose import Pose
@@ -151,7 +151,7 @@ class CoveredApproach:
     def _run(self) -> How:
         home, watch = self.case.home_rad, self._watch
         for place in self.case.rests[1 : len(self.case.rests) // 4 + 1]:  # as the stereo head visited them
-            watch.check(self.case.reading(watch, place))
+            watch.compare(self.case.reading(watch, place)).require()
         watch.seen_s = 0.0
         self._rest(home)
         if not self._head_seen:
@@ -198,7 +198,7 @@ class CoveredApproach:
             whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen], whole.markers_mm
         )
         self._head_seen = shift_of(self._watch.spheres_mm, reading.spheres_mm) is not None
-        self._watch.check(reading, self._now_s)
+        self._watch.compare(reading, self._now_s).require()
         return self._watch.overdue(self._now_s)
 
     def _move(self, start: JointVector, end: JointVector, frames: int) -> bool:
@@ -221,7 +221,7 @@ class CoveredApproach:
                 raise PatientMoved("on the way")
             if self._watch.overdue(self._now_s):
                 return True
-            self._frame += 1 if self._frames.doubtful else 1 + PASSED_FRAMES
+            self._frame += 1 if self._frames.doubtful else 1 + SKIPPED_FRAMES
         return False
 
     def _places(self, start: JointVector, end: JointVector) -> Iterator[JointVector]:

@@ -31,8 +31,7 @@ from procedures.cli.calibrating.kinds import kind_of
 from procedures.cli.case.fault_script import check_fault_script, never_began
 from procedures.cli.case.request import CalibrationRun
 from procedures.engine.orders import read_order
-from procedures.planning.markers.template import propose_template
-from procedures.planning.markers.template_file import head_of_scene
+from procedures.planning.marker_sites import head_of_scene, propose_template
 from procedures.steps.calibration.recipe import Calibrated
 from ronna_hw.clock import open_clock
 from ronna_hw.command_line.options import LEVELS_VARIABLE, set_log_levels_from_environment

@@ -75,7 +75,7 @@ from procedures.engine.events.followed_run import FollowedRun
 from procedures.engine.theatre_note import TheatreNote, read_note
 from procedures.imaging import read_series
 from procedures.imaging.picks import read_picks
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
 from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction

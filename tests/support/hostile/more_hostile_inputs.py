@@ -30,7 +30,7 @@ from procedures.exchange.raw_readings import missing_in_raw
 from procedures.imaging.dicom.frame_decoder import FrameDecoder
 from procedures.imaging.dicom.slice_headers import read_headers
 from procedures.imaging.series import read_pixels_into
-from procedures.planning.cart.proposed_place import ProposedPlace, read_place
+from procedures.planning.proposed_place import ProposedPlace, read_place
 from procedures.reporting.calibration_figures import load_figures
 from procedures.reporting.ending import run_ending
 from procedures.reporting.files import load_truth

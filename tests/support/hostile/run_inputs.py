@@ -29,12 +29,11 @@ from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
-from procedures.steps.clinical.registration import ErrorShare
+from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
+from procedures.steps.clinical.results import ErrorShare, LeftOutSphere
 from procedures.steps.clinical.retreat import Retreated
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
 from procedures.steps.clinical.target_measurement import MeasuredTarget
-from procedures.steps.clinical.tools.depth_stop import DepthStop
+from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.evidence.journal_reading import FIRST as NO_LINE

@@ -13,7 +13,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.topic import Topic
-from procedures.workcell.cell_motion import MotionName
+from procedures.workcell.motions import MotionKind
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
 from sim.world.scene.model import read_scene
 
@@ -67,8 +67,8 @@ def test_a_guide_left_at_the_divot_is_withdrawn_only_after_acceptance(
     assert json.loads(done.stdout) == {"run": left.folder.name, "home": True, "moved": True}
     lines = tuple(read_journal(left.folder / JOURNAL_FILE))[len(left.journal) :]
     motions = [line for line in lines if line["entry"] == Entry.MOTION]
-    assert motions[-1]["what"] == MotionName.HOME
-    assert {line["what"] for line in motions} <= {MotionName.HOME, MotionName.BACK}
+    assert motions[-1]["what"] == MotionKind.HOME
+    assert {line["what"] for line in motions} <= {MotionKind.HOME, MotionKind.BACK}
     lowered = next(line for line in lines if line.get("topic") == Topic.INSTRUMENT_OUT)
     assert lines.index(lowered) < lines.index(motions[0])
     assert taken_up(commands, left)["calibration"]

@@ -14,7 +14,7 @@ from spoiled_slices import every, setting
 from user_commands import Commands, in_this_process
 
 from procedures.cli.ct import app
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
 
 PLAN = """schema = 1
 series_instance_uid = "{uid}"

@@ -11,7 +11,7 @@ from arm_looks import ENDPOINTS
 from recording_cell import RecordingCell
 from ur5 import Ur5
 
-from procedures.workcell.carried_tool import calibrated_arm
+from procedures.workcell.tools import calibrated_arm
 from ronna_hw.arm import catalogue
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.errors import UnknownArm

@@ -21,8 +21,8 @@ from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnos
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
 from procedures.cli.tool.purposes import Purpose
-from procedures.workcell.errors import ForeignTool
-from procedures.workcell.tool_records import ToolRecords
+from procedures.planning.errors import ForeignTool
+from procedures.planning.tool_records import ToolRecords
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.tool_record import ToolPurpose
 from sim.theatre.theatre_file import theatre_content

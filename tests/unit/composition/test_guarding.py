@@ -15,26 +15,20 @@ from procedures.composition.guarding import guard
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.engine.order import order_of
-from procedures.guards.arm_link import ArmLink
-from procedures.guards.disk_space import DiskSpace
-from procedures.guards.guide_still import GuideStill
-from procedures.guards.head_in_sight import HeadInSight
-from procedures.guards.line_of_sight import LineOfSight
-from procedures.guards.mounted_tool import ToolStillMounted
-from procedures.guards.theatre_records import UnchangedRecords
-from procedures.guards.tracker_link import TrackerLink
-from procedures.guards.wall_clock import WallClock
+from procedures.guards.default_guards import ArmLink, DiskSpace, ToolStillMounted, UnchangedRecords, WallClock
+from procedures.guards.guide_displacement import GuideDisplacement
+from procedures.guards.tracker_guards import HeadInSight, LineOfSight, TrackerLink
 from procedures.operator.errors import GuardUnmet
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import global_localization
-from procedures.steps.clinical.validity.inputs import UnchangedInputs
+from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.workcell import MountedTool
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.lifecycle import Lifecycle
 
 OF_EVERY_RUN = [DiskSpace, WallClock, ArmLink, ToolStillMounted, LineOfSight]
-OF_A_PATIENT = [GuideStill, HeadInSight]
+OF_A_PATIENT = [GuideDisplacement, HeadInSight]
 
 
 ORDER = order_of([global_localization.STEP], ())

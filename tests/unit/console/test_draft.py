@@ -8,7 +8,7 @@ from dataclasses import replace
 import pytest
 
 from console.planning.draft import Axis, Draft, History
-from procedures.planning.plan.file import parse_plan
+from procedures.planning.plan_file import parse_plan
 
 ENTRY, TARGET = (10.0, -50.0, 60.0), (5.0, -20.0, 20.0)
 

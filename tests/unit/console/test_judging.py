@@ -12,7 +12,7 @@ from recording_cell import mini_theatre_file
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import judge
 from procedures.imaging.markers import Marker
-from procedures.planning.theatre.arm import SixNumbers, TheatreArm, theatre_arm
+from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.strategies.catalogue import strategy_named
 
 NEAR: SixNumbers = (700.0, 0.0, 100.0, -90.0, 0.0, -90.0)

@@ -20,9 +20,8 @@ from console.planning.judging import Expected, Judged, expected, judge, verdict
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
-from procedures.planning.plan.file import read_plan, write_plan
-from procedures.planning.plan.lock import held_plan
-from procedures.planning.plan.seal import sealed
+from procedures.planning.plan_file import read_plan, seal_plan, write_plan
+from procedures.planning.plan_lock import lock_plan
 from ronna_hw.errors import RonnaError
 
 
@@ -120,7 +119,7 @@ def test_a_plan_is_read_only_while_a_case_runs_on_it(editor: PlanEditor, file: P
     draw(editor)
     save(editor)
     before, draft = file.read_bytes(), editor.draft
-    with held_plan(file):
+    with lock_plan(file):
         draw(editor, standoff_mm=31.0)
         editor.undo()
         assert editor.draft is draft
@@ -142,10 +141,10 @@ def test_a_case_that_starts_while_its_plan_is_being_saved_prevents_the_save(
     with ExitStack() as case:
 
         def meanwhile(*arguments: object) -> object:
-            case.enter_context(held_plan(file))
-            return sealed(*arguments)  # type: ignore[arg-type]
+            case.enter_context(lock_plan(file))
+            return seal_plan(*arguments)  # type: ignore[arg-type]
 
-        monkeypatch.setattr(plan_editor, "sealed", meanwhile)
+        monkeypatch.setattr(plan_editor, "seal_plan", meanwhile)
         with pytest.raises(PlanInUse, match="PLAN-026"):
             save(editor)
         assert file.read_bytes() == before

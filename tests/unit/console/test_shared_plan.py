@@ -14,7 +14,7 @@ from plan_editors import ENTRY, draw, save, scan
 from console.planning import plan_editor
 from console.planning.plan_editor import PlanEditor
 from procedures.planning.errors import PlanInUse
-from procedures.planning.plan.lock import held_plan
+from procedures.planning.plan_lock import lock_plan
 
 
 def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
@@ -148,7 +148,7 @@ def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ende
     save(editor)
     draw(editor, standoff_mm=31.0)
     editor.close()
-    with held_plan(file):
+    with lock_plan(file):
         again = PlanEditor(scan(), file, None)
         assert again.draft.standoff_mm == 30.0
         assert again.keep() is None

@@ -21,9 +21,9 @@ from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import read_picks
-from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
+from procedures.planning.proposed_place import read_place
 from procedures.reporting.calibration_figures import RESULT_FILE, load_figures
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file

@@ -9,7 +9,7 @@ import pytest
 from reference_tables import REFERENCE
 
 from procedures.cli.case.answers import read_answers
-from procedures.planning.plan.file import read_plan
+from procedures.planning.plan_file import read_plan
 
 
 @pytest.mark.parametrize(

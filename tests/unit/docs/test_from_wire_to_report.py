@@ -37,7 +37,7 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.relocalization import STEP as RELOCALIZATION
 from procedures.workcell import MountedTool
-from procedures.workcell.cell_motion import CellMotion
+from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
@@ -166,7 +166,7 @@ def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_wher
         led_here.add(layers_on_stack())
         return move(target_rad, **more)
 
-    def carried_out(self: SupervisedMotion, motion: CellMotion) -> ArmReading:
+    def carried_out(self: SupervisedMotion, motion: PlannedMotion) -> ArmReading:
         with modules_run() as run:
             reading = carry_out(self, motion)
         ran.update(run)

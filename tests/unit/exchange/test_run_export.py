@@ -19,7 +19,7 @@ from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.journal.journal import Entry, Journal
 from procedures.results.result import StepResult
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import RAW_FOLDER, hashes_at_closing, seal
 from ronna_hw.frames import Frame, Transform

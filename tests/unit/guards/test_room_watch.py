@@ -8,8 +8,8 @@ from clinical_case import SPHERES_MM
 from numpy.typing import ArrayLike
 
 from procedures.guards.errors import BaseShifted, PatientMoved
-from procedures.guards.room_reading import FRAMES
-from procedures.guards.room_watch import BASE_LIMIT_MM, RoomReading, RoomWatch
+from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_watch import BASE_LIMIT_MM, RoomWatch
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from ronna_hw.frames import Frame, Transform
 
@@ -38,18 +38,18 @@ def watch() -> RoomWatch:
 @pytest.mark.hazard(12)
 def test_a_careful_look_notices_half_the_head_movement_of_a_short_one(watch: RoomWatch) -> None:
     moved = (0.0, 1.2 * HEAD_NOTICEABLE_MM, 0.0)
-    assert watch.check(reading(head_mm=moved, frames=FRAMES)) == []
+    assert watch.compare(reading(head_mm=moved, frames=FRAMES)).require() == ()
     with pytest.raises(PatientMoved, match=r"limit 0\.15 mm, got 0\.18 mm"):
-        watch.check(reading(head_mm=moved))
+        watch.compare(reading(head_mm=moved)).require()
 
 
 @pytest.mark.hazard(13)
 def test_a_careful_look_at_home_notices_a_fifth_of_the_cart_movement_of_a_short_one(watch: RoomWatch) -> None:
     moved = (1.2 * BASE_NOTICEABLE_MM, 0.0, 0.0)
     assert BASE_NOTICEABLE_MM < BASE_LIMIT_MM / 5
-    assert watch.check(reading(moved, frames=FRAMES)) == []
+    assert watch.compare(reading(moved, frames=FRAMES)).require() == ()
     with pytest.raises(BaseShifted, match=r"the cart of the robot was moved by 0\.18 mm.*limit 0\.15 mm"):
-        watch.check(reading(moved))
+        watch.compare(reading(moved)).require()
 
 
 @pytest.mark.hazard(13)
@@ -65,18 +65,18 @@ def test_a_careful_look_is_compared_as_a_short_one_with_what_was_read_shortly(wa
 def test_only_joints_that_came_home_from_the_same_side_show_a_small_movement(watch: RoomWatch) -> None:
     watch.references[1:] = [reading((0.1, 0.0, 0.0))]  # backlash, since it was jogged home before
     moved = (0.1 + 1.2 * BASE_NOTICEABLE_MM, 0.0, 0.0)
-    assert watch.check(reading(moved, settled=False)) == []
+    assert watch.compare(reading(moved, settled=False)).require() == ()
     with pytest.raises(BaseShifted, match=r"by 0\.18 mm.*limit 0\.15 mm, got 0\.18 mm"):
-        watch.check(reading(moved))
+        watch.compare(reading(moved)).require()
 
 
 @pytest.mark.hazard(13)
 def test_a_drift_adds_up_over_looks_that_each_find_little(watch: RoomWatch) -> None:
     step_mm = 0.6 * BASE_NOTICEABLE_MM
     for number in (0, 1):
-        assert watch.check(reading((number * step_mm, 0.0, 0.0))) == []
+        assert watch.compare(reading((number * step_mm, 0.0, 0.0))).require() == ()
     with pytest.raises(BaseShifted):
-        watch.check(reading((2 * step_mm, 0.0, 0.0)))
+        watch.compare(reading((2 * step_mm, 0.0, 0.0))).require()
 
 
 @pytest.mark.hazard(13)

@@ -13,7 +13,7 @@ from plan_toml import PLAN, SECOND
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.planning.path_check.visits import ArmSetting
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits

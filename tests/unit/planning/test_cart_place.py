@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.planning.cart.place import CartCase, CartMove, Found
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.visits import ArmSetting, Axes, localizations_along, target_visit
-from procedures.planning.sight.stereo_head import StereoSight
-from procedures.planning.sight.tracker import SENSORS_MM
-from procedures.planning.theatre.scene import PlanningScene
+from benchmarks.place_map import agreement, cart_case
+from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.line_of_sight import SENSORS_MM, StereoSight
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import ArmSetting, Axes, localizations_along, target_visit
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -68,9 +68,9 @@ def _looking_at_the_arm(setting: ArmSetting, way: tuple[float, float, float], fa
     return Transform(Frame.ROBOT, Frame.TRACKER, RigidTransform.from_components(place_mm, turned))
 
 
-def _known() -> Found:
+def _known() -> PlaceSolution:
     """How the assumed position serves: at the planned angle."""
-    found = _case(_setting()).judged(HERE).found
+    found = _case(_setting()).judge(HERE).found
     assert found is not None
     assert found.turns_rad == PLANNED
     return found
@@ -99,20 +99,20 @@ def test_a_position_serves_exactly_where_the_path_check_passes() -> None:
     passes = [
         choose_free_angles(_pushed(setting, move), (ALONG,), FIDUCIALS, SIGHT).check.passed for move in moves
     ]
-    assert [_case(setting).judged(move, (known,)).serves for move in moves] == passes
+    assert [_case(setting).judge(move, (known,)).serves for move in moves] == passes
     assert 5 <= sum(passes) <= 15
 
 
 @pytest.mark.hazard(48)
 def test_a_position_from_which_the_guide_cannot_go_to_its_gauge_is_refused_by_map_and_path_check() -> None:
     free = replace(_setting(), gauge_rad=radians6(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
-    assert _case(free).judged(HERE, (_known(),)).serves
+    assert _case(free).judge(HERE, (_known(),)).serves
     tip = free.kinematics.flange_pose(free.gauge_rad or free.start_rad) @ free.flange_from_tool
     x, y, z = tip.apply([0.0, 0.0, -130.0]).tolist()  # beside the guide
     lamp = RoomBody(name="lamp", start_mm=(x, y, z), end_mm=(x, y, z), radius_mm=15.0, frame=BodyFrame.ROBOT)
-    assert _case(_setting(lamp)).judged(HERE, (_known(),)).serves  # it is in no other way
+    assert _case(_setting(lamp)).judge(HERE, (_known(),)).serves  # it is in no other way
     setting = replace(_setting(lamp), gauge_rad=free.gauge_rad)
-    refused = _case(setting).judged(HERE, (_known(),))
+    refused = _case(setting).judge(HERE, (_known(),))
     assert (refused.serves, refused.pose) == (False, "gauge")
     assert "the lamp" in refused.reason
     check = choose_free_angles(setting, (ALONG,), FIDUCIALS, SIGHT).check
@@ -125,7 +125,7 @@ def test_a_known_solution_that_comes_too_close_here_is_not_taken_over() -> None:
     stand = RoomBody(
         name="drip stand", start_mm=(x, y, z), end_mm=(x, y, z), radius_mm=15.0, frame=BodyFrame.ROBOT
     )
-    judged = _case(_setting(stand)).judged(HERE, (_known(),))
+    judged = _case(_setting(stand)).judge(HERE, (_known(),))
     assert judged.found is not None
     assert judged.found.turns_rad != PLANNED
 
@@ -137,7 +137,7 @@ def test_a_known_solution_in_which_a_sphere_hides_another_is_not_taken_over() ->
     pose = localizations_along(setting, axis, FIDUCIALS, known.branch)[0].pose
     second = pose.inverse().apply(setting.robot_from_ct.apply(np.array(FIDUCIALS[1])))
     hidden = replace(SIGHT, right_mm=250.0 * second / np.linalg.norm(second))
-    judged = _case(setting, hidden).judged(HERE, (known,))
+    judged = _case(setting, hidden).judge(HERE, (known,))
     assert judged.found is not None
     assert judged.found.turns_rad != PLANNED
 
@@ -151,10 +151,10 @@ def test_a_position_at_which_the_arm_at_home_hides_a_sphere_from_the_tracker_is_
     middle_mm = sensor_mm - np.array(SENSORS_MM[0])
     tracker = Transform.of(Frame.ROBOT, Frame.TRACKER, translation_mm=middle_mm)
     case = replace(_case(setting, tracker=tracker), stereo_from_marker=None)
-    hidden = case.judged(HERE, (_known(),))
+    hidden = case.judge(HERE, (_known(),))
     assert not hidden.serves
     assert hidden.reason.startswith("the arm at home hides fiducial 1")
-    assert case.judged(CartMove(0.0, 400.0), (_known(),)).serves  # it stays where it is in the room
+    assert case.judge(CartMove(0.0, 400.0), (_known(),)).serves  # it stays where it is in the room
 
 
 @pytest.mark.hazard(48)
@@ -172,5 +172,19 @@ def test_a_position_from_which_the_tracker_cannot_see_the_frame_on_the_arm_is_re
     way: tuple[float, float, float], far_mm: float, said: str
 ) -> None:
     setting = _setting()
-    judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judged(HERE, (_known(),))
+    judged = _case(setting, tracker=_looking_at_the_arm(setting, way, far_mm)).judge(HERE, (_known(),))
     assert (judged.serves, judged.reason) == (not said, said)
+
+
+PLACES, WITHIN_MM = 100, 240.0
+
+
+@pytest.mark.slow
+@pytest.mark.timeout(600)
+@pytest.mark.hazard(48)
+@pytest.mark.parametrize("turn_deg", [0.0, 15.0])
+def test_the_path_check_refuses_no_place_of_the_map_and_few_are_lost(turn_deg: float) -> None:
+    found = agreement(cart_case("mini"), PLACES, WITHIN_MM, turn_deg, workers=1)
+    assert found.refused == 0
+    assert found.lost <= 0.05 * PLACES
+    assert 0 < found.allowed < PLACES

@@ -8,11 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.visits import ArmSetting, Axes, Visit, visits_of
-from procedures.planning.path_check.wrist import LEAST_BEND_RAD, WristState
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.free_angle import LEAST_BEND_RAD, WristState, choose_free_angles
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.paths import check_paths
+from procedures.planning.visits import ArmSetting, Axes, Visit, visits_of
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory

@@ -2,21 +2,30 @@
 
 from __future__ import annotations
 
+from itertools import combinations
+from pathlib import Path
+
 import numpy as np
 import pytest
 
-from procedures.planning.errors import NoMarkerSites
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import (
+from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate
+from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.marker_sites import (
     APART_MM,
     CLEAR_OF_WAY_MM,
+    STANDOFF_MM,
+    head_of_scene,
     propose_further,
     propose_markers,
+    propose_template,
+    write_template,
 )
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.reporting.pictures import marker_picture
 from procedures.strategies.trajectory import Trajectory
+from ronna_hw.marker_template import BadTemplate, MarkerTemplate, read_marker_template
 
 HEAD = HeadEllipsoid(centre_mm=(3.0, -40.0, 810.0), semi_axes_mm=(75.0, 95.0, 90.0))
 TRAJECTORIES = (
@@ -76,3 +85,116 @@ def test_a_head_without_room_for_the_markers_is_refused() -> None:
 def test_the_marker_picture_is_a_png() -> None:
     found = propose_markers(HEAD, TRAJECTORIES, 4, ERROR_MM)
     assert marker_picture(found, HEAD, TRAJECTORIES).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(("markers", "margin_mm"), [(3, 30.0), (4, 10.0)])
+def test_all_distances_differ_by_the_margin_and_the_markers_are_on_the_skin(
+    markers: int, margin_mm: float
+) -> None:
+    found = propose_template(HEAD, markers, margin_mm)
+    assert len(found.markers) == markers
+    assert found.least_difference_mm >= margin_mm
+    assert found.distances_mm[0] >= APART_MM
+    for marker in found.markers:
+        foot = np.array(marker.centre_mm) - STANDOFF_MM * np.array(marker.post) - HEAD.centre_mm
+        assert np.linalg.norm(foot / np.array(HEAD.semi_axes_mm)) == pytest.approx(1.0, abs=1e-5)
+        assert (foot[2] - foot[1]) > 0.0  # between forehead and vertex
+
+
+def test_a_smaller_margin_never_costs_accuracy() -> None:
+    def error(margin_mm: float) -> float:
+        points = np.array(propose_template(HEAD, 4, margin_mm).centres_mm)
+        return float(tre_principal_axes_mm(np.array([HEAD.centre_mm]), points, 1.0)[0])
+
+    assert error(2.0) <= error(8.0) <= error(14.0)
+
+
+def test_a_margin_no_head_has_room_for_is_refused_with_the_largest_possible_one() -> None:
+    with pytest.raises(NoTemplate, match=r"PLAN-015.*40 mm.*at most .* mm"):
+        propose_template(HEAD, 4, 40.0)
+
+
+def test_the_skin_is_taken_from_the_ct_and_not_from_the_ellipsoid() -> None:
+    """A head that is flat on one side: the ellipsoid around it stands off there."""
+    radius_mm, flat_at_mm, voxel_mm = 88.0, 30.0, 4.0
+    axis = np.arange(-118.0, 119.0, voxel_mm)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    voxels = np.where((x**2 + y**2 + z**2 < radius_mm**2) & (x < flat_at_mm), 40, -1000).astype(np.int16)
+    geometry = VoxelGeometry(
+        voxels.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm)
+    )
+    volume = Volume(voxels, geometry, "1.2.3", "1.2.4")
+    found = propose_template(head_shape(volume), 3, 10.0, volume=volume)
+    feet = [np.array(one.centre_mm) - STANDOFF_MM * np.array(one.post) for one in found.markers]
+    for foot in feet:
+        assert min(abs(np.linalg.norm(foot) - radius_mm), abs(foot[0] - flat_at_mm)) < voxel_mm
+    assert max(foot[0] for foot in feet) < flat_at_mm + voxel_mm
+
+
+def test_objects_on_the_skin_are_not_taken_for_skin() -> None:
+    radius_mm, voxel_mm = 88.0, 3.0
+    axis = np.arange(-129.0, 130.0, voxel_mm)
+    z, y, x = np.meshgrid(axis, axis, axis, indexing="ij")
+    points = np.stack([x, y, z], axis=-1)
+    geometry = VoxelGeometry(x.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm))
+
+    def on(solid: np.ndarray) -> MarkerTemplate:
+        volume = Volume(np.where(solid, 40, -1000).astype(np.int16), geometry, "1.2.3", "1.2.4")
+        return propose_template(head_shape(volume), 3, 10.0, volume=volume)
+
+    head = np.linalg.norm(points, axis=-1) < radius_mm
+    standing = [np.linalg.norm(points - np.array(one.centre_mm), axis=-1) < 8.0 for one in on(head).markers]
+    for marker in on(np.any([head, *standing], axis=0)).markers:
+        foot = np.array(marker.centre_mm) - STANDOFF_MM * np.array(marker.post)
+        assert abs(np.linalg.norm(foot) - radius_mm) < voxel_mm
+
+
+def test_a_template_survives_writing_and_reading(tmp_path: Path) -> None:
+    template = propose_template(HEAD, 4, 8.0)
+    write_template(tmp_path / "t.toml", template)
+    assert read_marker_template(tmp_path / "t.toml") == template
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("schema = 1\n", "markers"),
+        ("schema = 2\nmarkers = []\n", "schema"),
+        ("{", "not TOML"),
+        (
+            "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 2.0]\n" * 3,
+            "not a unit vector: its length is 2.000",
+        ),
+        (
+            "schema = 1\n" + "[[markers]]\ncentre_mm = [0.0, 0.0, 0.0]\npost = [0.0, 0.0, 1.0]\n" * 3,
+            "0.0 mm apart, limit 15 mm",
+        ),
+    ],
+)
+def test_a_file_that_is_not_a_template_is_refused_with_the_reason(
+    tmp_path: Path, text: str, said: str
+) -> None:
+    path = tmp_path / "t.toml"
+    path.write_text(text)
+    with pytest.raises(BadTemplate, match=said) as refused:
+        read_marker_template(path)
+    assert refused.value.code == "TPL-001"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [("seed = 1\n", "head"), ("[head]\ncentre_ct_mm = [0.0, 0.0, 0.0]\n", "semi_axes_mm"), ("[", "not TOML")],
+)
+def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str) -> None:
+    path = tmp_path / "scene.toml"
+    path.write_text(text)
+    with pytest.raises(HeadUnreadable, match=said):
+        head_of_scene(path)
+
+
+def test_the_distances_of_a_template_are_listed_in_ascending_order() -> None:
+    template = propose_template(HEAD, 3, 10.0)
+    expected = sorted(
+        float(np.linalg.norm(np.subtract(a, b))) for a, b in combinations(template.centres_mm, 2)
+    )
+    assert template.distances_mm == pytest.approx(expected)

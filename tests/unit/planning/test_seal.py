@@ -14,17 +14,16 @@ import pytest
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
-from procedures.planning.plan.check import check_plan
-from procedures.planning.plan.file import plan_of, read_plan, write_plan
-from procedures.planning.plan.lock import held_plan, plan_in_use, replaced_plan
-from procedures.planning.plan.model import Plan
-from procedures.planning.plan.seal import sealed
+from procedures.planning.plan_check import check_plan
+from procedures.planning.plan_file import parse_plan_bytes, read_plan, seal_plan, write_plan
+from procedures.planning.plan_lock import lock_plan, plan_in_use, plan_replacement
+from procedures.planning.plan_model import Plan
 
 
 @pytest.fixture
 def saved(plan_text: str, plan_path: Callable[[str], Path], make_volume: Callable[..., Volume]) -> Path:
     path = plan_path(plan_text)
-    write_plan(path, sealed(read_plan(path), "Dr Test", make_volume()), ("a note\nin one line",))
+    write_plan(path, seal_plan(read_plan(path), "Dr Test", make_volume()), ("a note\nin one line",))
     return path
 
 
@@ -90,7 +89,7 @@ def test_a_full_disk_leaves_the_previous_plan_intact(saved: Path, monkeypatch: p
 
 def test_a_plan_held_by_a_case_is_in_use_until_the_case_ends(saved: Path) -> None:
     assert not plan_in_use(saved)
-    with held_plan(saved), held_plan(saved):
+    with lock_plan(saved), lock_plan(saved):
         assert plan_in_use(saved)
     assert not plan_in_use(saved)
     assert not plan_in_use(saved.with_name("none"))
@@ -99,22 +98,22 @@ def test_a_plan_held_by_a_case_is_in_use_until_the_case_ends(saved: Path) -> Non
 def test_a_case_that_waits_for_a_plan_to_be_replaced_holds_the_new_one(saved: Path) -> None:
     plan = read_plan(saved)
     with ThreadPoolExecutor(1) as beside, ExitStack() as case:
-        with replaced_plan(saved):
-            waiting = beside.submit(case.enter_context, held_plan(saved))
+        with plan_replacement(saved):
+            waiting = beside.submit(case.enter_context, lock_plan(saved))
             write_plan(saved, plan)
             assert not waiting.done()
         waiting.result(10.0)
-        with pytest.raises(PlanInUse, match="PLAN-026"), replaced_plan(saved):
+        with pytest.raises(PlanInUse, match="PLAN-026"), plan_replacement(saved):
             pass
     assert not plan_in_use(saved)
 
 
 def test_a_case_reads_the_plan_it_holds_even_after_the_file_is_replaced(saved: Path) -> None:
     plan, content = read_plan(saved), saved.read_bytes()
-    with held_plan(saved) as held:
+    with lock_plan(saved) as held:
         saved.unlink()
         saved.write_text("# another one\n")
-        assert plan_of(held.content, "plan.toml") == plan
+        assert parse_plan_bytes(held.content, "plan.toml") == plan
         assert held.sha256 == hashlib.sha256(content).hexdigest()
 
 

@@ -10,11 +10,10 @@ import pytest
 
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import NearStructure, OutsideField, PlanMistakes, StructureUnreadable
-from procedures.planning.head.structure_check import read_structure
-from procedures.planning.head.structures import MOST_POINTS, Structure, structure_distances, structure_of
-from procedures.planning.plan.check import check_plan
-from procedures.planning.plan.file import parse_plan, read_plan, write_plan
-from procedures.planning.plan.model import Plan
+from procedures.planning.plan_check import check_plan
+from procedures.planning.plan_file import parse_plan, read_plan, write_plan
+from procedures.planning.plan_model import MOST_POINTS, Plan, Structure
+from procedures.planning.structures import read_structure, structure_distances, structure_of
 
 BESIDE_TARGET = (9.0, -20.0, 20.0)  # 4 mm to the left of the target of T1
 

@@ -55,9 +55,9 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.tool_check import APPROACHES
-from procedures.steps.clinical.tools.depth_stop import DepthStop
+from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import JointVector

@@ -92,7 +92,8 @@ class WithoutFrame(SeeingTracker):
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
         frame = super().read_frame(timeout_s)
-        return replace(frame, tools=(replace(frame.tools[0], validity=Validity.MISSING),))
+        lost = replace(frame.tools[0], validity=Validity.MISSING)
+        return replace(frame, tools=(lost, *frame.tools[1:]))
 
 
 def test_the_frame_on_the_arm_must_be_seen_when_the_arm_is_home(cell: ClinicalCell) -> None:

@@ -28,7 +28,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.step import Scope
-from procedures.guards.mounted_tool import ToolStillMounted
+from procedures.guards.default_guards import ToolStillMounted
 from procedures.operator import checkpoint
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic

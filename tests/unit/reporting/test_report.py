@@ -29,10 +29,9 @@ from procedures.reporting.run_statistics import timeline
 from procedures.reporting.tables import plan_rows
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.paths.previews import ClosestApproach, MotionPreview
-from procedures.steps.clinical.registration import RegisteredRobot
-from procedures.steps.clinical.spheres.left_out import LeftOutSphere
-from procedures.steps.clinical.tools.depth_stop import DepthStop
+from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
+from procedures.steps.clinical.results import LeftOutSphere, RegisteredRobot
+from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4321, lateral_mm=0.4, axial_mm=-0.1),))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import sys
 from pathlib import Path
 from types import ModuleType
 
@@ -31,7 +32,7 @@ def order(force_check: ModuleType) -> CaseOrder:
 def with_force(cell: ClinicalCell, force_N: float) -> None:
     options = {"scale": force_N / UNSCALED_N}
     config = DeviceConfig(driver="force", endpoint="tcp://127.0.0.1:1", options=options)
-    cell.opened._devices["device.force"] = ScaledForceSensor("device.force", config, cell.clock)
+    cell.opened.replace_device("device.force", ScaledForceSensor("device.force", config, cell.clock))
 
 
 def test_the_new_step_reads_another_kind_of_device_and_stores_its_result(
@@ -66,6 +67,7 @@ def catalogue(force_check: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Modul
     source = source.replace(before, lines)
     source = source.replace("    fiducial_localization,\n", "    fiducial_localization,\n    force_check,\n")
     module = ModuleType("catalogue")
+    monkeypatch.setitem(sys.modules, "catalogue", module)
     exec(compile(source, "catalogue.py", "exec"), module.__dict__)
     return module
 

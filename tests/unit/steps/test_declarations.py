@@ -30,12 +30,10 @@ from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec
 from procedures.guards.stability import SeenUnchanged
 from procedures.results.result import FramedPose, StepResult
-from procedures.steps.calibration.ball_look import LookedAtBall
-from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.baseline_visit import VisitedBaseline
 from procedures.steps.calibration.frame_looks import ObservedFrame
-from procedures.steps.calibration.procedures import (
+from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall, VisitedBaseline
+from procedures.steps.calibration.recipe import (
     arm_looks,
     frame_looks,
     head_calibration,
@@ -45,15 +43,14 @@ from procedures.steps.calibration.procedures import (
     tip_readings,
 )
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
-from procedures.steps.calibration.stand_ball import ObservedStand
-from procedures.steps.calibration.tip_readings import ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
+from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.target_measurement import MeasuredTarget
-from procedures.steps.clinical.tools.depth_stop import DepthStop
+from procedures.steps.clinical.work_progress import DepthStop
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.records import read_record

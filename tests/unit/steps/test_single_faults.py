@@ -23,7 +23,7 @@ from single_faults import (
 )
 
 from procedures.steps import branches
-from procedures.steps.branch import Branch
+from procedures.steps.branches import Branch
 from procedures.steps.catalogue import CLINICAL_STEPS
 from sim.world.faults import FAULT_KINDS, check_faults, parse_faults
 from sim.world.scene.named_scenes import named_scene

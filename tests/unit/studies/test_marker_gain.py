@@ -6,9 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
-from procedures.planning.head.shape import HeadEllipsoid
-from procedures.planning.markers.sites import allowed, clear_of, propose_markers
-from procedures.planning.markers.template import sites_on
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.marker_sites import allowed, clear_of, propose_markers, sites_on
 from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms
 from studies.accuracy.scene import Scene

@@ -1,292 +1,197 @@
-"""Workcell motions: each has an intent and a result in the journal, none passes a guide before an entry."""
+"""What a question states about a motion is what the arm then does, for every kind of motion."""
+
+from __future__ import annotations
 
 import math
-import os
+import re
 from collections.abc import Callable
+from contextlib import nullcontext
+from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
+import numpy as np
 import pytest
-from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
+from planned_arm import PlannedArm
+from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
-from procedures.journal.errors import JournalNotWritable
-from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
+from procedures.operator.checkpoint import Checkpoint
+from procedures.operator.question import Question
+from procedures.operator.topic import Topic
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.cell_motion import CellMotion
-from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
-from ronna_hw.arm.errors import NotClear
+from procedures.workcell.arm_history import ArmHistory
+from procedures.workcell.arm_place import ArmPlace, Where
+from procedures.workcell.errors import TipOffAxis
+from procedures.workcell.motions import MotionFacts
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
+from ronna_hw.arm.clearance.sweep import sweep
+from ronna_hw.arm.motion.limits import WORKING_LINE_SPEED_MM_S
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.arm.motion.set_points import PathMotion
+from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector
-from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
 
-WAY_MM = 60.0
-BELOW_HOME = approach_joints(HOME, ONE_SIDE)  # from where every joint turns onto home
+CYCLE_S = 0.004
+WAY_MM = 50.0
+TOLD = re.compile(r"moves (\d+) mm( via home)?,\n.* in (\d+\.\d) s at up to (\d+) mm/s")
+START: JointVector = (HOME[0] - 0.4, *HOME[1:])
+ACROSS: JointVector = (HOME[0] + 0.4, *HOME[1:])
+LIFTED: JointVector = (HOME[0], HOME[1] - 0.4, *HOME[2:])
 
 
-def turned(by_rad: float) -> JointVector:
-    A1, A2, A3, A4, A5, A6 = HOME
-    return (A1 + by_rad, A2, A3, A4, A5, A6)
-
-
-def motions(cell: RecordingCell) -> list[tuple[str, object]]:
-    lines = read_journal(cell.folder / JOURNAL_FILE)
-    return [(line["entry"], line.get("what", line.get("error"))) for line in lines]
-
-
-def with_guide(cell: RecordingCell) -> None:
-    cell.arm.mounted = GUIDE
+@pytest.fixture
+def cell(tmp_path: Path) -> RecordingCell:
+    """With the guide mounted, home over the middle, and the arm beside it."""
+    cell = RecordingCell(tmp_path, operator=RecordingOperator())
+    cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
+    cell.opened.replace_device("robot.master", cell.arm)
     cell.workcell.check_mounted(MountedTool.GUIDE)
     cell.workcell.set_home()
+    cell.arm.joints_rad = START
+    have_asked(cell, cell.operator.ask)
+    return cell
 
 
-def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
-    """A trajectory whose stand-off is where the guide is now."""
+def have_asked(cell: RecordingCell, ask: Callable[[Question], str]) -> None:
+    resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), cell.clock)
+    cell.workcell.supervised.ask_before(resting, ask)
+
+
+def arm_of(cell: RecordingCell) -> PlannedArm:
+    assert isinstance(cell.arm, PlannedArm)
+    return cell.arm
+
+
+def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Transform:
+    """A pose of the tool that far along its own axis, and turned about it."""
     here = tool_pose(cell.arm.joints_rad, cell)
-    target = Transform.of(
-        here.target,
+    half = turned_rad / 2.0
+    way = Transform.of(
         here.source,
-        translation_mm=here.apply([0.0, 0.0, WAY_MM]),
-        quaternion_wxyz=here.quaternion_wxyz,
+        here.source,
+        translation_mm=(0.0, 0.0, ahead_mm),
+        quaternion_wxyz=(math.cos(half), 0.0, math.sin(half), 0.0),
     )
-    return Insertion(trajectory, target, WAY_MM)
+    return here @ way
 
 
-def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
-    with_guide(cell)
-    made = insertion(cell, trajectory)
-    cell.workcell.insert(made)
-    return made
-
-
-def test_every_motion_is_recorded_as_an_intent_and_a_result(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
-    cell.workcell.go(turned(0.1))
-    cell.workcell.settle(turned(0.2), (1,) * 6)
-    cell.workcell.go_home()
-    assert motions(cell) == [
-        ("placed", None),
-        *[("motion", "go"), ("moved", None)],
-        *[("motion", "settle"), ("moved", None)],
-        *[("motion", "home"), ("moved", None)],
-    ]
-
-
-@pytest.mark.hazard(33)
-def test_a_motion_whose_intent_cannot_be_written_is_not_made(cell: RecordingCell) -> None:
-    os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
-    os.close(full)
-    with pytest.raises(JournalNotWritable, match="PRO-003"):
-        cell.workcell.go(turned(0.1))
-    assert cell.arm.motions == []
-
-
-@pytest.mark.hazard(33)
-def test_the_intent_is_on_the_disk_before_the_arm_moves(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    on_disk: list[int] = []
-    as_it_moved: list[bytes] = []
-    monkeypatch.setattr(os, "fdatasync", lambda file: on_disk.append(os.fstat(file).st_size))
-
-    def move(_start: JointVector, _target: JointVector) -> bool:
-        as_it_moved.append((cell.folder / JOURNAL_FILE).read_bytes()[: on_disk[-1]])
-        return False  # the way is clear
-
-    cell.arm.blocked = move
-    cell.workcell.go(turned(0.1))
-    assert b'"motion"' in as_it_moved[0].splitlines()[-1]
-
-
-@pytest.mark.hazard(33)
-def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: RecordingCell) -> None:
-    cell.journal.close()
-    with pytest.raises(JournalNotWritable, match="the journal is closed"):
-        cell.workcell.go(turned(0.1))
-    with pytest.raises(JournalNotWritable, match="the journal is closed"):
-        cell.make_workcell()
-    assert cell.arm.motions == []
-
-
-def test_a_failed_motion_is_recorded_in_the_journal(cell: RecordingCell) -> None:
-    cell.arm.failing = LinkTimeout("telegrams ceased")
-    with pytest.raises(LinkTimeout):
-        cell.workcell.go(turned(0.1))
-    assert motions(cell) == [("motion", "go"), ("moved", LinkTimeout.code)]
-
-
-def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
-    cell.arm.joints_rad = turned(-0.1)
-    cell.arm.blocked = lambda start, target: target == turned(0.1) and start != HOME
-    cell.workcell.go(turned(0.1))
-    assert [to for _, to in cell.arm.motions] == [BELOW_HOME, HOME, turned(0.1)]
-
-
-def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_was_before(
-    cell: RecordingCell,
-) -> None:
-    cell.workcell.set_home()
-    before, across, last = turned(0.5), turned(-0.5), turned(-0.6)
-    unclear = ({before, across}, {before, last}, {last, BELOW_HOME})
-    cell.arm.blocked = lambda start, target: {start, target} in unclear
-    cell.workcell.go(before)
-    cell.workcell.go(across)
-    assert [to for _, to in cell.arm.motions] == [before, BELOW_HOME, HOME, across]
-    cell.workcell.settle(last, None)
-    cell.arm.motions.clear()
-    cell.workcell.return_home()
-    assert [to for _, to in cell.arm.motions] == [last, across, BELOW_HOME, HOME]
-    assert cell.workcell.place.is_home
-
-
-def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
-    cell.workcell.set_home()
-    cell.arm.blocked = lambda _start, _target: True
-    with pytest.raises(NotClear):
-        cell.workcell.go(turned(0.1))
-    assert cell.arm.motions == []
-
-
-def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
-    cell.workcell.settle(HOME, (1, -1, 1, -1, 1, -1))
-    back, there = (to for _, to in cell.arm.motions)
-    assert there == HOME
-    stood_back = [round((end - start) / APPROACH_RAD) for start, end in zip(back, there, strict=True)]
-    assert stood_back == [1, -1, 1, -1, 1, -1]
-
-
-def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> None:
-    made = inserted(cell)
-    assert (on := cell.workcell.place.axis) is not None
-    assert on.as_plain() == made.as_plain()
-    reached = tool_pose(cell.arm.joints_rad, cell)
-    assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
+def withdraw(cell: RecordingCell) -> None:
+    """The guide is on its axis already, as in a run that is resumed."""
+    on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
+    cell.workcell.take_up(ArmHistory(place=ArmPlace(Where.ON_AXIS, on)), cell.workcell.home_rad)
     cell.workcell.withdraw("T1")
-    assert not cell.workcell.place.on_axis
-    assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
-VIEWS: dict[str, Callable[[RecordingCell], CellMotion]] = {
-    "going": lambda cell: cell.workcell.going(turned(0.1)),
-    "returning home": lambda cell: cell.workcell.returning_home(),
-    "settling": lambda cell: cell.workcell.settling(turned(0.1), (1,) * 6),
-    "straight": lambda cell: cell.workcell.straight(tool_pose(HOME, cell)),
-    "inserting": lambda cell: cell.workcell.inserting(insertion(cell, "T2")),
-    "withdrawing": lambda cell: cell.workcell.withdrawing(insertion(cell, "T2")),
-}
-Anything = Callable[[RecordingCell], object]
-OTHER_MOTIONS: dict[str, Anything] = {
-    "go": lambda cell: cell.workcell.go(turned(0.1)),
+def go_past_a_post(cell: RecordingCell) -> None:
+    x, y, z = arm_of(cell).kinematics.flange_pose(HOME).translation_mm.tolist()
+    post = Obstacle("post", Capsule((x, y, z - 100.0), (x, y, z), 5.0))
+    arm_of(cell).surround(Surroundings(obstacles=(post,)))
+    cell.workcell.go(ACROSS)
+
+
+KINDS: dict[str, Callable[[RecordingCell], object]] = {
+    "go": lambda cell: cell.workcell.go(ACROSS),
+    "go past a post": go_past_a_post,
     "home": lambda cell: cell.workcell.go_home(),
-    "settle": lambda cell: cell.workcell.settle(turned(0.1), (1,) * 6),
-    "line": lambda cell: cell.workcell.line_to(tool_pose(HOME, cell)),
-    "insert": lambda cell: cell.workcell.insert(insertion(cell, "T2")),
-    **{
-        f"{view} carried out": lambda cell, view=view: cell.workcell.supervised.carry_out(VIEWS[view](cell))
-        for view in VIEWS
-    },
+    "step": lambda cell: cell.workcell.settle(ACROSS, None),
+    "settle": lambda cell: cell.workcell.settle(ACROSS, (1, -1, 1, -1, 1, -1)),
+    "settle nearby": lambda cell: cell.workcell.settle(cell.workcell.joints_rad(), (1, -1, 1, -1, 1, -1)),
+    "line": lambda cell: cell.workcell.line_to(tool_at(cell, 40.0, 0.2)),
+    "insert": lambda cell: cell.workcell.insert(Insertion("T1", tool_at(cell, WAY_MM), WAY_MM)),
+    "withdraw": withdraw,
 }
 
 
-@pytest.mark.hazard(24)
-@pytest.mark.parametrize("what", OTHER_MOTIONS)
-def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused(
-    cell: RecordingCell, what: str
+def points(cell: RecordingCell, plan: MotionPlan) -> list[JointVector]:
+    """The set-points of a plan, one per cycle, as the real-time process generates them."""
+    path = plan.path(cell.arm.kinematics)
+    motion = PathMotion(path, plan.start_rad, plan.limits, CYCLE_S, plan.speed_steps)
+    found = [plan.start_rad]
+    while not motion.finished:
+        go_rad, _ = motion.prepare()
+        motion.take_go()
+        found.append(go_rad)
+    return found
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_duration_and_speed_in_the_question_are_those_of_the_actual_motion(
+    cell: RecordingCell, kind: str
 ) -> None:
-    inserted(cell)
-    moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInside, match=r"PRO-014.*in front of the entry of T1"):
-        OTHER_MOTIONS[what](cell)
-    assert len(cell.arm.motions) == moved
+    KINDS[kind](cell)
+    (asked,) = cell.operator.asked
+    said = TOLD.search(asked.value)
+    assert said is not None
+    assert (said[2] is not None) is (kind == "go past a post")
+    ways = [points(cell, plan) for plan in arm_of(cell).plans]
+    bodies = Bodies(cell.arm.kinematics, arm_of(cell).surroundings)
+    steps_mm = [np.diff(sweep(bodies, way).ends_mm, axis=0) for way in ways]
+    fastest_mm_s = max(np.linalg.norm(step, axis=-1).max() for step in steps_mm) / CYCLE_S
+    assert float(said[3]) == pytest.approx(sum(len(way) - 1 for way in ways) * CYCLE_S, abs=0.07)
+    assert float(said[4]) == pytest.approx(fastest_mm_s, rel=0.05, abs=1.0)
 
 
+@pytest.mark.hazard(36)
+def test_the_guide_goes_in_at_half_the_speed_of_its_retreat(cell: RecordingCell) -> None:
+    KINDS["insert"](cell)
+    cell.workcell.withdraw("T1")
+    speeds_mm_s = []
+    for plan in arm_of(cell).plans:
+        tips = np.array([tool_pose(joints, cell).translation_mm for joints in points(cell, plan)])
+        speeds_mm_s.append(np.linalg.norm(np.diff(tips, axis=0), axis=1).max() / CYCLE_S)
+    full_mm_s = WORKING_LINE_SPEED_MM_S
+    assert speeds_mm_s == pytest.approx([full_mm_s / 2.0, full_mm_s], rel=0.02)
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("kind", ["insert", "withdraw"])
+def test_after_a_stop_the_question_states_the_remaining_motion(cell: RecordingCell, kind: str) -> None:
+    cell.arm.interruptions = 1
+    KINDS[kind](cell)
+    whole, pause, rest = cell.operator.asked
+    assert pause.topic is Topic.PAUSE
+    assert [int(TOLD.search(one.value)[1]) for one in (whole, rest)] == [50, 25]  # type: ignore[index]
+
+
+@pytest.mark.hazard(36)
 @pytest.mark.hazard(24)
-def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
-    inserted(cell, "T2")
-    moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInside, match="not on T1; expected T1, got T2"):
-        cell.workcell.withdraw("T1")
-    assert len(cell.arm.motions) == moved
+@pytest.mark.parametrize("kind", ["insert", "withdraw"])
+def test_a_guide_pushed_aside_during_a_stop_does_not_continue(cell: RecordingCell, kind: str) -> None:
+    cell.arm.interruptions = 1
+    answer = cell.operator.ask
 
+    def push(question: Question) -> str:
+        if question.topic is Topic.PAUSE:
+            A1, *others = cell.arm.joints_rad
+            cell.arm.joints_rad = (A1 + 0.002, *others)  # by about a millimetre
+        return answer(question)
 
-@pytest.mark.hazard(24)
-def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCell) -> None:
-    inserted(cell)
-    moved = len(cell.arm.motions)
-    aside = tool_pose(turned(0.1), cell)
+    have_asked(cell, push)
     with pytest.raises(TipOffAxis, match="PRO-015"):
-        cell.workcell.supervised.carry_out(cell.workcell.withdrawing(Insertion("T1", aside, WAY_MM)))
-    assert len(cell.arm.motions) == moved
+        KINDS[kind](cell)
+    assert arm_of(cell).plans == []
 
 
-@pytest.mark.hazard(24)
-def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
-    seen = {"kinematics", "limits", "observe", "state", "notices", "connect", "configure"}
-    for arm in (cell.workcell.arm, cell.workcell.devices["arm"]):
-        assert {name for name in dir(arm) if name[0] != "_"} == seen
-
-
-@pytest.mark.hazard(24)
-def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> None:
-    inserted(cell)
-    A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
-    cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
-    moved = len(cell.arm.motions)
-    with pytest.raises(TipOffAxis, match="PRO-015: the guide is not on the axis of T1"):
-        cell.workcell.withdraw("T1")
-    assert len(cell.arm.motions) == moved
-    assert cell.workcell.place.on_axis
-
-
-@pytest.mark.hazard(24)
-def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
-    cell: RecordingCell,
+@pytest.mark.parametrize(
+    ("travel_mm", "turn_deg", "moves", "turns"),
+    [(8.3, 0.31, "moves 8 mm", "up to 0.3 deg"), (0.4, 12.2, "moves 0.4 mm", "up to 12 deg")],
+)
+def test_a_motion_that_would_round_to_nothing_is_told_with_a_decimal(
+    travel_mm: float, turn_deg: float, moves: str, turns: str
 ) -> None:
-    with_guide(cell)
-    cell.arm.failing = LinkTimeout("telegrams ceased")
-    with pytest.raises(LinkTimeout):
-        cell.workcell.insert(insertion(cell))
-    cell.arm.failing = None
-    with pytest.raises(InstrumentInside):
-        cell.workcell.go_home()
-    cell.workcell.withdraw("T1")
-
-
-@pytest.mark.hazard(44)
-@pytest.mark.parametrize("what", ["withdraw", *OTHER_MOTIONS])
-def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
-    inserted(cell)
-    cell.workcell.instrument.goes_in("T1")
-    moved = len(cell.arm.motions)
-    with pytest.raises(InstrumentInGuide, match=r"TOOL-001.*an instrument is in the guide, and in T1"):
-        {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.withdraw("T1")}[what](cell)
-    assert len(cell.arm.motions) == moved
-    cell.workcell.instrument.is_out()
-    cell.workcell.withdraw("T1")
-
-
-@pytest.mark.hazard(3)
-def test_nothing_is_inserted_with_a_tool_other_than_the_guide(cell: RecordingCell) -> None:
-    with_guide(cell)
-    made = insertion(cell)
-    cell.arm.mounted = 1
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
-    with pytest.raises(WrongTool, match="PRO-009"):
-        cell.workcell.insert(made)
-    assert cell.arm.motions == []
-
-
-@pytest.mark.hazard(3)
-def test_poses_of_a_tool_that_was_not_checked_are_refused(cell: RecordingCell) -> None:
-    with pytest.raises(WrongTool, match="has not been checked"):
-        cell.workcell.tool_pose()
-
-
-def test_devices_are_started_and_stopped_only_once(cell: RecordingCell) -> None:
-    cell.arm.state = cell.stereo.state = Lifecycle.CONFIGURED
-    cell.workcell.start()
-    cell.workcell.start(cameras=True)
-    cell.workcell.rest()
-    cell.workcell.rest()
-    assert cell.arm.calls == ["activate", "deactivate"]
-    assert cell.stereo.calls == ["activate", "deactivate"]
+    turn = (0.0, math.radians(turn_deg))
+    preview = SimpleNamespace(
+        joint_ranges_rad=[turn],
+        duration_s=1.0,
+        largest_speed_mm_s=8.0,
+        refused=None,
+        closest=None,
+        nearest_to_head_mm=None,
+    )
+    facts = MotionFacts("the stereo head", travel_mm, (cast(PathPreview, preview),))
+    assert f"the stereo head {moves}, joints turn {turns}, in 1.0 s at up to 8 mm/s" in str(facts)
+    assert facts.read_back.shown == moves
+    assert facts.read_back.fits(moves.removeprefix("moves "))

@@ -16,7 +16,7 @@ from procedures.engine.errors import AnswersUnfit
 from procedures.engine.left_run import LeftRun
 from procedures.operator.question import Question, ReadBack
 from procedures.operator.topic import Topic
-from procedures.steps.answer_words import ANSWER_WORDS
+from procedures.steps.catalogue import ANSWER_WORDS
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
 

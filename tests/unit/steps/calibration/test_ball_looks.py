@@ -23,15 +23,17 @@ from procedures.operator.topic import Topic
 from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
 from procedures.results.errors import StepRefused
 from procedures.results.result import StepResult
-from procedures.steps.calibration.ball_look import LookedAtBall, look_step
-from procedures.steps.calibration.ball_observation import (
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.head_looks import (
+    LookedAtBall,
     ObservedBall,
+    VisitedBaseline,
     check_look,
+    look_step,
     observation_step,
     refuse_too_few,
+    visit_step,
 )
-from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.baseline_visit import VisitedBaseline, visit_step
 from procedures.workcell import MountedTool
 from procedures.workcell.ball_watcher import BallWatcher
 from procedures.workcell.stereo_look import Look

@@ -16,8 +16,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
-from procedures.steps.calibration.stand_ball import stand_place_step, stand_step
-from procedures.steps.calibration.tip_readings import readings_step
+from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step
 from procedures.workcell import MountedTool
 from procedures.workcell.arm_history import arm_history
 from procedures.workcell.errors import InstrumentInGuide, WrongTool

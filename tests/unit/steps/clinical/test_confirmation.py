@@ -27,9 +27,9 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat, tool_check
 from procedures.steps.clinical.cart_lock import LockedCart
-from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.errors import ToolBesideGauge
 from procedures.strategies.fixed_orientation import NeutralOrientation

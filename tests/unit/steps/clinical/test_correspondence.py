@@ -10,12 +10,12 @@ from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
 from procedures.operator.topic import Topic
-from procedures.planning.plan.model import FiducialKind, PatientPosition
+from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
+from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.spheres.coarse_match import coarse_match, room_prior
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.frames import Frame, Transform

@@ -10,16 +10,15 @@ from clinical_case import HOME_RAD, ClinicalCell
 from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
 
 from procedures.engine.step import StepKey
-from procedures.planning.path_check.motions import HOME
+from procedures.planning.motions import HOME
 from procedures.steps.clinical import tool_check
-from procedures.steps.clinical.confirmation import ConfirmedTarget
-from procedures.steps.clinical.path_check import CheckedPaths
-from procedures.steps.clinical.paths.previews import MotionPreview
+from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.dry_run import would_move
+from procedures.steps.dry_run import planned_motions
 from procedures.workcell import MountedTool
 
 PLACES = (HOME, *(f"T1/fiducial {number}" for number in range(4)))
@@ -43,7 +42,7 @@ def said(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
     engine = cell.begin(paths, *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     key = next(key for key in engine.order.sequence if key.name == STEP.name)
-    lines = would_move(engine.case, StepKey(key.name, "T1"), cell.setting())
+    lines = planned_motions(engine.case, StepKey(key.name, "T1"), cell.setting())
     assert lines is not None
     return lines
 
@@ -91,7 +90,7 @@ def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retr
     engine = cell.begin(paths.model_copy(update={"motions": ways}), *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     there, back = (
-        [line.partition(",")[0] for line in would_move(engine.case, key, cell.setting()) or ()]
+        [line.partition(",")[0] for line in planned_motions(engine.case, key, cell.setting()) or ()]
         for key in (StepKey(PositionedGuide.kind, "T1"), StepKey(Retreated.kind, "T1"))
     )
     assert there == ["move home to T1/target", "line onto T1/target"]
@@ -112,7 +111,7 @@ def test_the_motions_over_the_gauge_are_told_with_distance_speed_and_clearance(
     cell.arm.joints_rad = HOME_RAD
     engine = cell.begin(checked_plan(), localized_fiducials(), paths, *coarse(), tool_check.STEP)
     engine.run_to(engine.order.sequence[-2])
-    there, again, _, back = would_move(engine.case, key, cell.setting()) or ()
+    there, again, _, back = planned_motions(engine.case, key, cell.setting()) or ()
     facts = r"the guide moves (\d+) mm, joints turn up to [\d.]+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
     far = re.fullmatch(f"move home to the gauge, {facts}", there)
     home = re.fullmatch(f"move the gauge to home, {facts}", back)

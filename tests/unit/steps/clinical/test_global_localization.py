@@ -54,7 +54,7 @@ class TrackerThatFails:
 @pytest.mark.parametrize("latched", [True, False])
 def test_the_step_fails_with_the_trackers_own_fault(latched: bool, cell: ClinicalCell) -> None:
     tracker = TrackerThatFails(latched)
-    cell.opened._devices["tracker"] = tracker  # type: ignore[assignment]
+    cell.opened.replace_device("tracker", tracker)
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     with pytest.raises(Bumped):
         cell.begin(checked_set_up(cell), STEP).run_to()

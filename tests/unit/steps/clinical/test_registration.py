@@ -1,5 +1,7 @@
 """The fit is gated by its error budget and accepted by its predicted error at its targets."""
 
+from __future__ import annotations
+
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -22,7 +24,8 @@ from procedures.guards.stability import Subject
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed
-from procedures.steps.clinical.registration import STEP, RegisteredRobot
+from procedures.steps.clinical.registration import STEP
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool

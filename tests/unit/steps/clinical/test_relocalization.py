@@ -17,7 +17,8 @@ from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.results.errors import GateFailed, StepRefused
 from procedures.results.result import StepResult
-from procedures.steps.clinical.relocalization import STEP, Relocalization
+from procedures.steps.clinical.relocalization import STEP
+from procedures.steps.clinical.results import Relocalization
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import APPROACH_RAD
 from procedures.workcell import MountedTool

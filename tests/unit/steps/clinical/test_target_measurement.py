@@ -20,7 +20,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.topic import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.catalogue import clinical_steps
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.target_measurement import STEP, MeasuredTarget
 from procedures.strategies.catalogue import STRATEGIES
 from procedures.strategies.strategy import Strategy

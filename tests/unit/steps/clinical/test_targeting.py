@@ -1,5 +1,7 @@
 """Positioning of the guide before an entry, and its retreat: confirmed first, along one axis."""
 
+from __future__ import annotations
+
 import math
 from dataclasses import replace
 
@@ -35,8 +37,8 @@ from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
+from procedures.planning import line_of_sight
 from procedures.planning.errors import NotReachable
-from procedures.planning.sight import tracker as tracker_sight
 from procedures.results.errors import GateFailed, StepRefused
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
@@ -391,7 +393,7 @@ def test_the_question_says_when_the_arm_is_expected_to_hide_the_head(
     engine = begin(cell)
     if in_the_way:  # a tracker behind the hand
         hand = cell.arm.kinematics.flange_pose(checked_paths(cell).targets[FIRST].joints_rad)
-        monkeypatch.setattr(tracker_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
+        monkeypatch.setattr(line_of_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
     run(engine, f"positioning:{FIRST}")
     (question,) = cell.operator.asked
     assert ("hide the head from the tracker" in question.subject) is in_the_way

@@ -17,13 +17,14 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.room import Task
 from procedures.operator.topic import Topic
+from procedures.planning.errors import ForeignTool, NoToolRecord
+from procedures.planning.tool_records import ToolRecords
 from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge
 from procedures.workcell import MountedTool
-from procedures.workcell.errors import ForeignTool, InstrumentInGuide, NoToolRecord
-from procedures.workcell.tool_records import ToolRecords
+from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.tool_record import TipInHead, ToolPurpose
 from ronna_hw.wire.room_tasks import GAUGE, OUT
@@ -177,7 +178,7 @@ def test_readings_that_are_not_finite_are_refused(cell: ClinicalCell) -> None:
 def test_dials_read_an_hour_before_the_result_are_refused(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the dials of the gauge: read too long ago"):
         check(cell, *(0.0,) * 5)
     assert cell.workcell.place.is_home

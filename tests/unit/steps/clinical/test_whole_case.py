@@ -23,18 +23,18 @@ from procedures.engine.events import StepState
 from procedures.engine.step import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.topic import Topic
-from procedures.planning.path_check.motions import GAUGE, HOME
-from procedures.planning.plan.guide_hold import held_trajectory
+from procedures.planning.guide import held_trajectory
+from procedures.planning.motions import GAUGE, HOME
 from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.registration import RegisteredRobot
+from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import back_along_axis
-from procedures.workcell.cell_motion import MotionName
+from procedures.workcell.motions import MotionKind
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -96,8 +96,8 @@ def test_the_first_motion_over_the_spheres_states_every_motion_that_its_yes_cove
     once: ClinicalCell,
 ) -> None:
     driven = [str(line["what"]) for step, line in motions_in(once) if step == "relocalization"]
-    settled, *over = [what for what in driven if what != MotionName.STEP]
-    assert settled == MotionName.HOME
+    settled, *over = [what for what in driven if what != MotionKind.STEP]
+    assert settled == MotionKind.HOME
     assert len(driven) > len(over) > len(TRAJECTORIES)
     asked = next(one for one in once.operator.asked if one.topic is Topic.FIRST_MOTION)
     assert f"until the arm is stopped or its stream ends, here {len(over)} motions in " in asked.value
@@ -118,7 +118,7 @@ def test_every_motion_that_is_driven_was_previewed_in_this_order_and_with_this_e
             before = back_along_axis(held.transform, once.setting().settings.approach_mm)
             ends["move", pose], ends["line", pose] = before_rad, held.translation_mm
             ends["back", pose] = tuple(before.translation_mm.tolist())
-    driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionName.STEP]
+    driven = [line["to"] for _, line in motions_in(once) if line["what"] != MotionKind.STEP]
     settled, *driven = [to for to, _ in groupby(driven)]
     assert settled == pytest.approx(HOME_RAD)
     onto_home = [one for one in paths.motions if one.start == one.end == HOME]  # driven with the way there

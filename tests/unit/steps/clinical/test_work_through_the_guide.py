@@ -16,22 +16,21 @@ from prepared_results import (
     plan,
     registered_robot,
 )
-from recording_cell import RecordingOperator
 from waiting import eventually
 from watched_case import findings
 
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.guards import GuideStill, patient_watch
+from procedures.guards import GuideDisplacement, patient_watch
 from procedures.guards.errors import BaseShifted
-from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question
 from procedures.operator.topic import Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
-from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM
+from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
 from procedures.workcell import MountedTool
 
@@ -45,9 +44,9 @@ STAGES = [Topic.SKIN, Topic.DRILL, Topic.DURA, Topic.AT_TARGET]
 def soon(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
     monkeypatch.setattr("procedures.operator.checkpoint.PATIENCE_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 0.0)
-    monkeypatch.setattr("procedures.guards.guide_still.PLACE_READINGS", READINGS // 2)
-    monkeypatch.setattr("procedures.guards.guide_still.END_READINGS", READINGS)
+    monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 0.0)
+    monkeypatch.setattr("procedures.guards.guide_displacement.PLACE_READINGS", READINGS // 2)
+    monkeypatch.setattr("procedures.guards.guide_displacement.END_READINGS", READINGS)
 
 
 def before_the_entry(cell: ClinicalCell) -> Engine:
@@ -59,7 +58,7 @@ def before_the_entry(cell: ClinicalCell) -> Engine:
         *(positioning.STEP, at_target.STEP, retreat.STEP),
     )
     setting = engine.setting
-    engine.checkpoint.guards.append(GuideStill(setting.workcell, setting.clock, setting.memory))
+    engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
     cell.operator.asked.clear()
     return engine
@@ -92,7 +91,7 @@ def test_the_guide_is_looked_at_once_for_each_stage_while_the_head_is_hidden(
 ) -> None:
     """Its reference, taken in the step before, is fresh: a head may be hidden for ten seconds in all."""
     engine = before_the_entry(cell)
-    monkeypatch.setattr("procedures.guards.guide_still.BETWEEN_LOOKS_S", 1.0)
+    monkeypatch.setattr("procedures.guards.guide_displacement.BETWEEN_LOOKS_S", 1.0)
     looks, look = [], GuideAtRest.look
 
     def counted(rest: GuideAtRest, *views: Any) -> None:
@@ -140,18 +139,14 @@ def test_no_instrument_goes_in_while_the_depth_stop_stays_wrong(cell: ClinicalCe
 @pytest.mark.hazard(45)
 @pytest.mark.branch("WRONG_STOP")
 def test_a_corrected_depth_stop_is_confirmed(cell: ClinicalCell) -> None:
-    class Corrects(RecordingOperator):
-        def ask(self, question: Question) -> str:
-            cell.room.stop_off_mm = 0.0
-            return super().ask(question)
-
     engine = before_the_entry(cell)
     cell.room.stop_off_mm = -2 * STOP_LIMIT_MM
-    corrects = Corrects()
-    engine.questions._operator = corrects
+    cell.operator.asked.clear()
+    cell.operator.meanwhile = lambda _question: setattr(cell.room, "stop_off_mm", 0.0)
     work(engine)
-    assert [one.topic for one in corrects.asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
-    assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in corrects.asked[0].value
+    asked = cell.operator.asked
+    assert [one.topic for one in asked][:3] == [Topic.DEPTH_STOP, Topic.DEPTH_STOP, Topic.SKIN]
+    assert "yes: set and read it again, attempt 2 of 3; no: the step ends" in asked[0].value
 
 
 @pytest.mark.hazard(45)
@@ -159,11 +154,11 @@ def test_no_instrument_goes_in_by_a_depth_stop_read_too_long_ago(
     cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     engine = before_the_entry(cell)
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 0.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 0.0)
     with pytest.raises(ReadingTooOld, match="TOOL-007: the depth stop for T1: read too long ago"):
         work(engine)
     assert [task.name for task in cell.room.worked] == ["depth_stop", "skin", "drill", "dura"]
-    monkeypatch.setattr("procedures.steps.reading_age.LONGEST_S", 60.0)
+    monkeypatch.setattr("procedures.steps.conditions.LONGEST_S", 60.0)
     cell.room.worked.clear()
     cell.operator.answers[Topic.WORK_BEGUN] = "from insert"
     work(engine)
@@ -272,16 +267,13 @@ def test_a_pushed_guide_suspends_the_case_until_it_is_released(
 ) -> None:
     engine = before_the_entry(cell)
 
-    class LetsGo(RecordingOperator):
-        def ask(self, question: Question) -> str:
-            pushed = question.topic is Topic.DRILL
-            cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
-            return super().ask(question)
+    def push(question: Question) -> None:
+        pushed = question.topic is Topic.DRILL
+        cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
 
-    operator = LetsGo()
-    engine.questions._operator = operator
+    cell.operator.meanwhile = push
     work(engine)
-    guards = [one for one in operator.asked if one.topic is Topic.GUARD]
+    guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
     assert [f"pushed or pulled by {push_mm:.2f} mm" in one.subject for one in guards] == [True] * suspends
     assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
 

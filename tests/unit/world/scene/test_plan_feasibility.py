@@ -7,10 +7,10 @@ import math
 import numpy as np
 import pytest
 
-from procedures.planning.path_check.free_angle import choose_free_angles
-from procedures.planning.path_check.paths import check_paths
-from procedures.planning.path_check.visits import ArmSetting
-from procedures.planning.sight.stereo_head import StereoSight
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.paths import check_paths
+from procedures.planning.visits import ArmSetting
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900

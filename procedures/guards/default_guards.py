@@ -1,0 +1,239 @@
+"""Guards of every procedure: disk, clock, robot link, mounted tool, theatre records, in the order asked."""
+
+from __future__ import annotations
+
+import shutil
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+from procedures.engine.engine import Engine
+from procedures.engine.events import Advisory
+from procedures.guards.motion_watch import MotionWatch
+from procedures.guards.tracker_guards import HeadInSight, LineOfSight
+from procedures.operator.checkpoint import Guard
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.config import TheatreFile, read_theatre_file
+from ronna_hw.devices.lifecycle import RUNNING
+from ronna_hw.devices.readings import LinkStatistics, Validity
+from ronna_hw.errors import RonnaError
+
+LARGEST_BAD_SHARE = 0.05  # of the cycles; the driver slows down at more than 3 in a row, far below this
+LEAST_CYCLES = 250  # one second: fewer mean little
+LEAST_FREE_BYTES = 200_000_000  # pictures, log and records of a long case are below a tenth of that
+MEGABYTE = 1_000_000
+LARGEST_STEP_S = 1.0  # a clock that is slewed stays below that between two checkpoints
+Void = Callable[[RonnaError], None]
+Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
+
+
+def standing_guards(
+    workcell: Workcell,
+    folder: Path,
+    clock: Clock,
+    find: Callable[[str], None],
+    doubt_tool: Callable[[str], None],
+) -> tuple[Guard, ...]:
+    """Build the guards that hold from the first step to the last.
+
+    `find` records a finding for the operator; `doubt_tool` is told when another tool is reported than the
+    checked one.
+    """
+    return (
+        DiskSpace(folder),
+        WallClock(find),
+        ArmLink(workcell),
+        ToolStillMounted(workcell, doubt_tool),
+        LineOfSight(workcell.tracker, workcell.calibrations.tracker_frame.tool, clock.now_s),
+    )
+
+
+def patient_watch(engine: Engine, void: Void) -> MotionWatch:
+    """Build the watch of the patient during motions; `void` voids results when the head has moved."""
+    setting = engine.setting
+    return MotionWatch(
+        setting.workcell,
+        setting.clock,
+        setting.memory,
+        setting.settings.watch_patient,
+        find=engine.find,
+        tell=lambda text: engine.events.publish(Advisory(text=text)),
+        void=void,
+        beside=engine.checkpoint.beside,
+    )
+
+
+def sight_guard(engine: Engine, void: Void) -> HeadInSight:
+    """Build the guard that bounds the approach to an unseen head; `void` as for `patient_watch`."""
+    setting = engine.setting
+    return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
+
+
+class ArmLink:
+    """The robot link: the arm's pose is fresh, and few cycles since the last checkpoint were late or lost."""
+
+    name = "robot link"
+
+    def __init__(self, workcell: Workcell) -> None:
+        self._workcell = workcell
+        self._since: LinkStatistics | None = None
+        self._verdict: str | None = None
+
+    def unmet(self) -> str | None:
+        """Describe an old pose or a bad link."""
+        seen = self._workcell.arm.observe()
+        if seen.state not in RUNNING:  # motions report a fault themselves
+            self._since = self._verdict = None
+            return None
+        if seen.reading is not None and seen.reading.validity is Validity.STALE:
+            return (
+                "the arm has not reported its position for too long: check its network "
+                "cable and the controller"
+            )
+        return self._quality()
+
+    def _quality(self) -> str | None:
+        now = self._workcell.link_statistics()
+        since = self._since
+        if since is None or now.cycles < since.cycles:
+            self._since = now
+            return None
+        cycles = now.cycles - since.cycles
+        if cycles < LEAST_CYCLES:
+            return self._verdict
+        bad = now.late_cycles + now.lost_cycles - since.late_cycles - since.lost_cycles
+        self._since, self._verdict = now, None
+        if bad > LARGEST_BAD_SHARE * cycles:
+            self._verdict = (
+                f"{bad} of the last {cycles} cycles were late or lost, more than "
+                f"{LARGEST_BAD_SHARE:.0%}: close other programs on this computer, check cable and switch"
+            )
+        return self._verdict
+
+
+class DiskSpace:
+    """Free space where the run is written: suspend before the journal can no longer be written."""
+
+    name = "disk space"
+
+    def __init__(self, folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> None:
+        self._folder = folder
+        self._least_bytes = least_bytes
+
+    def unmet(self) -> str | None:
+        """Describe too little free space."""
+        try:
+            free = shutil.disk_usage(self._folder).free
+        except OSError as error:
+            return f"the run folder cannot be read ({error.strerror}): mount it again"
+        if free >= self._least_bytes:
+            return None
+        return (
+            f"{free // MEGABYTE} MB free where the run is written, {self._least_bytes // MEGABYTE} MB "
+            "required: delete files there that are no longer needed"
+        )
+
+
+class ToolStillMounted:
+    """The checked tool is still mounted, according to the controller while the arm's stream runs."""
+
+    name = "mounted tool"
+
+    def __init__(self, workcell: Workcell, doubt_tool: Callable[[str], None]) -> None:
+        """`doubt_tool` is told when another tool is reported, and may end the step."""
+        self._workcell = workcell
+        self._doubt_tool = doubt_tool
+
+    def unmet(self) -> str | None:
+        """Describe the tool reported instead of the checked one."""
+        workcell = self._workcell
+        expected = workcell.mount.checked_number
+        if expected is None or workcell.arm.observe().state not in RUNNING:
+            return None
+        try:
+            mounted = workcell.reported_tool_number()
+        except RonnaError:
+            return None  # motions report the same themselves
+        if mounted == expected:
+            return None
+        reported = f"tool {mounted}" if mounted else "no tool"
+        found = f"the controller reports {reported} instead of the {workcell.tool}"
+        self._doubt_tool(found)
+        return f"{found}: mount the {workcell.tool} again"
+
+
+class WallClock:
+    """A step of the host's clock, against the monotonic one: it dates the records.
+
+    No limit depends on the wall clock, so a jump stops nothing: it is a finding.
+    """
+
+    name = "clock"
+
+    def __init__(
+        self,
+        find: Callable[[str], None],
+        wall_s: Callable[[], float] = time.time,
+        monotonic_s: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._find = find
+        self._wall_s, self._monotonic_s = wall_s, monotonic_s
+        self._ahead_s = wall_s() - monotonic_s()
+
+    def unmet(self) -> None:
+        """Record a step of the clock as a finding; never unmet."""
+        ahead_s = self._wall_s() - self._monotonic_s()
+        step_s = ahead_s - self._ahead_s
+        if abs(step_s) > LARGEST_STEP_S:
+            self._ahead_s = ahead_s
+            self._find(
+                f"the host's clock was changed by {step_s:+.1f} s: dates before and after do not agree; "
+                "durations and limits are not affected"
+            )
+
+
+class UnchangedRecords:
+    """Calibration and tool records in use are still those of the theatre file.
+
+    A file that nobody touched is not read again; a touched one is compared by content. The way out is not
+    held up: it uses the records that brought the arm there.
+    """
+
+    name = "calibration and tool records"
+
+    def __init__(self, path: Path, began_with: TheatreFile, in_use: Callable[[], bool]) -> None:
+        """`in_use` says whether a step works with them, other than for the way out or home."""
+        self._path = path
+        self._records = _records(began_with)
+        self._in_use = in_use
+        self._seen: Stamp | None = None  # at the last comparison without difference
+
+    def unmet(self) -> str | None:
+        """Name the records that have changed, or why the file cannot be read."""
+        if not self._in_use():
+            return None
+        try:
+            seen = self._path.stat()
+            stamp = (seen.st_ino, seen.st_size, seen.st_mtime_ns)
+            if stamp == self._seen:
+                return None
+            now = _records(read_theatre_file(self._path))
+        except (RonnaError, OSError) as problem:
+            return f"{self._path.name} cannot be read: restore it ({problem})"
+        names = sorted(name for name in {*self._records, *now} if self._records.get(name) != now.get(name))
+        if names:
+            return (
+                f"{', '.join(names)} in {self._path.name} changed after the case began with it: put the "
+                "former file back, or leave, go home and start a new run"
+            )
+        self._seen = stamp
+        return None
+
+
+def _records(file: TheatreFile) -> dict[str, object]:
+    calibrations = {} if file.calibration is None else file.calibration.records
+    return {
+        **{f"calibration.{name}": record for name, record in calibrations.items()},
+        **{f"tools.{name}": record for name, record in file.tools.items()},
+    }

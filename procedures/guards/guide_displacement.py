@@ -1,0 +1,184 @@
+"""Displacement of the guide while somebody works through it.
+
+Encoders do not see an arm give way under a hand. The tracker does, by the frame on the mount: by its place,
+and by the lower end of the guide according to its pose, which a turn of the wrist alone displaces. A guide
+with a frame of its own is seen by that too, as its seat may give way. The arm's joints are compared as well.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.engine.case_memory import CaseMemory
+from procedures.guards.room_watch import RoomWatch
+from procedures.results.errors import GateFailed
+from procedures.workcell import Workcell
+from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
+from ronna_hw.clock import Clock
+from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import beyond
+
+Array = NDArray[np.float64]
+
+PUSHED_MM = 0.2  # at the guide: ten newtons on the arm that is assumed make 0.13 mm
+# In one frame of the tracker, the place of the frame on the mount has a noise of 0.16 mm, the guide's end,
+# 160 mm away, one of 0.42 mm: less than `END_SEEN_MM` means nothing. Frames take time, and a trajectory in
+# whose pose the head is hidden has ten seconds: hence a short look, and a long one only if that shows a push.
+END_SEEN_MM = 0.3
+END = 1  # row of the guide's end among the points
+# For arms of parameter set S with calibrated frames, at most 0.25 deg; the arm's own share is not visible.
+TURNED_RAD = math.radians(0.5)
+FRAMES, FRAMES_AT_FIRST = 60, 30  # at least half must show the frame
+BETWEEN_LOOKS_S = 1.0  # theatre time
+# Readings averaged by a watch, every fourth frame: with half as many for the place, 4 of 100 insertions of
+# ten minutes had a warning with nobody near.
+PLACE_READINGS = 30
+END_READINGS = 150
+HIDDEN = ", and clear the line between the tracker and the frame on the arm: it is not seen now"
+
+
+@dataclass
+class GuideAtRest:
+    """The guide as it came to rest, and its displacement since.
+
+    `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
+    tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
+    in the frame on the mount; `on_guide` names the frame on the guide, if any. `worked` says that somebody
+    works through it now, `left` that somebody did. `now_mm` is its last known displacement, `looked_s` the
+    theatre time of the last look; `unseen` says that this look did not show the frame.
+    """
+
+    trajectory: str
+    tool_mm: Array
+    end_in_frame_mm: Array
+    seen_mm: Array | None
+    on_guide: str | None = None
+    now_mm: float = 0.0
+    worked: bool = False
+    left: bool = False
+    looked_s: float = -math.inf
+    unseen: bool = False
+    _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
+    _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
+
+    def begin_watch(self) -> None:
+        """Forget the readings of an earlier watch."""
+        self._recent.clear()
+
+    def take(self, frame: TrackerFrame, tool: str) -> None:
+        """Add a reading of a watch, and compare the mean of the latest ones."""
+        reading = frame.tool(tool)
+        if self.seen_mm is None or reading.validity is not Validity.OK:
+            return
+        on_mount = reading.transform(Frame.TRACKER, Frame.MARKER)
+        on_guide = None if self.on_guide is None else frame.tool(self.on_guide)
+        place_mm = on_guide.position_mm if on_guide and on_guide.validity is Validity.OK else None
+        self._recent.append(_points_mm(on_mount, self.end_in_frame_mm, place_mm))
+        recent_mm = np.array(self._recent)
+        if len(recent_mm) >= PLACE_READINGS:
+            now_mm = recent_mm[-PLACE_READINGS:].mean(axis=0)
+            now_mm[END] = recent_mm[:, END].mean(axis=0) if len(recent_mm) == END_READINGS else np.nan
+            self._compare(now_mm)
+
+    def look(self, workcell: Workcell, clock: Clock) -> None:
+        """Measure the displacement now. Raises the tracker's errors."""
+        known = self.seen_mm is not None
+        for count in (FRAMES_AT_FIRST, FRAMES):
+            seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1] if known else None
+            self._compare(seen_mm, workcell.tool_pose().translation_mm)
+            self.looked_s, self.unseen = clock.now_s(), seen_mm is None
+            if self.now_mm <= PUSHED_MM or not known:
+                break
+
+    def _compare(self, seen_mm: Array | None, tool_mm: Array | None = None) -> None:
+        """Update the displacement by the largest evidence; a hidden frame stays where it was last seen."""
+        if seen_mm is not None and self.seen_mm is not None:
+            moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
+            self._moved_mm = np.where(np.isfinite(moved_mm), moved_mm, self._moved_mm)
+        first_mm, end_mm, on_guide_mm = self._moved_mm.tolist()
+        by_frames_mm = max(first_mm, end_mm if end_mm > END_SEEN_MM else 0.0, on_guide_mm)
+        by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
+        self.now_mm = max(by_frames_mm, by_joints_mm)
+
+
+@dataclass
+class GuideDisplacement:
+    """Guard for a `GuideAtRest` in the memory of the case while somebody works through it."""
+
+    workcell: Workcell
+    clock: Clock
+    memory: CaseMemory
+    name: str = "guide"
+
+    def unmet(self) -> str | None:
+        """Describe a push on the guide. Raises the tracker's errors."""
+        rest = self.memory.find(GuideAtRest)
+        if rest is None or not rest.worked:
+            return None
+        if self.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
+            rest.look(self.workcell, self.clock)
+        if rest.now_mm <= PUSHED_MM:
+            return None
+        return (
+            f"pushed or pulled by {rest.now_mm:.2f} mm, limit {PUSHED_MM:g} mm: let go of "
+            f"the guide and the arm{HIDDEN if rest.unseen else ''}; if nobody is touching them, they were "
+            "touched as the guide came to rest, or its seat has given way: leave, send the arm home, repeat "
+            "tool_check"
+        )
+
+
+def guide_at_rest(
+    workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
+) -> GuideAtRest:
+    """Measure how the guide is held now. Raises PRO-007 if a hand is on it already, and the tracker's errors.
+
+    `room` is the watch of the case, which relates the tracker to the arm.
+    """
+    tool = workcell.tool_pose()
+    on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
+    by_arm = robot_from_marker(workcell, workcell.joints_rad())
+    end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
+    on_mount, seen_mm = _seen(workcell, clock, end_in_frame_mm, on_guide)
+    if on_mount is not None and room is not None:
+        _require_unturned(by_arm, room.robot_from_tracker @ on_mount)
+    return GuideAtRest(
+        trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s()
+    )
+
+
+def _require_unturned(by_arm: Transform, seen: Transform) -> None:
+    """Raise PRO-007 if the frame on the mount is turned against its pose by the arm."""
+    turned_rad = float((by_arm.rigid.rotation.inv() * seen.rigid.rotation).magnitude())
+    if turned_rad > TURNED_RAD:
+        turned_deg, limit_deg = math.degrees(turned_rad), math.degrees(TURNED_RAD)
+        raise GateFailed(
+            "the tracker sees the frame on the arm turned against where the arm has it",
+            limit=f"{limit_deg:g} deg",
+            got=f"{beyond(turned_deg, limit_deg, 2)} deg",
+            action="Let go of guide and arm, check that mount and frame are tight, send the arm home, then "
+            "repeat the step.",
+        )
+
+
+def _seen(
+    workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
+) -> tuple[Transform | None, Array | None]:
+    """Mean pose of the frame on the mount, and `seen_mm`; None if too few frames show it."""
+    frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
+    on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
+    if on_mount is None:
+        return None, None
+    guide = None if on_guide is None else mean_pose(frames, on_guide, count // 2)
+    return on_mount, _points_mm(on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
+
+
+def _points_mm(on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
+    """Frame on the mount, end of the guide and frame on the guide (3, 3), tracker frame."""
+    guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
+    return np.array([on_mount.translation_mm, on_mount.apply(end_in_frame_mm), guide_mm])

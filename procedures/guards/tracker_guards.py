@@ -1,0 +1,175 @@
+"""Guards of the tracker: it replies in time, sees the frame on the arm, and sees the head.
+
+A late frame shows a head, or a hand, as it was before. A head that moves while every sphere is covered is
+noticed only when one is seen again; `HeadInSight` bounds how long that may take while a guide approaches or
+an instrument is inside. Then the case suspends, and the operator decides whether to continue without sight.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from statistics import median
+
+from procedures.engine.case_memory import CaseMemory
+from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch, check_now
+from procedures.operator.topic import Topic
+from procedures.workcell import Workcell
+from ronna_hw.clock import Clock
+from ronna_hw.devices import OpticalTracker
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import Validity
+from ronna_hw.devices.sensors import TimedTracker
+from ronna_hw.errors import RonnaError
+
+# From request to reply without the transfer, so that a slow serial line does not count as late: at 9600 baud
+# a frame of 170 bytes takes 0.18 s. A tracker replies within 0.02 s, and a computer stalls for tens of
+# milliseconds. The patient watch averages eight readings: with this delay it notices a shift within a second.
+LATE_S = 0.1
+JUDGED = 5  # replies, by their median: two may be late, such as the first and one during a stall
+BETWEEN_LOOKS_S = 10.0  # theatre time while replies are late; a look then takes three of them
+FRAME_PATIENCE_S = 0.2  # theatre time: a passing hand is no finding (12 frames of a 60 Hz tracker)
+CLEAR_THE_LINE = (
+    "clear the line of sight between tracker and head; if only the arm or the guide blocks it, "
+    "leave the step and move the tracker or turn the trajectory (free_angle_deg in the plan), or "
+    "continue without sight"
+)
+ARM_IN_THE_WAY = (
+    "the arm or the guide blocks the view, as expected; leave the step and move the tracker or turn "
+    "the trajectory (free_angle_deg in the plan), or continue without sight"
+)
+PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm itself is in the way
+
+
+def late_s(tracker: OpticalTracker) -> float | None:
+    """Delay of the replies if it is too long; None also for a tracker that does not report it."""
+    if not isinstance(tracker, TimedTracker):
+        return None
+    last_s = tracker.replies_s[-JUDGED:]
+    usual_s = median(last_s) if len(last_s) == JUDGED else 0.0
+    return usual_s if usual_s > LATE_S else None
+
+
+class TrackerLink:
+    """Guard of the delay of replies, whoever read them; while they are late it reads itself."""
+
+    name = "tracker link"
+
+    def __init__(self, tracker: OpticalTracker, memory: CaseMemory, now_s: Callable[[], float]) -> None:
+        """`now_s` is the theatre's time."""
+        self._tracker = tracker
+        self._memory = memory
+        self._now_s = now_s
+        self._looked_s = -math.inf
+
+    def unmet(self) -> str | None:
+        """Describe late replies, while a step reads or a guide approaches the head or is held there."""
+        if not self._in_use or late_s(self._tracker) is None:
+            return None
+        if self._now_s() - self._looked_s >= BETWEEN_LOOKS_S:
+            with contextlib.suppress(RonnaError):  # a lost reply; what lasts is latched by the tracker
+                self._look()
+            self._looked_s = self._now_s()
+        late = late_s(self._tracker)
+        if late is None:
+            return None
+        return (
+            f"the tracker replies after {late:.2f} s, limit {LATE_S:g} s, and a head that moves would be "
+            "noticed late: check its cable and adapter, close other programs on this computer"
+        )
+
+    @property
+    def _in_use(self) -> bool:
+        """Whether the tracker is needed now; nothing holds up the way out."""
+        if self._tracker.state is Lifecycle.CONFIGURED:
+            room = self._memory.find(RoomWatch)
+            return room is not None and room.approached
+        return self._tracker.state is Lifecycle.ACTIVE
+
+    def _look(self) -> None:
+        """Read until one reply is late again, or enough are not."""
+        with self._tracker.active() as tracker:
+            for _ in range(JUDGED):
+                tracker.read_frame()
+                if isinstance(tracker, TimedTracker) and tracker.replies_s[-1] > LATE_S:
+                    return
+
+
+class LineOfSight:
+    """Guard of the sight of the reference frame; while it is lost, it reads frames itself."""
+
+    name = "line of sight"
+
+    def __init__(self, tracker: OpticalTracker, frame: str, now_s: Callable[[], float]) -> None:
+        """`frame` is the tracker's name for the reference frame, `now_s` the theatre's time."""
+        self._tracker = tracker
+        self._frame = frame
+        self._now_s = now_s
+        self._lost_since_s: float | None = None
+
+    def unmet(self) -> str | None:
+        """Describe why the frame has no pose, once that has lasted."""
+        if self._tracker.state is not Lifecycle.ACTIVE or self._validity() is Validity.OK:
+            self._lost_since_s = None
+            return None
+        now_s = self._now_s()
+        if self._lost_since_s is None:
+            self._lost_since_s = now_s
+        if now_s - self._lost_since_s < FRAME_PATIENCE_S:
+            return None
+        with contextlib.suppress(RonnaError):  # a lost reply; what lasts is latched by the tracker
+            self._tracker.read_frame()
+        if self._validity() is Validity.OK:
+            self._lost_since_s = None
+            return None
+        return (
+            f"the tracker does not see the reference frame {self._frame} ({self._validity()}): clear "
+            "the line of sight between tracker and arm"
+        )
+
+    def _validity(self) -> Validity:
+        frame = self._tracker.observe().reading
+        return Validity.OK if frame is None else frame.tool(self._frame).validity
+
+
+@dataclass
+class HeadInSight:
+    """Guard of the sight of the head; it looks itself once the time is over. `void` ends a localization."""
+
+    workcell: Workcell
+    clock: Clock
+    memory: CaseMemory
+    void: Callable[[RonnaError], None]
+    name: str = "head"
+    topic: Topic = Topic.HEAD_UNSEEN
+
+    @property
+    def patience_s(self) -> float:
+        """Theatre time to wait before the operator is asked."""
+        room = self.memory.find(RoomWatch)
+        return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
+
+    def unmet(self) -> str | None:
+        """Describe why the head is unseen, once that has lasted. Raises PRO-019, PRO-020, PRO-022."""
+        room = self.memory.find(RoomWatch)
+        if room is None or not room.overdue(self.clock.now_s()):
+            return None
+        check_now(room, self.workcell, self.clock, self.memory, self.void)
+        now_s = self.clock.now_s()
+        if not room.overdue(now_s):
+            return None
+        why = ARM_IN_THE_WAY if room.arm_hides_head else CLEAR_THE_LINE
+        return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"
+
+    @property
+    def excused_for_s(self) -> float:
+        """Theatre time for which an excuse lasts."""
+        return MOST_UNSEEN_S
+
+    def excuse(self) -> None:
+        """Continue without sight, as the operator decided."""
+        room = self.memory.find(RoomWatch)
+        if room is not None:
+            room.excuse()

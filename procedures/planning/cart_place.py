@@ -1,0 +1,193 @@
+"""Judgement of one cart position, as by the path check: can the whole procedure be done from there?"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.spatial.transform import RigidTransform, Rotation
+
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.line_of_sight import StereoSight, TrackerSight, frame_unseen
+from procedures.planning.motions import fixed_unmet
+from procedures.planning.paths import drive
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import (
+    ArmSetting,
+    Axes,
+    PathCheck,
+    Unmet,
+    Visit,
+    localizations_along,
+    target_visit,
+)
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Branch
+from ronna_hw.arm.pose import Pose
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+
+HIDDEN = "the arm at home hides {} from the tracker"
+
+
+@dataclass(frozen=True)
+class CartMove:
+    """Offset of the cart from its assumed position: x and y in the assumed $ROBROOT, then rotated there."""
+
+    x_mm: float
+    y_mm: float
+    turn_rad: float = 0.0
+
+    def seen_from_cart(self, in_robot: RigidTransform) -> RigidTransform:
+        """A pose in the assumed $ROBROOT, transformed to that of the moved cart."""
+        moved = RigidTransform.from_components(
+            [self.x_mm, self.y_mm, 0.0], Rotation.from_rotvec([0.0, 0.0, self.turn_rad])
+        )
+        return moved.inv() * in_robot
+
+
+@dataclass(frozen=True)
+class PlaceSolution:
+    """Solution at a position: the arm's branch, and each trajectory's turn about its axis."""
+
+    branch: Branch
+    turns_rad: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """Whether a position serves, and how; otherwise the first pose that fails, and why."""
+
+    found: PlaceSolution | None
+    pose: str = ""
+    reason: str = ""
+
+    @property
+    def serves(self) -> bool:
+        """Whether the whole procedure can be done from there."""
+        return self.found is not None
+
+
+@dataclass(frozen=True, eq=False)
+class CartCase:
+    """The arm at its assumed position, with its scene and its task.
+
+    Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
+    `stereo_from_marker` that of the frame on the arm.
+    Whatever the cell describes in the robot frame is assumed to move with the cart.
+    """
+
+    setting: ArmSetting
+    trajectories: tuple[Trajectory, ...]
+    fiducials_mm: tuple[tuple[float, float, float], ...]
+    sight: StereoSight
+    robot_from_tracker: Transform | None = None
+    stereo_from_marker: Transform | None = None
+
+    def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
+        """Judge a position. Solutions from elsewhere are tried first, then, with `search`, all."""
+        setting = self.setting_at(move)
+        hidden = self._unseen_by_tracker(setting, move)
+        if hidden:
+            return Verdict(None, "home", hidden)
+        for unmet in fixed_unmet(setting):
+            return Verdict(None, unmet.pose, unmet.reason)
+        for found in known:
+            if self._serves(setting, found):
+                return Verdict(found)
+        if not search:
+            return Verdict(None, "", "reachable nearby, but not from here")
+        beyond = self._out_of_reach(setting)
+        if beyond is not None:
+            return beyond
+        turned = choose_free_angles(setting, self.trajectories, self.fiducials_mm, self.sight)
+        return _verdict(turned.check, dict(turned.turns_rad))
+
+    def setting_at(self, move: CartMove) -> ArmSetting:
+        """The arm relative to the head, from this position."""
+        pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
+        return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
+
+    def _serves(self, setting: ArmSetting, found: PlaceSolution) -> bool:
+        axes = Axes.of(setting, self.trajectories, self.fiducials_mm).turned(dict(found.turns_rad))
+        spheres = setting.robot_from_ct.apply(np.array(self.fiducials_mm))
+        try:
+            visits = [
+                one
+                for axis in axes.localized
+                for one in localizations_along(setting, axis, self.fiducials_mm, found.branch)
+            ]
+        except LimitError:
+            return False
+        if self.sight.unmet(visits, spheres):
+            return False
+        return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
+
+    def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
+        """First axis with a pose that no branch reaches at any turn; cheap, hence before the search."""
+        own = setting.kinematics.branch_of(setting.start_rad)
+        arm = setting.in_branch(own)
+        axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
+        for axis in axes.each:
+            last: LimitError | None = None
+            try:
+                turns = setting.strategy.turns_rad(axis, self.fiducials_mm, setting.robot_from_ct, arm)
+            except LimitError:
+                return None  # left to the search
+            for turn in turns:
+                try:
+                    self._require_solutions(
+                        setting, axes.only(axis.identifier).turned({axis.identifier: turn})
+                    )
+                    break
+                except LimitError as error:
+                    last = error
+            else:
+                if last is not None:
+                    return Verdict(None, axis.identifier, Unmet.by(axis.identifier, last).reason)
+        return None
+
+    def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
+        """Raise ARM-001 to ARM-003 for a pose, or an approach to it, that no branch reaches."""
+        visits: list[Visit] = [target_visit(setting, one) for one in axis.targeted]
+        if setting.strategy.localizes_per_trajectory and not _by_joints(setting):
+            own = setting.kinematics.branch_of(setting.start_rad)
+            for one in axis.localized:
+                visits += localizations_along(setting, one, self.fiducials_mm, own)
+        guide = setting.flange_from_tool.inverse()
+        stereo = (setting.flange_from_stereo or setting.flange_from_tool).inverse()
+        for visit in visits:
+            tool = guide if visit.fiducial is None else stereo
+            for pose in (visit.pose, visit.approach):
+                setting.kinematics.solutions(Pose.from_transform(pose @ tool))
+
+    def _unseen_by_tracker(self, setting: ArmSetting, move: CartMove) -> str:
+        """Frame or spheres that the tracker cannot see with the arm at home; empty if none."""
+        if self.robot_from_tracker is None:
+            return ""
+        scene = setting.scene
+        assert isinstance(scene, PlanningScene)
+        tracker = Transform(Frame.ROBOT, Frame.TRACKER, move.seen_from_cart(self.robot_from_tracker.rigid))
+        spheres = tracker.inverse().apply(setting.robot_from_ct.apply(np.array(self.fiducials_mm)))
+        stereo = setting.flange_from_stereo or setting.flange_from_tool
+        if self.stereo_from_marker is not None:
+            marker = setting.kinematics.flange_pose(setting.start_rad) @ stereo @ self.stereo_from_marker
+            if unseen := frame_unseen(tracker, marker, setting.kinematics, setting.start_rad):
+                return unseen
+        around = scene.with_stereo_head(setting.robot_from_ct, stereo)
+        seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)
+        numbers = [str(number) for number, one in enumerate(seen, start=1) if not one]
+        return HIDDEN.format(f"fiducial {', '.join(numbers)}") if numbers else ""
+
+
+def _by_joints(setting: ArmSetting) -> bool:
+    """Whether the strategy's orientations depend on the branch: one then tells nothing about others."""
+    return setting.strategy.name not in ("ocs", "thesis-ocs")
+
+
+def _verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
+    if check.passed and check.branch is not None:
+        return Verdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
+    first = check.unmet[0] if check.unmet else None
+    return Verdict(None, first.pose if first else "", first.reason if first else "no branch works")

@@ -1,0 +1,297 @@
+"""Choice of a trajectory's free angle: turns about its axis until everything is visible and well reachable.
+
+Turns are tried in the strategy's order. The first that keeps the wrist clear of its singularity is used, or
+else the clearest. If none serves, smaller steps are tried next to turns that lack only a little clearance.
+The choice is a result, not a change of the plan: entry, target and axis stay as they are. If no turn serves,
+other strategies may.
+
+Near the wrist's singularity, small pose errors become large turns of two joints, and the effect of joint
+errors on the tool varies from pose to pose. Registration removes what localizations and target have in
+common, so the wrist should have the same configuration at both.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Collection, Generator, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import chain
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.motions import fixed_unmet
+from procedures.planning.paths import branches_for, check_axes, drive
+from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, VisitKind, localizations_along
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
+from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.errors import LimitError
+
+LEAST_BEND_RAD = math.radians(15.0)  # at 5 deg a target error of 0.69 mm was observed, three times the usual
+MOST_TURN_CHANGE_RAD = math.radians(45.0)  # between a localization and the target
+Array = NDArray[np.float64]
+LEVER_MM = 270.0  # from the tool's axis to the far side of the hand that carries the default mount
+MOST_GAIN_MM = LEVER_MM * STEP_RAD / 2.0  # of clearance, by a turn of half a step
+BY_ACCURACY = ("improved", "ocs", "jdms", "nos")  # on an uncalibrated arm
+
+
+@dataclass(frozen=True)
+class TurnedPaths:
+    """The paths along the turned axes; `turns_rad` is the deviation of each from the planned angle."""
+
+    check: PathCheck
+    axes: Axes
+    turns_rad: Mapping[str, float]
+
+
+def choose_free_angles(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
+) -> TurnedPaths:
+    """Find an angle for each axis at which everything is visible and one branch reaches everything.
+
+    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) is
+    preferred to one that merely passes. If there is none, `check` lists what fails at the planned angles, or
+    at the nearest ones with visibility.
+    """
+    fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    axes = Axes.of(setting, trajectories, fiducials)
+    own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+    unmet = fixed_unmet(setting)
+    if unmet:
+        return TurnedPaths(PathCheck(None, (), (), unmet), axes, own)
+    start = setting.kinematics.branch_of(setting.start_rad)
+    seen = _seen_along(setting, axes, fiducials, sight, start)
+    nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
+    blind = set(own)
+    for branch in branches_for(setting, axes.turned(nearest), fiducials):
+        options = _seen_along(setting, axes, fiducials, sight, branch)
+        first = {name: turn for name, turns in options.items() if (turn := next(turns, None)) is not None}
+        blind -= first.keys()
+        if first.keys() < options.keys():
+            continue
+        turns = {name: chain((first[name],), others) for name, others in options.items()}
+        found = _in_branch(setting, axes, fiducials, sight, turns, branch)
+        if found is not None:
+            return found
+    if blind:
+        hidden = [
+            problem
+            for axis in axes.each
+            if axis.identifier in blind
+            for problem in _hidden(setting, axes.only(axis.identifier), fiducials, sight, start)
+        ]
+        return TurnedPaths(PathCheck(None, (), (), tuple(hidden)), axes, own)
+    turned = axes.turned(nearest)
+    check = check_axes(setting, turned, fiducials)
+    return TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, axes, own)
+
+
+def _in_branch(
+    setting: ArmSetting,
+    axes: Axes,
+    fiducials_mm: Array,
+    sight: StereoSight,
+    options: Mapping[str, Iterable[float]],
+    branch: Branch,
+) -> TurnedPaths | None:
+    """The best turns in this branch, one axis after the other; None if it cannot serve."""
+    ranked = {
+        name: _searched(setting, axes.only(name), fiducials_mm, sight, turns, branch)
+        for name, turns in options.items()
+    }
+    chosen: dict[str, float] = {}
+    for name, turns in ranked.items():
+        first = next(turns, None)
+        if first is None:
+            return None
+        chosen[name] = first
+    while True:
+        turned = axes.turned(chosen)
+        check = drive(setting, turned, fiducials_mm, branch)
+        if check.passed:
+            return TurnedPaths(check, turned, chosen)
+        # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
+        failed = {problem.pose.partition("/")[0] for problem in check.unmet}
+        for name in [one for one in chosen if one in failed]:
+            other = next(ranked[name], None)
+            if other is None:
+                return None
+            chosen[name] = other
+
+
+def _searched(
+    setting: ArmSetting,
+    axis: Axes,
+    fiducials_mm: Array,
+    sight: StereoSight,
+    turns: Iterable[float],
+    branch: Branch,
+) -> Iterator[float]:
+    """The turns that serve in this branch, then smaller steps next to those that nearly do."""
+    nearly = yield from _ranked(setting, axis, fiducials_mm, turns, branch)
+    between = (
+        turn
+        for turn in intermediate_turns_rad(nearly)
+        if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
+    )
+    yield from _ranked(setting, axis, fiducials_mm, between, branch)
+
+
+def _ranked(
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
+) -> Generator[float, None, list[float]]:
+    """The turns that serve in this branch: those with a good wrist in order, then the others, best first.
+
+    Returns those that only lack some clearance, no more than a turn by half a step may gain.
+    """
+    others: list[tuple[float, float]] = []
+    nearly: list[float] = []
+    for turn in turns:
+        check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
+        if not check.passed:
+            if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
+                nearly.append(turn)
+            continue
+        wrist = WristState.of(setting.kinematics, check)
+        if wrist.good:
+            yield turn
+        else:
+            others.append((wrist.least_bend_rad, turn))
+    for _, turn in sorted(others, key=lambda one: -one[0]):
+        yield turn
+    return nearly
+
+
+def _seen_along(
+    setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
+) -> dict[str, Iterator[float]]:
+    """Turns in which every sphere is visible, by axis and in the strategy's order.
+
+    Usually the first will do, and checking the others takes most of the time, so each is computed on demand.
+    """
+    arm = setting.in_branch(branch)
+
+    def along(one: Trajectory) -> Iterator[float]:
+        axis = axes.only(one.identifier)
+        for turn in setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm):
+            if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch):
+                yield turn
+
+    return {one.identifier: along(one) for one in axes.each}
+
+
+def _hidden(
+    setting: ArmSetting, axis: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
+) -> tuple[Unmet, ...]:
+    unmet: list[Unmet] = []
+    for one in axis.localized:
+        try:
+            visits = localizations_along(setting, one, fiducials_mm, branch)
+        except LimitError as error:
+            unmet.append(Unmet.by(f"{one.identifier}/fiducials", error))
+        else:
+            unmet += sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
+    return tuple(unmet)
+
+
+def _turned(axis: Axes, turn_rad: float) -> Axes:
+    return axis.turned({one.identifier: turn_rad for one in axis.each})
+
+
+@dataclass(frozen=True)
+class WristState:
+    """The least bend of the wrist over all poses and approaches, and its turn from target to spheres.
+
+    A whole turn counts as a change: the arm would have to make it in between.
+    """
+
+    least_bend_rad: float
+    largest_turn_change_rad: float
+
+    @classmethod
+    def of(cls, kinematics: Kinematics, check: PathCheck) -> Self:
+        """Evaluate the poses of one trajectory, whose target the check must have reached."""
+        turns: dict[VisitKind, list[float]] = {kind: [] for kind in VisitKind}
+        for one in check.reached:
+            turns[one.visit.kind].append(kinematics.wrist_turn_rad(one.at_rad))
+        changes = [
+            abs(target - sphere)
+            for target in turns[VisitKind.TARGET]
+            for sphere in turns[VisitKind.LOCALIZATION]
+        ]
+        bends = [
+            kinematics.wrist_bend_rad(joints)
+            for one in check.reached
+            for joints in (one.approach_rad, one.at_rad)
+        ]
+        return cls(min(bends), max(changes, default=0.0))
+
+    @property
+    def good(self) -> bool:
+        """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
+        return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
+
+
+def alternatives(
+    setting: ArmSetting,
+    trajectory: Trajectory,
+    fiducials_mm: ArrayLike,
+    sight: StereoSight,
+    tried: Collection[str] = (),
+) -> tuple[Strategy, ...]:
+    """Strategies with which this trajectory alone is visible, reachable and clear, best first.
+
+    The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
+    """
+    if not _target_reached(setting, trajectory):
+        return ()
+    known = {setting.strategy.name, *tried}
+    if isinstance(setting.strategy, BestOfEach):
+        known |= {one.name for one in CANDIDATES}
+    candidates = [strategy_named(name) for name in BY_ACCURACY if name not in known]
+    return tuple(
+        one
+        for one in candidates
+        if choose_free_angles(replace(setting, strategy=one), (trajectory,), fiducials_mm, sight).check.passed
+    )
+
+
+def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
+    """The trajectories that a check does not reach, with the first reason for each.
+
+    A failure that belongs to none of them, such as in a neutral orientation, applies to all.
+    """
+    reasons: dict[str, str] = {}
+    for unmet in check.unmet:
+        reasons.setdefault(unmet.pose.partition("/")[0], f"{unmet.pose}: {unmet.reason}")
+    own = {one.identifier: reasons[one.identifier] for one in trajectories if one.identifier in reasons}
+    if len(own) == len(reasons):
+        return own
+    shared = next(iter(reasons.values()))
+    return {one.identifier: own.get(one.identifier, shared) for one in trajectories}
+
+
+def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
+    """Advice naming strategies that would serve, by trajectory; None, for the usual advice, if none would."""
+    reaching = [
+        f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
+    ]
+    if not reaching:
+        return None
+    return (
+        f"Choose another --strategy, which would reach {', '.join(reaching)}; or move the cart or the head."
+    )
+
+
+def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:
+    """Whether the guide reaches the target at some angle; if not, no strategy serves it."""
+    return any(
+        drive(setting, target, (), branch, first_only=True).passed
+        for branch in setting.kinematics.branches
+        for turn in OUTWARDS_RAD
+        for target in (Axes((), (trajectory,)).turned({trajectory.identifier: turn}),)
+    )

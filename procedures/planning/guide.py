@@ -1,0 +1,68 @@
+"""The guide in front of an entry: where it stops, the depth stop, and its share in the target error.
+
+    upper end of the bore            lower end      skin          target
+            |--------- length ---------|-- stand-off --|--- depth ---|
+    stop ---'------------------- depth stop to tip ------------------'
+
+The tip frame of the guide is that of the mandrel with which it was calibrated, `reach` beyond the lower end.
+
+The instrument may be anywhere within the play, independently at both ends of the bore: uniformly in a disc of
+radius r, half the play, with variance r^2 / 4 along either axis. Beyond the lower end the difference of both
+grows with distance. As the bore passes through the calibrated end of the mandrel, the effect of a direction
+error grows with the distance from there to the target.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.planning.plan_model import Plan, PlannedTrajectory
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.tool_record import GuideBore
+
+Array = NDArray[np.float64]
+INSTRUMENT, DIRECTION = "instrument", "guide direction"
+SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
+
+
+def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
+    """The trajectory with the position on it of the tip frame of the held guide."""
+    beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
+    return planned.trajectory.held(beyond_mm, plan.standoff_mm)
+
+
+def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
+    """Trajectories of a plan with the positions of the held guide."""
+    return tuple(held_trajectory(plan, one, bore) for one in plan.trajectories)
+
+
+def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
+    """Distance from the instrument's tip to its depth stop, which rests on the guide at the target."""
+    return bore.length_mm + plan.standoff_mm + planned.depth_mm
+
+
+def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
+    """Trajectories whose depth stop would be beyond the instrument's end, with its position."""
+    for one in plan.trajectories:
+        stop_mm = depth_stop_mm(plan, one, bore)
+        if stop_mm > plan.instrument_length_mm:
+            yield one, stop_mm
+
+
+def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: GuideBore, held: Array) -> Array:
+    """Covariance (3, 3) at the target, for a guide held in an orientation (3, 3), its axis last."""
+    share = (plan.standoff_mm + planned.depth_mm) / bore.length_mm  # in bore lengths beyond its lower end
+    across_mm2 = (bore.play_mm / 4.0) ** 2 * ((1.0 + share) ** 2 + share**2)
+    return np.asarray(held @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ held.T)
+
+
+def direction_covariance_mm2(
+    plan: Plan, planned: PlannedTrajectory, bore: GuideBore, stated_rad: float, held: Array
+) -> Array:
+    """Covariance (3, 3) at the target from the bore's direction, of standard deviation `stated_rad`."""
+    away_mm = held_trajectory(plan, planned, bore).beyond_mm
+    across_mm2 = (stated_rad * away_mm) ** 2 / 2.0
+    return np.asarray(held @ np.diag([across_mm2, across_mm2, 0.0]) @ held.T)

@@ -1,1 +1,0 @@
-"""The head in the CT: its shape, the tissue along a planned trajectory, and structures to avoid."""

@@ -1,0 +1,266 @@
+"""The head in the CT: its shape as an obstacle, trajectories into it, their angle to the skull.
+
+The shape is one ellipsoid around everything denser than air and thick enough. Thin objects (posts and cables,
+the shell of a headrest, the tips of ears) are removed first, so that they do not inflate it.
+
+A trajectory must lead from the air outside, through the skin, to a target inside. Swapped or foreign points
+show up here, by HU alone: the target is in air, the line before the entry passes through the head, or most of
+the path inside is air.
+"""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from pydantic import Field
+
+from procedures.planning.errors import NoHeadInCt, NotIntoHead, StandoffInsideSkin
+from procedures.planning.plan_model import PlannedTrajectory
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.calibration import Numbers3, Strict
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+AIR_BELOW_HU = -300.0  # fat is about -100, foam of a headrest about -930, air -1000
+GRID_MM = 4.0  # a head is large: this resolution is enough
+THIN_MM = 18.0  # anything thinner in any direction is not part of the head
+LEAST_VOXELS = 500  # 32 ml: anything smaller is not a head
+TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
+BEFORE_ENTRY_MM = (
+    15.0,
+    25.0,
+)  # before the entry: beyond the scalp for an oblique trajectory, still near the head
+SAMPLING_MM = 1.0
+LEAST_SHARE = 0.5  # "mostly": of the samples
+SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
+AIR_RUN_MM = 5.0  # of the room outside: a fold of the skin is shorter
+SKIN_RUN_MM = 5.0  # of the head: a cover on it is thinner
+OFF_SKIN_MM = 10.0  # more than a coarse slice or thick hair
+BONE_HU = 300.0  # brain and skin stay below 100, the outer face of the skull has 600 and more
+BONE_OUTSIDE_MM, BONE_INSIDE_MM = (
+    40.0,
+    40.0,
+)  # along the trajectory, about the entry: the range searched for bone
+STEP_MM = 0.25
+RINGS_MM = (2.0, 4.0)  # about the trajectory: the width of a burr hole
+AROUND = 8
+LEAST_RAYS = 9  # of 17 that must meet bone
+SAME_BONE_MM = (
+    15.0  # along the trajectory, from where the central ray meets bone: farther off it is another bone
+)
+
+
+class HeadEllipsoid(Strict):
+    """The head as one ellipsoid, in CT coordinates."""
+
+    centre_mm: Numbers3 = Field(description="Its centre, LPS.")
+    semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
+
+    def side_of(self, entry_mm: Numbers3, target_mm: Numbers3) -> str:
+        """The patient's side of a trajectory in this head: `right`, or `left to right` if it crosses over."""
+        return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
+
+    def _side(self, x_mm: float) -> str:
+        beyond_mm = x_mm - self.centre_mm[0]
+        if abs(beyond_mm) < GRID_MM:  # the head's middle is not known better
+            return "middle"
+        return "left" if beyond_mm > 0.0 else "right"
+
+
+def head_shape(volume: Volume) -> HeadEllipsoid:
+    """The smallest ellipsoid along the CT's axes that contains the whole head. Raises PLAN-014.
+
+    A head cut off by the CT is used as far as the CT shows it.
+    """
+    from scipy import ndimage
+
+    strides = np.maximum(1, np.rint(GRID_MM / volume.geometry.spacing_mm)).astype(int)
+    thinned = volume.voxels[tuple(slice(None, None, int(stride)) for stride in strides)]
+    spacing_mm = volume.geometry.spacing_mm * strides
+    solid = thinned > AIR_BELOW_HU
+    rounds = max(1, round(THIN_MM / 2.0 / float(spacing_mm.mean())))
+    # Filled first: air in sinuses and throat must not hollow it out.
+    solid = ndimage.binary_fill_holes(solid)
+    # The border counts as solid, so that a head cut off by the CT keeps its cut face.
+    kept = ndimage.binary_erosion(solid, iterations=rounds, border_value=1)
+    labels, count = ndimage.label(kept)
+    sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
+    if sizes.max() < LEAST_VOXELS:
+        raise NoHeadInCt("the CT shows nothing of the size of a head", got=f"{sizes.max()} solid cells")
+    largest = labels == 1 + int(sizes.argmax())
+    largest = ndimage.binary_dilation(largest, iterations=rounds)
+    points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
+    centre, semi = least_ellipsoid(points)
+    # plus the grid step, and what opening rounds off
+    return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi + float(spacing_mm.max())))
+
+
+def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
+    """Centre and semi-axes, (3,) each, of the smallest axis-aligned ellipsoid around points (n, 3).
+
+    Convex in reciprocal axes and scaled centre: min -sum(log b) under |b p - d| <= 1 (Boyd & Vandenberghe,
+    Convex Optimization, 8.4.1). Not simply the bounding box: half a head is not a small whole one.
+    """
+    from scipy.optimize import minimize
+    from scipy.spatial import ConvexHull
+
+    low, high = points_mm.min(axis=0), points_mm.max(axis=0)
+    middle, half = (low + high) / 2.0, (high - low) / 2.0
+    unit = (points_mm[ConvexHull(points_mm).vertices] - middle) / half  # each between -1 and 1
+
+    def room(unknown: Array) -> Array:
+        return np.asarray(1.0 - ((unknown[:3] * unit - unknown[3:]) ** 2).sum(axis=1))
+
+    def slope(unknown: Array) -> Array:
+        beside = unknown[:3] * unit - unknown[3:]
+        return np.hstack([-2.0 * beside * unit, 2.0 * beside])
+
+    found = minimize(
+        lambda unknown: -np.log(unknown[:3]).sum(),
+        np.r_[np.full(3, 1.0 / np.sqrt(3.0)), np.zeros(3)],  # the circumscribed ball contains them all
+        jac=lambda unknown: np.r_[-1.0 / unknown[:3], np.zeros(3)],
+        constraints={"type": "ineq", "fun": room, "jac": slope},
+        bounds=[(0.1, 2.0)] * 3 + [(None, None)] * 3,
+        method="SLSQP",
+    )
+    semi, centre = 1.0 / found.x[:3], found.x[3:] / found.x[:3]
+    # scaled to contain all points exactly
+    beyond = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
+    return middle + half * centre, half * semi * beyond
+
+
+def _three(values: Any) -> Numbers3:
+    x, y, z = (float(value) for value in values)
+    return (x, y, z)
+
+
+def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
+    """Finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
+
+    Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
+    is a warning, as is an entry out in the air.
+    """
+    entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
+    wrong, unseen = _wrong(volume, entry, target)
+    warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
+    if not wrong:
+        return None, _in_the_air(volume, trajectory) or (warning if unseen else "")
+    swapped = not _wrong(volume, target, entry)[0]
+    hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
+    return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
+
+
+def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+    """Problems of a trajectory, and whether the line before its entry is entirely outside the CT."""
+    depth_mm = float(np.linalg.norm(target - entry))
+    direction = (target - entry) / depth_mm
+    wrong = []
+    around = float(sampled_hu(volume, target + _ball()).mean())
+    if around < AIR_BELOW_HU:
+        wrong.append(f"the target is in air ({around:.0f} HU)")
+    before = sampled_hu(volume, entry - np.outer(_steps(*BEFORE_ENTRY_MM), direction))
+    if len(before) and float(np.mean(before < AIR_BELOW_HU)) < LEAST_SHARE:
+        wrong.append(
+            f"the path {BEFORE_ENTRY_MM[0]:g} to {BEFORE_ENTRY_MM[1]:g} mm in front of the entry is not in "
+            f"air ({np.median(before):.0f} HU)"
+        )
+    inside = sampled_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
+    in_air = float(np.mean(inside < AIR_BELOW_HU))
+    if in_air > 1.0 - LEAST_SHARE:
+        wrong.append(f"{in_air:.0%} of the path from entry to target is in air")
+    return wrong, len(before) == 0
+
+
+def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
+    """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
+    steps = _steps(0.0, trajectory.depth_mm)
+    places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
+    off_mm = _first_run_mm(steps, sampled_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
+    if off_mm is None or off_mm <= OFF_SKIN_MM:
+        return ""
+    return (
+        f"the entry of trajectory {trajectory.id} is {off_mm:.0f} mm in front of the skin: "
+        "depth and stand-off count from it"
+    )
+
+
+def standoff_in_skin(
+    volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
+) -> StandoffInsideSkin | None:
+    """Finding that a guide held this far before the entry would end inside the skin, or None.
+
+    Unknown if the CT ends before the skin does.
+    """
+    entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
+    outwards = (entry - target) / np.linalg.norm(entry - target)
+    steps = _steps(0.0, SKIN_WITHIN_MM)
+    in_air = sampled_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
+    skin_mm = max(0.0, (_first_run_mm(steps, in_air, AIR_RUN_MM) or 0.0) - SAMPLING_MM)
+    if standoff_mm > skin_mm:
+        return None
+    return StandoffInsideSkin(
+        f"trajectory {trajectory.id}: the guide would be held inside the skin",
+        expected=f"standoff_mm of more than {skin_mm:.0f} mm in front of the entry",
+        got=f"{standoff_mm:g} mm",
+    )
+
+
+def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:
+    """HU of the voxels that contain these points (n, 3), LPS mm; points outside the CT are dropped."""
+    index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
+    held = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
+    return np.asarray(volume.voxels[tuple(index[held].T)], dtype=float)
+
+
+def _steps(first_mm: float, last_mm: float) -> Array:
+    return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
+
+
+def _first_run_mm(steps_mm: Array, held: NDArray[np.bool_], length_mm: float) -> float | None:
+    """Start of the first run of at least this length; None if there is none."""
+    run = round(length_mm / SAMPLING_MM)
+    return next((float(steps_mm[k]) for k in range(len(held) - run + 1) if held[k : k + run].all()), None)
+
+
+def _ball() -> Array:
+    steps = np.arange(-TARGET_BALL_MM, TARGET_BALL_MM + SAMPLING_MM / 2, SAMPLING_MM)
+    offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
+    return np.asarray(offsets[np.linalg.norm(offsets, axis=1) <= TARGET_BALL_MM])
+
+
+def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
+    """Angle between a trajectory and the skull's outer surface, pi/2 if perpendicular; None without bone."""
+    axis = np.asarray(trajectory.axis_ct, dtype=float)
+    side = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
+    side /= np.linalg.norm(side)
+    other = np.cross(axis, side)
+    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), other)
+    offsets = np.concatenate([np.zeros((1, 3)), *(radius * ring for radius in RINGS_MM)])
+    steps = np.arange(-BONE_OUTSIDE_MM, min(BONE_INSIDE_MM, trajectory.depth_mm), STEP_MM)
+    starts = np.asarray(trajectory.entry_mm) + offsets
+    met = np.array([_first_bone_mm(volume, start + steps[:, None] * axis, steps) for start in starts])
+    if np.isnan(met[0]):
+        return None
+    good = np.abs(met - met[0]) < SAME_BONE_MM
+    if good.sum() < LEAST_RAYS:
+        return None
+    across = offsets[good] @ np.stack([side, other], axis=1)
+    design = np.column_stack([across, np.ones(good.sum())])
+    slope = np.linalg.lstsq(design, met[good], rcond=None)[0][:2]
+    return float(np.pi / 2.0 - np.arctan(np.linalg.norm(slope)))
+
+
+def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
+    """Distance along the ray at which it meets bone, interpolated; NaN if it meets none."""
+    last = np.array(volume.geometry.shape) - 0.5
+    index = volume.geometry.to_index(places_mm)
+    held = np.all((index > -0.5) & (index < last), axis=1)
+    hu = sampled_hu(volume, places_mm[held])
+    bone = np.flatnonzero(hu > BONE_HU)
+    return float(steps_mm[held][bone[0]]) if len(bone) and len(hu) == held.sum() else float("nan")

@@ -1,0 +1,360 @@
+"""Marker positions on a head: with the least error at the planned targets, or with distinct distances.
+
+Markers serve a target best if their centroid is near it and they are far from the principal axes through it:
+eq. 39. For comparison, freehand choices are drawn at random over the same skin. The arm's own errors, which
+depend on the pose of the head, are not included. For three or four markers, the thesis advises a template
+whose distances all differ by a margin.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import ConfigDict, Field, ValidationError
+
+from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate, WrongSeries
+from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sampled_hu
+from procedures.planning.plan_model import Plan
+from procedures.registration.error_theory import tre_principal_axes_mm
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.bounded_input import read_toml
+from ronna_hw.calibration import Numbers3, Strict
+from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.records import write_whole
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+Array = NDArray[np.float64]
+
+CAP_AXIS = (0.0, -1.0, 1.0)  # LPS, from forehead to vertex: excludes pillow and face
+CAP_HALF_ANGLE_RAD = np.radians(50.0)
+STANDOFF_MM = 16.0  # from the skin to a sphere's centre: base and half a sphere
+APART_MM = 38.0  # between two markers, so that the stereo head sees one at a time
+SITES, TEMPLATE_DRAWS = 600, 60_000
+SKIN_STEP_MM = 0.5
+SKIN_MM = (25.0, -40.0)  # range searched for skin: outside the ellipsoid, inside it
+AROUND, RING_MM = 8, 14.0  # points around a site: a sphere, post or bolt covers few of them
+FREE_SKIN_MM = 4.0  # a site is no higher and no lower than these
+SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
+Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds
+Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
+FEWEST, MOST = 3, 8
+CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
+DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
+DISTINCT_BY_NUMBER = 5
+DRAWS = 20_000  # random sets tried first, representing freehand choices
+USUAL = 50.0  # per cent of them are better
+MOST_ROUNDS = 20  # of exchanges; three to five is usual
+
+
+class ExpectedError(Strict):
+    """Expected error at one target."""
+
+    target: str = Field(description="Trajectory of the plan.")
+    expected_mm: float = Field(description="Rms error with the proposed markers.")
+    usual_mm: float = Field(description="Median with markers placed at random over the same skin.")
+
+
+class ProposedMarkers(Strict):
+    """Marker positions, and their expected effect on each target."""
+
+    schema_version: Annotated[Literal[1], Field(alias="schema")] = Field(
+        default=1, description="Version of this form."
+    )
+    markers: tuple[TemplateMarker, ...] = Field(description="In no particular order.")
+    marker_error_mm: float = Field(
+        description="Assumed error of each marker, 3-D rms: CT, seating, stereo head."
+    )
+    targets: tuple[ExpectedError, ...] = Field(description="Targets of the plan.")
+
+    @property
+    def centres_mm(self) -> tuple[Numbers3, ...]:
+        """Centres of the spheres, LPS."""
+        return tuple(one.centre_mm for one in self.markers)
+
+
+@dataclass(frozen=True)
+class FurtherMarker:
+    """Best position for one more marker; for each target the rms error now and with it, mm."""
+
+    centre_mm: Numbers3
+    targets: tuple[tuple[str, float, float], ...]
+
+
+def propose_markers(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    count: int,
+    marker_error_mm: float,
+    *,
+    volume: Volume | None = None,
+    seed: int = 0,
+) -> ProposedMarkers:
+    """Positions for `count` spheres with the least mean square error over the targets.
+
+    On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
+    another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
+    """
+    random = np.random.default_rng(seed)
+    centres, posts = _free_sites(head, trajectories, volume, random)
+    targets = np.array([one.target_mm for one in trajectories])
+    sets = (
+        random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
+    )
+    sets = sets[allowed(centres[sets])] if len(sets) else sets
+    if not len(sets):
+        raise NoMarkerSites(
+            f"there is no room for {count} markers clear of the trajectories and of one another",
+            got=f"{len(centres)} positions on the skin between forehead and vertex",
+        )
+    by_target = tre_principal_axes_mm(targets, centres[sets], 1.0)
+    chosen = _exchanged(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])
+    expected = tre_principal_axes_mm(targets, centres[chosen], marker_error_mm)
+    usual = np.percentile(by_target, USUAL, axis=0)
+    return ProposedMarkers(
+        markers=tuple(
+            TemplateMarker(centre_mm=_three(centres[site]), post=_three(posts[site])) for site in chosen
+        ),
+        marker_error_mm=marker_error_mm,
+        targets=tuple(
+            ExpectedError(
+                target=one.identifier,
+                expected_mm=float(error_mm),
+                usual_mm=marker_error_mm * float(middle),
+            )
+            for one, error_mm, middle in zip(trajectories, expected, usual, strict=True)
+        ),
+    )
+
+
+def propose_further(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    present_mm: Array,
+    marker_error_mm: float,
+    *,
+    volume: Volume | None = None,
+    seed: int = 0,
+) -> FurtherMarker:
+    """Find the position where one more marker, besides those (n, 3), helps most. Raises PLAN-021."""
+    centres, _ = _free_sites(head, trajectories, volume, np.random.default_rng(seed))
+    apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
+    if not apart.any():
+        raise NoMarkerSites("there is no room for one more marker clear of the trajectories and the others")
+    centres = centres[apart]
+    targets = np.array([one.target_mm for one in trajectories])
+    sets = np.concatenate(
+        [np.broadcast_to(present_mm, (len(centres), *present_mm.shape)), centres[:, None]], axis=1
+    )
+    with_it = tre_principal_axes_mm(targets, sets, marker_error_mm)
+    best = int(np.square(with_it).sum(axis=1).argmin())
+    now = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
+    names = (one.identifier for one in trajectories)
+    return FurtherMarker(
+        centre_mm=_three(centres[best]),
+        targets=tuple(zip(names, now.tolist(), with_it[best].tolist(), strict=True)),
+    )
+
+
+def propose_template(
+    head: HeadEllipsoid,
+    markers: int,
+    margin_mm: float,
+    *,
+    volume: Volume | None = None,
+    seed: int = 0,
+) -> MarkerTemplate:
+    """Positions for `markers` spheres (3 or 4) whose distances differ by at least `margin_mm`.
+
+    On the skin shown by the CT, or on the ellipsoid without one. Raises PLAN-015 with the
+    largest margin found.
+    """
+    random = np.random.default_rng(seed)
+    centres, posts = sites_on(head, volume, random)
+    if len(centres) < markers:
+        raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} positions")
+    sets = random.integers(len(centres), size=(TEMPLATE_DRAWS, markers))
+    points = centres[sets]
+    first, second = np.array(list(combinations(range(markers), 2))).T
+    distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
+    apart = distances[:, 0] >= APART_MM
+    margins = np.where(apart, np.diff(distances, axis=1).min(axis=1), 0.0)
+    if margins.max() < margin_mm:
+        raise NoTemplate(
+            f"no {markers} positions have distances that differ that much",
+            expected=f"{margin_mm:g} mm",
+            got=f"at most {margins.max():.1f} mm",
+        )
+    good = np.flatnonzero(margins >= margin_mm)
+    expected = tre_principal_axes_mm(np.array([head.centre_mm]), points[good], 1.0)
+    best = good[int(expected.argmin())]
+    return MarkerTemplate(
+        markers=tuple(
+            TemplateMarker(centre_mm=_rounded6(centres[site]), post=_rounded6(posts[site]))
+            for site in sets[best]
+        )
+    )
+
+
+def _free_sites(
+    head: HeadEllipsoid,
+    trajectories: Sequence[Trajectory],
+    volume: Volume | None,
+    random: np.random.Generator,
+) -> tuple[Array, Array]:
+    """Positions on the skin clear of the trajectories, and directions of their posts."""
+    centres, posts = sites_on(head, volume, random)
+    free = np.array([clear_of(trajectories, one) for one in centres], dtype=bool)
+    return centres[free], posts[free]
+
+
+def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Move single markers to other positions as long as that lowers the error."""
+
+    def cost(points: Array) -> Array:
+        return np.asarray(np.square(tre_principal_axes_mm(targets, points, 1.0)).sum(axis=-1))
+
+    least = float(cost(centres[chosen][None])[0])
+    for _ in range(MOST_ROUNDS):
+        before = least
+        for marker in range(len(chosen)):
+            sets = np.tile(chosen, (len(centres), 1))
+            sets[:, marker] = np.arange(len(centres))
+            sets = sets[allowed(centres[sets])]
+            costs = cost(centres[sets])
+            best = int(costs.argmin())
+            if costs[best] < least:
+                chosen, least = sets[best], float(costs[best])
+        if least == before:
+            break
+    return chosen
+
+
+def allowed(points: Array) -> NDArray[np.bool_]:
+    """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
+    first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
+    distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
+    good = distances[:, 0] >= APART_MM
+    if points.shape[1] < DISTINCT_BY_NUMBER:
+        good &= np.diff(distances, axis=1).min(axis=1) >= DIFFER_MM
+    return np.asarray(good)
+
+
+def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
+    """Whether a position is clear of every trajectory's line."""
+    for one in trajectories:
+        away = centre_mm - np.array(one.target_mm)
+        if np.linalg.norm(away - (away @ one.axis_ct) * one.axis_ct) < CLEAR_OF_WAY_MM:
+            return False
+    return True
+
+
+def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:
+    """Possible centres of spheres (s, 3) and their posts (s, 3)."""
+    axes, middle = np.array(head.semi_axes_mm), np.array(head.centre_mm)
+    directions = _cap(random)
+    skin = directions / np.linalg.norm(directions / axes, axis=1, keepdims=True)
+    posts = skin / axes**2
+    posts /= np.linalg.norm(posts, axis=1, keepdims=True)
+    skin = skin + middle
+    if volume is not None:
+        depth = np.array([_above_skin_mm(volume, one, post) for one, post in zip(skin, posts, strict=True)])
+        seen = np.isfinite(depth)
+        skin, posts = skin[seen] + depth[seen, None] * posts[seen], posts[seen]
+    return skin + STANDOFF_MM * posts, posts
+
+
+def _cap(random: np.random.Generator) -> Array:
+    """Directions (s, 3), uniform over the cap."""
+    cosine = random.uniform(np.cos(CAP_HALF_ANGLE_RAD), 1.0, SITES)
+    turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
+    axis = np.array(CAP_AXIS) / np.linalg.norm(CAP_AXIS)
+    side = np.array([1.0, 0.0, 0.0])
+    return np.asarray(
+        np.outer(cosine, axis)
+        + np.outer(sine * np.cos(turn), side)
+        + np.outer(sine * np.sin(turn), np.cross(axis, side))
+    )
+
+
+def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
+    """Distance outwards from a point to the skin; NaN if the CT shows none, or something on it."""
+    side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
+    side /= np.linalg.norm(side)
+    turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
+    ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), np.cross(outward, side))
+    here = _first_solid_mm(volume, at_mm, outward)
+    around = np.median([_first_solid_mm(volume, at_mm + RING_MM * one, outward) for one in ring])
+    return here if abs(here - around) < FREE_SKIN_MM else float("nan")
+
+
+def _first_solid_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
+    """Distance outwards from a point to the first object that is not a sheet; NaN without one."""
+    steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
+    hu = sampled_hu(volume, at_mm + steps_mm[:, None] * outward)
+    if len(hu) < len(steps_mm):
+        return float("nan")  # beyond the CT
+    solid = np.convolve(hu > AIR_BELOW_HU, np.ones(round(SKIN_THICK_MM / SKIN_STEP_MM)), "valid")
+    first = np.flatnonzero(solid == round(SKIN_THICK_MM / SKIN_STEP_MM))
+    return float(steps_mm[first[0]]) if len(first) else float("nan")
+
+
+class _Target(Strict):
+    model_config = ConfigDict(extra="ignore")
+
+    target_ct_mm: tuple[Place, Place, Place]
+
+
+class _Head(Strict):
+    """Head of a scene file; the rest is the simulator's."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    centre_ct_mm: tuple[Place, Place, Place]
+    semi_axes_mm: tuple[Axis, Axis, Axis]
+    targets: tuple[_Target, ...] = ()
+
+
+def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
+    """The head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 if none of its targets is planned."""
+    try:
+        head = read_toml(path, HeadUnreadable).get("head")
+    except OSError as error:
+        raise HeadUnreadable(f"cannot read {path}: {error.strerror}") from error
+    try:
+        found = _Head.model_validate_json(json.dumps(head, default=str))
+    except ValidationError as error:
+        raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
+    there = {one.target_ct_mm for one in found.targets}
+    if plan is not None and there and there.isdisjoint(one.target_mm for one in plan.trajectories):
+        raise WrongSeries(
+            f"{path.name} has none of the plan's targets: it is the scene of another head",
+            action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",
+        )
+    return HeadEllipsoid(centre_mm=found.centre_ct_mm, semi_axes_mm=found.semi_axes_mm)
+
+
+def write_template(path: Path, template: MarkerTemplate) -> None:
+    """Write a template as TOML."""
+    import tomli_w
+
+    write_whole(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())
+
+
+def _three(vector: Array) -> Numbers3:
+    x, y, z = (round(float(value), 3) for value in vector)
+    return x, y, z
+
+
+def _rounded6(vector: Array) -> tuple[float, float, float]:
+    x, y, z = (round(float(value), 6) for value in vector)
+    return x, y, z

@@ -1,1 +1,0 @@
-"""Marker positions on the head: where they help most, whether they are distinguishable, the template."""

@@ -1,0 +1,231 @@
+"""Motions of the procedure with the mounted tool, previewed and checked for clearance.
+
+A move between two approach points that is not clear goes via home if that is clear.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+from procedures.planning.scene import PlanningScene
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, VisitKind
+from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.arm.clearance.sweep import Closest, sweep_path
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
+from ronna_hw.arm.preview import PathPreview, preview
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+
+HOME, GAUGE = "home", "gauge"
+MOVE, LINE, BACK = "move", "line", "back"
+AT_THE_END = 0.95  # of a line: 3 mm from where it ends
+
+
+@dataclass(frozen=True)
+class Motion:
+    """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
+
+    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `clear` says that another sweep
+    covers it: the one that chose it, or that of the line it retraces (`back`).
+    """
+
+    start: str
+    end: str
+    plan: MotionPlan
+    around: Surroundings
+    clear: bool = False
+    back: bool = False
+    speed_fraction: float = 1.0
+
+    @property
+    def kind(self) -> str:
+        """`move`, `line` or `back`."""
+        if self.back:
+            return BACK
+        return MOVE if self.plan.target is None else LINE
+
+
+@dataclass(frozen=True)
+class PreviewedMotion:
+    """A motion with its preview."""
+
+    motion: Motion
+    preview: PathPreview
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain numbers for a record."""
+        motion = self.motion
+        return {"from": motion.start, "to": motion.end, "kind": motion.kind, **self.preview.as_payload()}
+
+
+def unclear(
+    setting: ArmSetting,
+    scene: PlanningScene,
+    check: PathCheck,
+    trajectories: Sequence[Trajectory],
+    *,
+    first_only: bool = False,
+) -> tuple[Unmet, ...]:
+    """The motions of a procedure that are not clear, given that all its poses are reached; empty if all are.
+
+    With `first_only` it stops at the first and skips its closest point: for trying many angles.
+    """
+    found: dict[str, Unmet] = {}
+    standoffs_mm = {f"{one.identifier}/target": one.standoff_mm for one in trajectories}
+    for motion in motions_of(setting, scene, check, trajectories):
+        if motion.clear:
+            continue
+        bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
+        if bad is not None:
+            pose = motion.start if motion.end == HOME else motion.end
+            short_mm = motion.around.margin_mm - bad.distance_mm
+            found.setdefault(
+                pose, Unmet(pose, _collision_in_words(motion, bad, standoffs_mm.get(pose)), short_mm)
+            )
+            if first_only:
+                break
+    return tuple(found.values())
+
+
+def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
+    """Reasons why home or gauge cannot be reached, whatever the trajectories' angles."""
+    for name, joints_rad in _fixed_places(setting):
+        try:
+            require_in_range(setting.kinematics, joints_rad, setting.limits)
+        except LimitError as error:
+            return (Unmet.by(name, error),)
+    if setting.scene is None:
+        return ()
+    for motion in _over_gauge(setting, setting.scene):
+        bad = sweep_path(setting.kinematics, motion.plan, motion.around).refused
+        if bad is not None:
+            return (Unmet(GAUGE, _collision_in_words(motion, bad)),)
+    return ()
+
+
+def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
+    yield HOME, setting.start_rad
+    yield HOME, approach_joints(setting.start_rad, ONE_SIDE)
+    if setting.gauge_rad is not None:
+        yield GAUGE, setting.gauge_rad
+        yield GAUGE, approach_joints(setting.gauge_rad, ONE_SIDE)
+
+
+def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
+    """The motions of the tool check, from home and back."""
+    if setting.gauge_rad is None:
+        return
+    around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
+    limits = setting.limits
+    onto = plan_joint_move(setting.kinematics, setting.start_rad, setting.gauge_rad, limits)
+    yield Motion(HOME, GAUGE, onto, around)
+    yield from _home(setting, (GAUGE, setting.gauge_rad), limits, around)
+
+
+def previews_of(
+    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+) -> tuple[PreviewedMotion, ...]:
+    """Motions of the procedure in order, with previews."""
+    return tuple(_previewed(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
+
+
+def _previewed(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
+    limits, plan = setting.limits.slowed(motion.speed_fraction), motion.plan
+    if motion.speed_fraction < 1.0 and plan.target is not None:
+        plan = plan_line(setting.kinematics, plan.start_rad, plan.target, limits, plan.tool_in_flange_mm)
+    return PreviewedMotion(motion, preview(setting.kinematics, plan, motion.around, limits))
+
+
+def motions_of(
+    setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
+) -> Iterator[Motion]:
+    """The motions from home through all visits and back home."""
+    limits = setting.limits
+    by_name = {one.identifier: one for one in trajectories}
+    here: tuple[str, JointVector] = (HOME, setting.start_rad)
+    kind: VisitKind | None = None
+    around = Surroundings()
+    stereo = setting.flange_from_stereo or setting.flange_from_tool
+    for reached in check.reached:
+        visit = reached.visit
+        if visit.kind is VisitKind.LOCALIZATION:
+            before, around = around, scene.with_stereo_head(setting.robot_from_ct, stereo)
+        else:
+            trajectory = by_name[visit.trajectory]
+            before = around
+            around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
+        if kind is not None and visit.kind is not kind:  # tools are exchanged at home
+            yield from _home(setting, here, limits, before)
+            here = (HOME, setting.start_rad)
+        if visit.kind is VisitKind.TARGET and kind is not visit.kind:
+            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `fixed_unmet`
+        kind = visit.kind
+        yield from _to(setting, here, reached, limits, around)
+        here = (visit.identifier, reached.approach_rad)
+        if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
+            yield from _home(setting, here, limits, around)
+            here = (HOME, setting.start_rad)
+            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))
+    if kind is VisitKind.LOCALIZATION:
+        yield from _home(setting, here, limits, around)
+
+
+def _to(
+    setting: ArmSetting,
+    here: tuple[str, JointVector],
+    reached: Reached,
+    limits: MotionLimits,
+    around: Surroundings,
+) -> Iterator[Motion]:
+    start, joints = here
+    name, kinematics = reached.visit.identifier, setting.kinematics
+    straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
+    if start == HOME:
+        yield straight
+    elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
+        yield replace(straight, clear=True)
+    else:
+        yield from _home(setting, here, limits, around)
+        onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
+        yield Motion(HOME, name, onwards, around)
+    onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
+    yield Motion(name, name, reached.line, around, speed_fraction=onto)
+    yield Motion(name, name, _reversed(setting, reached.line), around, clear=True, back=True)
+
+
+def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
+    """The line in reverse, with the same poses and speed limits."""
+    began = setting.kinematics.forward(line.start_rad)
+    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
+
+
+def _home(
+    setting: ArmSetting, here: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
+) -> Iterator[Motion]:
+    start, joints = here
+    arm, home_rad = setting.kinematics, setting.start_rad
+    back_rad = approach_joints(home_rad, ONE_SIDE)
+    yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)
+    yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, clear=True)
+
+
+def _collision_in_words(motion: Motion, bad: Closest, standoff_mm: float | None = None) -> str:
+    """Describe a collision; `standoff_mm` is the plan's for the target at the motion's end."""
+    leads = (
+        "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
+    )
+    near = f"comes within {bad.distance_mm:.1f} mm of"
+    if bad.distance_mm < 0.0:
+        near = f"runs {-bad.distance_mm:.1f} mm into"
+    where = f"{bad.fraction:.0%} of the way"
+    if standoff_mm is not None and motion.kind == LINE and bad.fraction > AT_THE_END:
+        where = f"where the guide is held, with the plan's standoff_mm of {standoff_mm:g}"
+    return (
+        f"{leads} the {bad.first} {near} the {bad.second}, {where}: expected at least "
+        f"{motion.around.margin_mm:g} mm between them [ARM-007]"
+    )

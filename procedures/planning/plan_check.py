@@ -1,0 +1,393 @@
+"""Check of a plan against the CT series, the fiducials found in it, and the arm's reach."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.planning.errors import (
+    NotReachable,
+    NotTheFrame,
+    NotTheTemplate,
+    OutsideField,
+    StopBeyondInstrument,
+    UnknownTool,
+    WrongMarkerCount,
+    WrongOrientation,
+    WrongSeries,
+    raise_together,
+)
+from procedures.planning.guide import held_trajectories, too_short
+from procedures.planning.head_in_ct import standoff_in_skin, way_into_head
+from procedures.planning.plan_file import other_voxels
+from procedures.planning.plan_model import FiducialKind, Plan
+from procedures.planning.structures import StructureDistance, structure_distances, structure_findings
+from procedures.registration import MatchStatus, match
+from procedures.registration.errors import LayoutNotFound
+from procedures.registration.template import find_layout
+from ronna_hw.errors import RonnaError
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
+from ronna_hw.text import beyond
+from ronna_hw.tool_record import GuideBore
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+    from procedures.planning.head_in_ct import HeadEllipsoid
+    from procedures.planning.line_of_sight import StereoSight
+    from procedures.planning.motions import PreviewedMotion
+    from procedures.planning.visits import ArmSetting, PathCheck
+    from procedures.strategies.strategy import Strategy
+    from procedures.strategies.trajectory import Trajectory
+
+LEAST_SIDE_DIFFERENCE_MM = 6.0  # in a triangle of fiducials: below it three points are often ambiguous
+CT_SIGMA_MM = 0.10  # per axis: the localizer's error on a poor series, with margin
+ROOM_SIGMA_MM = 0.56  # per axis: the coarsest tracker used in the correspondence study
+Array = NDArray[np.float64]
+CheckResult = tuple[list[RonnaError], list[str]]  # findings, warnings
+WITHIN_ROUNDING_MM = 0.5  # resolution of the path check between two samples
+FEWEST_THAT_TELL_A_MOVE = 4  # with three, a moved one cannot be identified
+# Above it even a registration 3 mm off, as coarse as the tracker's, is refused at no target.
+WIDE_MARGIN_MM, USUAL_MARGIN_MM = 5.0, 2.0
+NEAR_STANDOFF_MM, USUAL_STANDOFF_MM = 10.0, 30.0  # 30 in centimetres is less
+KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
+
+
+@dataclass(frozen=True)
+class PlanCheck:
+    """Result of a check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+
+    If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
+    each trajectory's turn about its axis, and `paths` the joints. `distances` are from every trajectory to
+    every structure; `head` tells the sides of trajectories.
+    """
+
+    plan: Plan
+    findings: tuple[RonnaError, ...]
+    warnings: tuple[str, ...]
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
+    distances: tuple[StructureDistance, ...] = ()
+    head: HeadEllipsoid | None = None
+
+    @property
+    def passed(self) -> bool:
+        """Whether nothing refuses the plan."""
+        return not self.findings
+
+    def require(self) -> None:
+        """Raise the finding, or one error listing all of them."""
+        raise_together(self.findings, "the plan")
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain values for a record or a script."""
+        return {
+            "passed": self.passed,
+            "series_instance_uid": self.plan.series_instance_uid,
+            "trajectories": [
+                {
+                    "id": one.id,
+                    "side": self.head and self.head.side_of(one.entry_mm, one.target_mm),
+                    "depth_mm": round(one.depth_mm, 3),
+                    "margin_mm": one.margin_mm,
+                }
+                for one in self.plan.trajectories
+            ],
+            "findings": [{"code": one.code, "what": one.what, "action": one.advice} for one in self.findings],
+            "warnings": list(self.warnings),
+            "motions": [motion.as_payload() for motion in self.motions],
+            "free_angle_turns_rad": dict(self.turns_rad),
+            "structures": [
+                {
+                    "name": one.structure,
+                    "trajectory": one.trajectory,
+                    "distance_mm": round(one.distance_mm, 3),
+                    "margin_mm": one.margin_mm,
+                }
+                for one in self.distances
+            ],
+        }
+
+
+@dataclass(frozen=True)
+class _ArmCheck:
+    """Motions of the arm for a plan, or what prevents them."""
+
+    unmet: tuple[RonnaError, ...] = ()
+    motions: tuple[PreviewedMotion, ...] = ()
+    turns_rad: tuple[tuple[str, float], ...] = ()
+    paths: PathCheck | None = None
+
+
+def check_plan(
+    plan: Plan,
+    volume: Volume,
+    *,
+    fiducials_mm: ArrayLike | None = None,
+    to_fiducials: bool = True,
+    arm: ArmSetting | None = None,
+    sight: StereoSight | None = None,
+    bore: GuideBore | None = None,
+) -> PlanCheck:
+    """Check a plan against its CT series, and against fiducials (n, 3) in LPS mm, arm and guide if given.
+
+    Without `to_fiducials` they are counted, but the arm's motions to them are omitted. With `sight` the arm
+    may turn trajectories about their axes, as the procedure does, so that the stereo head sees the fiducials
+    and all motions are clear.
+
+    Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
+    """
+    findings: list[RonnaError] = [
+        *_unknown_tools(plan),
+        *([] if bore is None else _check_instrument(plan, bore)),
+    ]
+    warnings = [
+        f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm would accept a bad registration; "
+        f"{USUAL_MARGIN_MM:.1f} is usual"
+        for one in plan.trajectories
+        if one.margin_mm > WIDE_MARGIN_MM
+    ]
+    if plan.standoff_mm < NEAR_STANDOFF_MM:
+        warnings.append(
+            f"standoff_mm: {plan.standoff_mm:g} mm holds the guide close to the skin; {USUAL_STANDOFF_MM:g} "
+            "is usual; give millimetres, not centimetres"
+        )
+    distances = structure_distances(plan)
+    for found, warned in (
+        _check_series(plan, volume),
+        _check_patient(plan, volume),
+        structure_findings(plan, distances, volume),
+    ):
+        findings += found
+        warnings += warned
+    if fiducials_mm is not None:
+        found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
+        findings += found
+        warnings += warned
+    arm_check = _ArmCheck()
+    if arm is not None:
+        held = tuple(one.trajectory for one in plan.trajectories)
+        held = held if bore is None else held_trajectories(plan, bore)
+        arm_check = _check_arm(held, fiducials_mm if to_fiducials else None, arm, sight)
+        findings += arm_check.unmet
+        warnings += _close_at_start(arm_check.motions)
+    return PlanCheck(
+        plan,
+        tuple(findings),
+        tuple(warnings),
+        arm_check.motions,
+        arm_check.turns_rad,
+        arm_check.paths,
+        distances,
+    )
+
+
+def _check_series(plan: Plan, volume: Volume) -> CheckResult:
+    """Check that the plan belongs to this series, in which every trajectory leads into the head."""
+    if plan.series_instance_uid != volume.series_instance_uid:
+        wrong = WrongSeries(
+            "the plan belongs to another CT series",
+            expected=plan.series_instance_uid,
+            got=volume.series_instance_uid,
+        )
+        return [wrong], []
+    altered = other_voxels(plan, volume)
+    findings = [*_points_outside(plan, volume), *([] if altered is None else [altered])]
+    if findings:
+        return findings, []
+    into_head = [way_into_head(volume, one) for one in plan.trajectories]
+    findings += [finding for finding, _ in into_head if finding]
+    in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
+    findings += [finding for finding in in_skin if finding]
+    return findings, [warning for _, warning in into_head if warning]
+
+
+def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
+    """Check the patient's position, and for enough fiducials to notice one that moves."""
+    findings: list[RonnaError] = []
+    warnings: list[str] = []
+    if not volume.patient_position:
+        warnings.append("the series does not give the patient position; check left and right by eye")
+    elif volume.patient_position != plan.patient_orientation.value:
+        findings.append(
+            WrongOrientation(
+                "the CT was taken in a different patient position",
+                expected=plan.patient_orientation.value,
+                got=volume.patient_position,
+            )
+        )
+    if plan.implanted < FEWEST_THAT_TELL_A_MOVE:
+        warnings.append(f"with {plan.implanted} fiducials a displaced one cannot be detected")
+    return findings, warnings
+
+
+def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
+    """Check the number of fiducials (n, 3) in the CT, and that their layout is distinguishable.
+
+    The x-shaped frame must be found; further spheres are reported.
+    """
+    if plan.fiducials is FiducialKind.XFRAME:
+        return _check_frame(points_mm)
+    if len(points_mm) == plan.implanted:
+        if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
+            return [], layout_warnings(points_mm)
+        return [NotTheTemplate("the fiducials in the CT do not match the plan's template")], []
+    wrong = WrongMarkerCount(
+        "the CT shows a different number of fiducials",
+        expected=str(plan.implanted),
+        got=str(len(points_mm)),
+    )
+    return [wrong], []
+
+
+def _check_frame(points_mm: Array) -> CheckResult:
+    try:
+        others = find_layout(SPHERE_CENTRES_MM, points_mm).others
+    except LayoutNotFound as missing:
+        wrong = NotTheFrame(
+            "the CT does not show the x-shaped frame", expected=missing.expected, got=missing.got
+        )
+        return [wrong], []
+    shown = ", ".join(str(one + 1) for one in others)
+    return [], [f"spheres that do not belong to the x-shaped frame are ignored: {shown}"] if others else []
+
+
+def _check_arm(
+    trajectories: tuple[Trajectory, ...],
+    fiducials_mm: ArrayLike | None,
+    arm: ArmSetting,
+    sight: StereoSight | None,
+) -> _ArmCheck:
+    """Check the arm's paths; return their obstacles, or the motions, if there is a scene, and turns."""
+    from procedures.planning.free_angle import (
+        TurnedPaths,
+        advice,
+        alternatives,
+        choose_free_angles,
+        unreached,
+    )
+    from procedures.planning.motions import previews_of
+    from procedures.planning.paths import check_paths
+    from procedures.planning.target_error import choose_best_strategies
+    from procedures.planning.visits import Axes
+
+    fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
+    if sight is None:
+        axes = Axes.of(arm, trajectories, fiducials)
+        own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+        turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
+    else:
+        arm = choose_best_strategies(arm, trajectories, fiducials, sight)
+        turned = choose_free_angles(arm, trajectories, fiducials, sight)
+    if not turned.check.passed:
+        would: dict[str, tuple[Strategy, ...]] = {}
+        if sight is not None and len(fiducials):
+            missed = unreached(turned.check, trajectories)
+            would = {
+                one.identifier: alternatives(arm, one, fiducials, sight)
+                for one in trajectories
+                if one.identifier in missed
+            }
+        unmet: list[RonnaError] = [
+            NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
+        ]
+        return _ArmCheck(tuple(unmet))
+    turns = tuple(turned.turns_rad.items())
+    if arm.scene is None:
+        return _ArmCheck(turns_rad=turns, paths=turned.check)
+    motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
+    return _ArmCheck((), motions, turns, turned.check)
+
+
+def _close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
+    """Warn of bodies closer than the margin at the start of a motion; they may stay or move away."""
+    named: dict[tuple[str, str], str] = {}
+    for one in motions:
+        closest = one.preview.closest
+        if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
+            pair = (closest.first, closest.second)
+            named.setdefault(
+                pair,
+                f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at "
+                f"{one.motion.start} already: change the position of the head or home",
+            )
+    return list(named.values())
+
+
+def _unknown_tools(plan: Plan) -> list[RonnaError]:
+    """Tools of the plan that this version does not know."""
+    found: list[RonnaError] = []
+    if plan.tool not in KNOWN_TOOLS:
+        found.append(
+            UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)
+        )
+    return found
+
+
+def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
+    """Trajectories whose depth stop does not fit on the instrument."""
+    return [
+        StopBeyondInstrument(
+            f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
+            limit=f"{plan.instrument_length_mm:g} mm",
+            got=f"{beyond(stop_mm, plan.instrument_length_mm, 1)} mm",
+        )
+        for one, stop_mm in too_short(plan, bore)
+    ]
+
+
+def _points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
+    """Points outside the CT, beyond the outer faces of the outermost voxels."""
+    found: list[RonnaError] = []
+    last = np.array(volume.geometry.shape) - 0.5
+    for one in plan.trajectories:
+        for name, point in (("entry", one.entry_mm), ("target", one.target_mm)):
+            index = volume.geometry.to_index(point)
+            if np.any(index < -0.5) or np.any(index > last):
+                where = ", ".join(f"{value:.1f}" for value in point)
+                found.append(
+                    OutsideField(f"the {name} of trajectory {one.id} at ({where}) mm is outside the CT")
+                )
+    return found
+
+
+def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
+    """The smallest difference between two sides of a triangle of fiducials (3, 3) in mm."""
+    points = np.asarray(triangle_mm, dtype=float)
+    sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
+    return float(np.diff(sides).min())
+
+
+def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
+    """Whether fiducials (n, 3) of a CT contain those of a template (k, 3), in one way only; both in mm."""
+    found = match(
+        template_mm,
+        fiducials_mm,
+        sigma_image_mm=IMPLANTED_SIGMA_MM,
+        sigma_physical_mm=CT_SIGMA_MM,
+        expected=len(np.asarray(template_mm)),
+    )
+    return found.status is MatchStatus.UNIQUE
+
+
+def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
+    """Warnings of an ambiguous layout of fiducials (n, 3) in mm."""
+    if len(fiducials_mm) == 3:
+        smallest = least_side_difference_mm(fiducials_mm)
+        if smallest >= LEAST_SIDE_DIFFERENCE_MM:
+            return []
+        return [
+            f"two sides of the fiducial triangle differ by {smallest:.1f} mm (at least "
+            f"{LEAST_SIDE_DIFFERENCE_MM:g} mm are needed to tell them apart)"
+        ]
+    alike = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
+    if alike.status is not MatchStatus.AMBIGUOUS or alike.runner_up is None:
+        return []
+    taken = [f"{i + 1} for {j + 1}" for i, j in alike.runner_up.pairs.tolist() if i != j]
+    return [f"the fiducials look alike from another side: {', '.join(taken)} could be mistaken"]

@@ -1,0 +1,288 @@
+"""The plan file `plan.toml`: new, read, written and seal_plan. All mistakes in a file are reported at once.
+
+Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
+must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from pydantic import ValidationError
+
+from procedures.planning.errors import (
+    AlteredPlan,
+    BadTrajectoryGeometry,
+    DuplicateTrajectory,
+    OtherVoxels,
+    PlanError,
+    PlanMistakes,
+    PlanNotSaved,
+    PlanUnreadable,
+    raise_together,
+)
+from procedures.planning.plan_model import (
+    FEWEST_MARKERS,
+    MOST_MARKERS,
+    NOT_METRES,
+    SCHEMA_VERSION,
+    PatientPosition,
+    Plan,
+    Seal,
+    Structure,
+    in_metres,
+    span,
+)
+from procedures.planning.structures import LEAST_MARGIN_MM
+from ronna_hw.bounded_input import read_toml, toml_of
+from ronna_hw.mistakes import describe_mistakes, mistakes_in
+from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.text import printable
+
+if TYPE_CHECKING:
+    from procedures.imaging.volume import Volume
+
+LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
+LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
+UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
+# What an item of a list is called, and the key with its name.
+NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
+# What plans of earlier versions lack, and what to write.
+ADDED = {
+    "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
+    "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
+    "still holds a depth stop, as on its packaging",
+}
+UNKNOWN_POSITION = f"# patient_orientation: not given by the series; one of {', '.join(PatientPosition)}"
+TRAJECTORY = """
+# One block for each trajectory, in the order in which they are meant to be done; take the # away.
+# [[trajectories]]
+# id = "T1"
+# entry_mm = [0.0, 0.0, 0.0]   # where it enters the head
+# target_mm = [0.0, 0.0, 0.0]  # where it ends
+# free_angle_deg = 0.0         # of the guide about the axis
+# margin_mm = 2.0              # largest target error that is accepted
+"""
+
+
+def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
+    """Read and check a plan. Raises PLAN-001 and the errors of `parse_plan`, listing every mistake."""
+    path = Path(path)
+    try:
+        content = read_toml(path, PlanUnreadable)
+    except OSError as error:
+        raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+    return parse_plan(content, path.name, sealed_only=sealed_only)
+
+
+def parse_plan_bytes(content: bytes, name: str) -> Plan:
+    """Parse the content of a plan file with this name. Raises like `read_plan`."""
+    return parse_plan(toml_of(content, name, PlanUnreadable), name)
+
+
+def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
+    """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023, listing every mistake.
+
+    Without `sealed_only`, a plan altered since it was seal_plan is still read, for viewing.
+    """
+    if "theatre" in content and "trajectories" not in content:
+        raise PlanUnreadable(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
+    found: list[PlanError] = []
+    plan: Plan | None = None
+    try:
+        # TOML has lists where the model has tuples, text where it has enums; strict JSON mode accepts both.
+        plan = Plan.model_validate_json(json.dumps(content, default=str))
+    except ValidationError as error:
+        lines = describe_mistakes(error, Plan)
+        for mistake, line in zip(mistakes_in(error), lines, strict=False):
+            kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
+            message = _named(line, mistake["loc"], content) + _to_add(mistake)
+            found.append(kind(message))
+    found += [
+        DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
+        for identifier, count in _ids(content).items()
+        if count > 1
+    ]
+    found += [] if plan is None else in_another_unit(plan)
+    if len(found) == 1:
+        raise type(found[0])(f"{name}: {found[0].what}")
+    raise_together(found, name)
+    if plan is None:
+        raise PlanMistakes(f"{name} is not a plan")
+    if sealed_only:
+        require_unaltered(plan, name)
+    return plan
+
+
+def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
+    """Write a plan atomically, with `notes` as comments above it. Raises PLAN-025."""
+    import tomli_w
+
+    head = "".join(f"# {printable(line)}\n" for line in notes)
+    content = plan.model_dump(mode="json", by_alias=True, exclude_none=True)
+    try:
+        write_whole(path, (head + tomli_w.dumps(content)).encode())
+    except OSError as error:
+        raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
+
+
+def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
+    """Name the trajectory or structure in the line, or else give its number."""
+    match place:
+        case ("trajectories" | "structures" as table, int(index), *_):
+            kind, key = NAMED[table]
+            row = content[table][index]
+            name = row.get(key) if isinstance(row, dict) else None
+            known = f"{kind} {printable(name)}" if isinstance(name, str) and name else f"{kind} {index + 1}"
+            return line.replace(f"{table} {index + 1}", known, 1)
+    return line
+
+
+def _to_add(mistake: Mapping[str, Any]) -> str:
+    key = str(mistake["loc"][-1]) if mistake["loc"] else ""
+    return f"; {ADDED[key]}" if mistake["type"] == "missing" and key in ADDED else ""
+
+
+def _ids(content: dict[str, Any]) -> Counter[str]:
+    """Count the ids in the raw content, as other mistakes may prevent parsing the model."""
+    rows = content.get("trajectories")
+    if not isinstance(rows, list):
+        return Counter()
+    return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
+
+
+def in_another_unit(plan: Plan) -> list[PlanMistakes]:
+    """Mistakes for values of a plan that are typical of another unit."""
+    found = [
+        PlanMistakes(
+            f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
+            f"{NOT_METRES}, and at least {LEAST_TARGET_MARGIN_MM:g}"
+        )
+        for one in plan.trajectories
+        if one.margin_mm < LEAST_TARGET_MARGIN_MM
+    ]
+    found += [mistake for one in plan.structures or () for mistake in structure_in_another_unit(one)]
+    if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
+        found.append(
+            PlanMistakes(f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: {NOT_METRES}")
+        )
+    deepest = max(plan.trajectories, key=lambda one: one.depth_mm)
+    needed_mm = deepest.depth_mm + plan.standoff_mm
+    if plan.instrument_length_mm < needed_mm:
+        found.append(
+            PlanMistakes(
+                f"instrument_length_mm is {plan.instrument_length_mm:g}, but {deepest.id} needs more than "
+                f"{needed_mm:.1f} mm: {deepest.depth_mm:.1f} mm from entry to target, {plan.standoff_mm:g} "
+                "mm of stand-off, and the guide; give millimetres, not centimetres"
+            )
+        )
+    return found
+
+
+def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
+    """Mistakes for values of a structure that are typical of another unit."""
+    found = []
+    if structure.margin_mm < LEAST_MARGIN_MM:
+        found.append(
+            PlanMistakes(
+                f"structure {structure.name}.margin_mm: {structure.margin_mm:g} mm is less than half the "
+                f"thickness of any instrument: {NOT_METRES}, and at least {LEAST_MARGIN_MM:g}"
+            )
+        )
+    if in_metres(structure.points_mm):
+        found.append(
+            PlanMistakes(
+                f"structure {structure.name}.points_mm: all within {span(structure.points_mm):.3g} mm of "
+                f"each other: {NOT_METRES}"
+            )
+        )
+    return found
+
+
+def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
+    """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
+    open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
+    unsealed = plan.model_copy(update={"seal": open_seal})
+    return unsealed.model_copy(
+        update={"seal": open_seal.model_copy(update={"plan_sha256": _plan_digest(unsealed)})}
+    )
+
+
+def require_unaltered(plan: Plan, name: str) -> None:
+    """Raise PLAN-023 if a plan does not match its seal."""
+    if plan.seal is not None and plan.seal.plan_sha256 != _plan_digest(plan):
+        raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
+
+
+def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
+    """Finding that a seal_plan plan was made on other voxels, or None."""
+    if plan.seal is None:
+        return None
+    digest = ct_digest(volume)
+    if digest == plan.seal.ct_sha256:
+        return None
+    return OtherVoxels(
+        "the CT is not the one that the plan was made on, although it has the same UID",
+        expected=plan.seal.ct_sha256[:12],
+        got=digest[:12],
+    )
+
+
+def ct_digest(volume: Volume) -> str:
+    """SHA-256 of a CT's voxels and geometry."""
+    geometry = volume.geometry
+    place = {
+        "series": volume.series_instance_uid,
+        "position": volume.patient_position,
+        "shape": list(geometry.shape),
+        "origin_mm": geometry.origin_mm.tolist(),
+        "axes": geometry.axes.tolist(),
+        "spacing_mm": geometry.spacing_mm.tolist(),
+    }
+    digest = hashlib.sha256(canonical_json(place))
+    for one in volume.voxels:  # slice by slice, without copying the whole
+        digest.update(one.astype("<i2", order="C", copy=False).data)
+    return digest.hexdigest()
+
+
+def _plan_digest(plan: Plan) -> str:
+    assert plan.seal is not None
+    as_signed = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
+    return hashlib.sha256(
+        canonical_json(as_signed.model_dump(mode="json", by_alias=True, exclude_none=True))
+    ).hexdigest()
+
+
+def new_plan(
+    series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
+) -> str:
+    """Text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
+    return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
+
+
+def _lines(
+    series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
+) -> Iterable[str]:
+    yield f"# Created from the CT in {source}. Coordinates are LPS mm of that series."
+    yield "# Every key: docs/reference/plan-file.md. Then: ronna-plan check PLAN --ct SERIES_DIR"
+    yield f"schema = {SCHEMA_VERSION}"
+    yield f'series_instance_uid = "{series_instance_uid}"'
+    if patient_position in set(PatientPosition):
+        yield f'patient_orientation = "{patient_position}"  # from the series'
+    else:
+        yield UNKNOWN_POSITION
+    count = len(spheres_mm)
+    known = FEWEST_MARKERS <= count <= MOST_MARKERS
+    found = f"{count} found in the CT; count the screws on the patient"
+    yield f"implanted = {count}  # {found}" if known else f"# implanted = ...  # {found}"
+    yield 'fiducials = "free"  # or "xframe"'
+    yield 'tool = "guide"'
+    yield "standoff_mm = 30.0  # from the entry to the lower end of the guide, outside the skin"
+    yield "# instrument_length_mm = 250.0  # from its tip to where a depth stop still holds"
+    for number, centre in enumerate(spheres_mm, start=1):
+        yield f"# sphere {number}: {', '.join(f'{value:.2f}' for value in centre)}"

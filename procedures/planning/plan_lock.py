@@ -1,0 +1,134 @@
+"""Locks of a plan: a running case keeps it from being overwritten, a planner from other planners."""
+
+from __future__ import annotations
+
+import fcntl
+import hashlib
+import os
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from procedures.planning.errors import PlanInUse, PlanNotSaved, PlanUnreadable
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES
+
+
+@dataclass(frozen=True)
+class HeldPlan:
+    """Content of a plan file when a case locked it."""
+
+    content: bytes
+
+    @property
+    def sha256(self) -> str:
+        """SHA-256 of the file."""
+        return hashlib.sha256(self.content).hexdigest()
+
+
+@contextmanager
+def lock_plan(path: Path) -> Iterator[HeldPlan]:
+    """Hold a plan file for a case, shared with other cases; released when the program ends, in any way.
+
+    Raises PLAN-001.
+    """
+    with ExitStack() as stack:
+        try:
+            file = _locked(path, fcntl.LOCK_SH)
+            stack.callback(os.close, file)
+            content = os.pread(file, LARGEST_TOML_BYTES + 1, 0)
+        except OSError as error:
+            raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
+        yield HeldPlan(content)
+
+
+@contextmanager
+def plan_replacement(path: Path) -> Iterator[None]:
+    """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-025, PLAN-026.
+
+    A file that does not exist yet is held by no one.
+    """
+    try:
+        file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise PlanInUse(f"a case is running on {path.name}: it can only be viewed") from None
+    except FileNotFoundError:
+        yield
+        return
+    except OSError as error:
+        raise PlanNotSaved(f"{path.name} cannot be locked: {error.strerror}") from error
+    try:
+        yield
+    finally:
+        os.close(file)
+
+
+def plan_in_use(path: Path) -> bool:
+    """Whether a running case holds this plan file."""
+    try:
+        file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return True
+    except OSError:  # no plan, or one that cannot be saved: saving reports that
+        return False
+    os.close(file)
+    return False
+
+
+class PlannerLock:
+    """Lock that lets one planner change a plan, from the first successful `take` until `leave`."""
+
+    def __init__(self, plan: Path) -> None:
+        self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
+        self._file: int | None = None
+        self._has_left = False
+
+    def take(self) -> bool:
+        """Take the lock; False if another planner holds it. True where files cannot be locked."""
+        if self._has_left:
+            return False
+        if self._file is None:
+            try:
+                os.close(os.open(self._path, os.O_RDONLY | os.O_CREAT | os.O_CLOEXEC, 0o644))
+            except OSError:
+                return True
+            try:
+                self._file = _locked(self._path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+            except (BlockingIOError, FileNotFoundError):  # held, or its holder is just leaving
+                return False
+            except OSError:  # a file system without locks
+                return True
+        return True
+
+    def leave(self) -> None:
+        """Release it for good."""
+        self._has_left = True
+        if self._file is not None:
+            with suppress(OSError):  # in a folder that is no longer writable; only the lock counts
+                self._path.unlink()
+            os.close(self._file)
+        self._file = None
+
+
+def _locked(path: Path, kind: int) -> int:
+    """Open and lock the file at this path, again if it was replaced meanwhile."""
+    while True:
+        file = _opened(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        try:
+            fcntl.flock(file, kind)
+            if os.path.samestat(os.fstat(file), os.stat(path)):
+                return file
+        except BaseException:  # including interruptions: a lock lasts as long as its descriptor
+            os.close(file)
+            raise
+        os.close(file)
+
+
+def _opened(path: Path) -> int:
+    """Open writable if possible, as exclusive locks on a network file system require."""
+    try:
+        return os.open(path, os.O_RDWR | os.O_CLOEXEC)
+    except FileNotFoundError:
+        raise
+    except OSError:
+        return os.open(path, os.O_RDONLY | os.O_CLOEXEC)

@@ -1,0 +1,113 @@
+"""The proposed cart position as a case reads it, and the cart's deviation from it."""
+
+from __future__ import annotations
+
+import hashlib
+import math
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+from pydantic import ConfigDict, Field, ValidationError
+
+from procedures.planning.errors import PlaceUnfit
+from ronna_hw.arm.pose import Pose
+from ronna_hw.bounded_input import InputRefused, read_json_bytes
+from ronna_hw.calibration import Strict
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.mistakes import describe_mistakes
+
+LARGEST_FILE_BYTES = 4_000_000  # a map of maximum extent has some 18,000 squares and nodes
+MOST_VALUES = 400_000
+FURTHEST_MM = 10_000.0  # of any position in the room
+Coordinate = Annotated[float, Field(ge=-FURTHEST_MM, le=FURTHEST_MM)]
+Degrees = Annotated[float, Field(ge=-360.0, le=360.0)]
+Turn = Annotated[float, Field(ge=0.0, le=180.0)]
+UNTURNED_DEG = 0.5  # below the tracker's resolution: 0.35 mm on spheres 80 mm apart, twice
+TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are tried
+
+
+@dataclass(frozen=True)
+class BesideProposal:
+    """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and rotation.
+
+    `head_mm` and `head_deg` are deviations that a cart on the floor cannot cause: the head
+    is higher, or tilted.
+    """
+
+    x_mm: float
+    y_mm: float
+    turned_deg: float
+    head_mm: float
+    head_deg: float
+
+    @property
+    def off_mm(self) -> float:
+        """Distance from the proposal."""
+        return math.hypot(self.x_mm, self.y_mm)
+
+
+class ProposedPlace(Strict):
+    """The part of `place.json` that a case needs; the map itself is ignored."""
+
+    model_config = ConfigDict(extra="ignore")
+
+    series_instance_uid: str = Field(description="DICOM UID of the CT series that it was made for.")
+    assumed_robot_from_ct: tuple[Coordinate, Coordinate, Coordinate, Degrees, Degrees, Degrees] = Field(
+        description="X Y Z A B C in mm and deg, at the assumed position."
+    )
+    best_mm: tuple[Coordinate, Coordinate] = Field(
+        description="Proposed position, x and y in the assumed $ROBROOT."
+    )
+    turned_deg: Degrees = Field(description="Rotation of the cart there.")
+    free_mm: float = Field(ge=0.0, le=FURTHEST_MM, description="Position tolerance of the cart.")
+    turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
+
+    def beside(self, robot_from_ct: Transform) -> BesideProposal:
+        """Deviation of a cart that sees the CT at this pose ROBOT <- CT."""
+        assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
+        then = Transform.of(
+            Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
+        )
+        moved = then.rigid * robot_from_ct.rigid.inv()  # the current base in the base assumed then
+        x_mm, y_mm, z_mm = moved.translation.tolist()
+        axes = moved.rotation.as_matrix()
+        turned_deg = math.degrees(math.atan2(axes[1, 0], axes[0, 0]))
+        return BesideProposal(
+            x_mm=x_mm - self.best_mm[0],
+            y_mm=y_mm - self.best_mm[1],
+            turned_deg=(turned_deg - self.turned_deg + 180.0) % 360.0 - 180.0,
+            head_mm=-z_mm,
+            head_deg=math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0)))),
+        )
+
+    def allows(self, beside: BesideProposal) -> bool:
+        """Whether a deviation is within the tolerance, rotated no more than was tried."""
+        less, more = self.turns_deg
+        turned = abs(beside.turned_deg) > UNTURNED_DEG
+        free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
+        return beside.off_mm <= free_mm and (not turned or -less <= beside.turned_deg <= more)
+
+
+@dataclass(frozen=True)
+class PlaceFile:
+    """A proposal and the SHA-256 of its file."""
+
+    place: ProposedPlace
+    sha256: str
+
+
+def read_place(path: Path) -> PlaceFile | None:
+    """Read a proposal; None without a file. Raises PLAN-022."""
+    try:
+        content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
+        return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())
+    except FileNotFoundError:
+        return None
+    except OSError as error:
+        raise PlaceUnfit(f"cannot read {path.name}: {error.strerror}") from error
+    except InputRefused as error:
+        raise PlaceUnfit(f"{path.name}: {error.summary}") from error
+    except ValidationError as error:
+        raise PlaceUnfit(f"{path.name}: " + "; ".join(describe_mistakes(error))) from error

@@ -1,0 +1,83 @@
+"""Surroundings of the arm when a motion is planned: head and spheres in the CT, x-shaped frame, room."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+from numpy.typing import ArrayLike
+
+from procedures.planning.head_in_ct import HeadEllipsoid
+from procedures.planning.plan_model import FiducialKind
+from procedures.registration.template import find_layout
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
+from ronna_hw.arm.pose import Pose
+from ronna_hw.collision_config import CollisionConfig, ToolBody
+from ronna_hw.frames import Transform
+from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
+
+Points = tuple[tuple[float, float, float], ...]
+COARSE_MM = 1.25  # around them: error of the coarse localization
+
+
+@dataclass(frozen=True)
+class PlanningScene:
+    """The head as shown by the CT, and the bodies of the theatre file around it."""
+
+    surroundings: CollisionConfig
+    head: HeadEllipsoid
+    fiducials_ct_mm: Points = ()
+    frame_ct: tuple[Obstacle, ...] = ()  # bars and foot of the x-shaped frame
+    head_reserve_mm: float = 0.0
+
+    def with_reserve(self, reserve_mm: float) -> PlanningScene:
+        """This scene with additional clearance required while the stereo head is mounted."""
+        return replace(self, head_reserve_mm=reserve_mm)
+
+    def with_stereo_head(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
+    ) -> Surroundings:
+        """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
+        around = self._around(self.surroundings.stereo_head, robot_from_ct, flange_from_tool, trajectory)
+        return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
+
+    def with_guide(
+        self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
+    ) -> Surroundings:
+        """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
+        return self._around(self.surroundings.guide, robot_from_ct, flange_from_tool, trajectory)
+
+    def _around(
+        self,
+        tool: tuple[ToolBody, ...],
+        robot_from_ct: Transform,
+        flange_from_tool: Transform,
+        trajectory: Trajectory | None,
+    ) -> Surroundings:
+        corridor = None
+        if trajectory is not None:
+            entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
+            corridor = Corridor(tuple(entry), tuple(target), self.surroundings.corridor_mm)
+        in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
+        around = self.surroundings.around_head(
+            tool,
+            Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
+            Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),
+            self.head.semi_axes_mm,
+            tuple(in_robot.apply(point) for point in self.fiducials_ct_mm),
+            corridor,
+        )
+        frame = (one._replace(capsule=one.capsule.moved(in_robot)) for one in self.frame_ct)
+        return replace(around, obstacles=(*around.obstacles, *frame))
+
+
+def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
+    """Rods of the x-shaped frame, CT frame; none for free spheres. Raises REG-012 if it is not found."""
+    if fiducials is not FiducialKind.XFRAME:
+        return ()
+    place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout
+    found = []
+    for one in bodies():
+        (ax, ay, az), (bx, by, bz) = place.apply([one.start_mm, one.end_mm]).tolist()
+        found.append(Obstacle(one.name, Capsule((ax, ay, az), (bx, by, bz), one.radius_mm + COARSE_MM)))
+    return tuple(found)

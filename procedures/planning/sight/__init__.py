@@ -1,1 +1,0 @@
-"""What stereo head and tracker see from the planned poses."""

@@ -1,0 +1,157 @@
+"""Error expected at a target during planning, and the strategy that minimizes it.
+
+The case predicts from its measurements of the spheres; here only the markers in the CT are known and, with an
+arm, the poses found by a path check. The stereo measurement itself is not known yet.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.guide import (
+    DIRECTION,
+    INSTRUMENT,
+    direction_covariance_mm2,
+    instrument_covariance_mm2,
+)
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.plan_model import Plan, PlannedTrajectory
+from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
+from procedures.registration.target_prediction import (
+    OwnErrors,
+    SharedErrors,
+    TargetPrediction,
+    predict_target_error,
+)
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach
+from procedures.strategies.strategy import arrival_signs
+from procedures.strategies.trajectory import Trajectory
+
+if TYPE_CHECKING:
+    from procedures.planning.theatre_arm import TheatreArm
+
+Array = NDArray[np.float64]
+
+SEATING = "seating of the spheres"
+USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
+
+
+def predicted_by_markers(
+    markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
+) -> TargetPrediction:
+    """Error at a target from CT and seating of the markers (n, 3), with covariances (n, 3, 3); CT frame."""
+    return predict_target_error(
+        markers_mm, target_mm, [ct_errors(covariances_mm2), _seating(len(markers_mm), USUAL_SEATING_MM)]
+    )
+
+
+def predicted_with_arm(
+    theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
+) -> TargetPrediction:
+    """Error at a target including arm, tool frame, calibrations and instrument, for a passed check."""
+    planned = plan.trajectory(identifier)
+    setting = theatre.arm
+    looks, target = poses_for(setting, check, identifier)
+    rotation = setting.robot_from_ct.rotation_matrix
+    fiducials = [one.visit.fiducial for one in looks if one.visit.fiducial is not None]
+    tip_mm = np.asarray(setting.robot_from_ct.apply(planned.target_mm), dtype=float)
+    nothing = np.zeros((len(looks), 3, 3))
+    sources = [
+        ct_errors(rotation @ covariances_mm2[fiducials] @ rotation.T),
+        _seating(len(looks), theatre.seating_error_mm),
+        *arm_error_sources(setting, looks, target, tip_mm),
+        *_guide(theatre, plan, planned, target, nothing),
+        *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
+    ]
+    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    return predict_target_error(spheres, tip_mm, sources)
+
+
+def poses_for(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
+    """The localizations that serve a target, and the target, from a passed check."""
+    target = next(
+        one
+        for one in check.reached
+        if one.visit.kind is VisitKind.TARGET and one.visit.trajectory == identifier
+    )
+    every = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
+    own = [one for one in every if one.visit.trajectory == identifier]
+    return own if setting.strategy.localizes_per_trajectory else every, target
+
+
+def arm_error_sources(
+    setting: ArmSetting, looks: Sequence[Reached], target: Reached, tip_mm: Array
+) -> tuple[SharedErrors | OwnErrors, ...]:
+    """The arm's own errors and the tool frame's between localizations and a tip (3,) mm, robot frame.
+
+    If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
+    """
+    signs = np.array(
+        [arrival_signs(setting.kinematics, target.visit.pose, target.at_rad, setting.flange_from_tool)],
+        dtype=float,
+    )
+    return arm_sources(
+        setting.kinematics.chain,
+        ArmPoses(
+            np.array([one.at_rad for one in looks]),
+            np.array([one.visit.pose.translation_mm for one in looks]),
+            np.repeat(signs, len(looks), axis=0) if setting.strategy.controls_approach else None,
+        ),
+        ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
+        setting.sizes,
+        servo_mm=0.0,  # the servo's residual is measured
+    )
+
+
+def _seating(markers: int, per_axis_mm: float) -> OwnErrors:
+    return OwnErrors(SEATING, np.tile(np.eye(3) * per_axis_mm**2, (markers, 1, 1)), np.zeros((3, 3)))
+
+
+def _guide(
+    theatre: TheatreArm, plan: Plan, planned: PlannedTrajectory, target: Reached, nothing: Array
+) -> Iterable[OwnErrors]:
+    held = target.visit.pose.rotation_matrix
+    yield OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, theatre.bore, held))
+    turned = direction_covariance_mm2(plan, planned, theatre.bore, theatre.guide_direction_rad, held)
+    yield OwnErrors(DIRECTION, nothing, turned)
+
+
+def choose_best_strategies(
+    setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
+) -> ArmSetting:
+    """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.
+
+    Trajectories and fiducials (n, 3) are in CT mm. Candidates must be visible, reachable and clear.
+    """
+    if not isinstance(setting.strategy, BestOfEach):
+        return setting
+    chosen = {}
+    for one in trajectories:
+        predicted_mm = {}
+        for candidate in CANDIDATES:
+            alone = replace(setting, strategy=candidate)
+            turned = choose_free_angles(alone, (one,), fiducials_mm, sight)
+            if turned.check.passed:
+                predicted_mm[candidate] = predicted_arm_error_mm(alone, turned.check, one)
+        if predicted_mm:
+            chosen[one.identifier] = min(predicted_mm, key=lambda name: predicted_mm[name])
+    return replace(setting, strategy=replace(setting.strategy, others=chosen))
+
+
+def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
+    """Rms of the arm's own errors at a trajectory's target, from a check of that trajectory alone.
+
+    Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
+    not depend on the orientation.
+    """
+    looks, target = poses_for(setting, check, trajectory.identifier)
+    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
+    return predict_target_error(spheres, tip, arm_error_sources(setting, looks, target, tip)).rms_mm

@@ -1,1 +1,0 @@
-"""Arm and surroundings as described by the theatre file."""

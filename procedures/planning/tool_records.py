@@ -1,0 +1,124 @@
+"""Records of the tools that can be mounted, from the theatre file, and their consistency."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+
+from procedures.planning.errors import ForeignTool, NoToolRecord
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
+from ronna_hw.config import Calibrations, TheatreFile
+from ronna_hw.devices.errors import UnknownTool
+from ronna_hw.tool_record import GUIDES, Gauge, GuideBore, ToolRecord
+
+# Far below the error of any tip, and above the rounding of a written number.
+SAME_TIP_MM = 0.001
+SAME_TIP_RAD = math.radians(0.001)
+RENEW = "Read the gauge with this tool, then run ronna-tool renew, which updates the record for that tip."
+GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
+
+
+@dataclass(frozen=True)
+class GuideRecord:
+    """The guide's record, with the parts that a guide must have."""
+
+    record: ToolRecord
+    bore: GuideBore
+    gauge: Gauge
+
+
+@dataclass(frozen=True)
+class ToolRecords:
+    """Records by name, and the flange on which the tools must have been measured.
+
+    While `calibrating` the tip, its record may refer to a former one.
+    """
+
+    records: Mapping[str, ToolRecord]
+    flange: str
+    calibrating: bool = False
+
+    @classmethod
+    def of(cls, file: TheatreFile, *, calibrating: bool = False) -> ToolRecords:
+        """Read the records of a theatre file."""
+        return cls(file.tools, file.flange, calibrating)
+
+    @property
+    def guide(self) -> GuideRecord:
+        """Record of the guide. Raises TOOL-002 if there is none, or if it is not that of a guide."""
+        found = self.records.get(GUIDE)
+        if found is None:
+            raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
+        if found.purpose not in GUIDES or found.bore is None or found.gauge is None:
+            raise NoToolRecord(
+                f"tool record {found.identifier} is not that of a guide",
+                expected=" or ".join(one.value for one in GUIDES),
+                got=found.purpose.value,
+            )
+        return GuideRecord(found, found.bore, found.gauge)
+
+    def check(self, calibrations: Calibrations, moment: datetime) -> None:
+        """Raise CAL-001 for a record that is not valid at this moment, TOOL-002, TOOL-003."""
+        for name, record in self.records.items():
+            record.check_valid_at(moment)
+            check_flange(record, self.flange)
+            numbers = {GUIDE: calibrations.tool_tip.tool_number, STEREO_HEAD: STEREO_HEAD_NUMBER}
+            if record.number != numbers.get(name, record.number):
+                raise NoToolRecord(
+                    f"tool record {record.identifier} has a different number from the {name}",
+                    expected=str(numbers[name]),
+                    got=str(record.number),
+                )
+        guide = self.guide.record
+        if not self.calibrating:
+            check_tip(guide, calibrations)
+
+    def check_frames(self, calibrations: Calibrations, tracked: Sequence[str]) -> None:
+        """Raise DEV-003 if a record names a frame that is not among the tracker's tools."""
+        named = {"calibration.tracker_frame": calibrations.tracker_frame.tool} | {
+            f"tools.{name}.frame": record.frame.tool
+            for name, record in self.records.items()
+            if record.frame is not None
+        }
+        for table, frame in named.items():
+            if frame not in tracked:
+                raise UnknownTool(
+                    f"[{table}] names {frame}, which is not among the tracker's tools",
+                    expected=" or ".join(tracked) or "none",
+                )
+
+
+def check_flange(record: ToolRecord, flange: str) -> None:
+    """Raise TOOL-003 unless a tool was measured on this flange."""
+    if record.flange != flange:
+        raise ForeignTool(
+            f"tool record {record.identifier} belongs to another flange",
+            expected=flange or "a name: the theatre file has no key `flange`",
+            got=record.flange,
+        )
+
+
+def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
+    """Raise TOOL-003 unless a tool's record refers to this calibration of its tip, with these numbers."""
+    tip = calibrations.tool_tip
+    if record.tip != tip.identifier:
+        raise ForeignTool(
+            f"tool record {record.identifier} refers to another calibration of its tip",
+            expected=tip.identifier,
+            got=record.tip or "none",
+            action=RENEW,
+        )
+    if record.tip_in_head is None:  # written by hand, or by a version that did not know it
+        return
+    off_mm, off_rad = record.tip_in_head.off(calibrations.tip_in_head)
+    if off_mm > SAME_TIP_MM or off_rad > SAME_TIP_RAD:
+        raise ForeignTool(
+            f"{tip.identifier} has other numbers than when the gauge of {record.identifier} was read: "
+            "its tip is elsewhere relative to the stereo head",
+            limit=f"{SAME_TIP_MM:g} mm, {math.degrees(SAME_TIP_RAD):g} deg",
+            got=f"{off_mm:.3f} mm, {math.degrees(off_rad):.3f} deg",
+            action=f"Restore [calibration.tool_tip] and [calibration.stereo_head]. If they are right: "
+            f"{RENEW}",
+        )

@@ -1,0 +1,249 @@
+"""The poses that the arm visits in a procedure, and the result of checking them.
+
+Each pose is approached and left along the tool axis, from a point outside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+from enum import StrEnum
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from procedures.planning.errors import NotReachable
+from procedures.planning.scene import PlanningScene
+from procedures.strategies.strategy import ArmInBranch, Strategy
+from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
+from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.arm.kinematics import Branch, Kinematics
+from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LimitError
+from ronna_hw.frames import Frame, Transform
+
+APPROACH_MM = 60.0  # before the fiducial, or before the guide's held position
+
+
+class VisitKind(StrEnum):
+    """Purpose of a pose."""
+
+    LOCALIZATION = "localization"
+    TARGET = "target"
+
+
+@dataclass(frozen=True)
+class Visit:
+    """One pose of the procedure, ROBOT <- TOOL, and its approach point back along the tool axis.
+
+    `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
+    distance of the approach point from the pose; the retreat is the same line reversed.
+    """
+
+    identifier: str
+    kind: VisitKind
+    trajectory: str
+    fiducial: int | None
+    pose: Transform
+    approach_mm: float
+
+    @property
+    def approach(self) -> Transform:
+        """The approach pose ROBOT <- TOOL."""
+        return back_along_axis(self.pose, self.approach_mm)
+
+
+@dataclass(frozen=True)
+class Reached:
+    """A visit with the joint angles at its approach point, and the line from there to the pose."""
+
+    visit: Visit
+    approach_rad: JointVector
+    line: MotionPlan
+
+    @property
+    def at_rad(self) -> JointVector:
+        """Joint angles at the pose."""
+        return self.line.target_rad
+
+
+@dataclass(frozen=True)
+class JointMove:
+    """A joint move between two approach points, and its largest turn of any axis."""
+
+    start: str
+    end: str
+    largest_rad: float
+
+
+@dataclass(frozen=True)
+class Unmet:
+    """A failed precondition: which pose, and why.
+
+    `short_mm` is how much clearance a motion to the pose lacks; None if that is not what fails.
+    """
+
+    pose: str
+    reason: str
+    short_mm: float | None = None
+
+    @classmethod
+    def by(cls, pose: str, error: LimitError) -> Self:
+        """Build the failure that an error of the arm's kinematics or planner describes."""
+        return cls(pose, f"{error.summary} [{error.code}]")
+
+
+@dataclass(frozen=True)
+class PathCheck:
+    """The result: every visit with its joints in one branch, or the failures in the best branch."""
+
+    branch: Branch | None
+    reached: tuple[Reached, ...]
+    moves: tuple[JointMove, ...]
+    unmet: tuple[Unmet, ...]
+
+    @property
+    def passed(self) -> bool:
+        """Whether the whole procedure can be executed in this branch."""
+        return not self.unmet
+
+    @property
+    def joint_ranges_rad(self) -> tuple[tuple[float, float], ...]:
+        """Lowest and highest angle per axis over all poses; empty if nothing is reached."""
+        angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
+        return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
+
+    def at(self, identifier: str) -> Reached:
+        """The visit with this identifier; raises KeyError."""
+        for one in self.reached:
+            if one.visit.identifier == identifier:
+                return one
+        raise KeyError(identifier)
+
+    def require(self, advice: str | None = None) -> None:
+        """Raise PLAN-007 listing every failed precondition, with `advice` instead of the usual one."""
+        if self.unmet:
+            lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
+            raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
+
+
+@dataclass(frozen=True)
+class ArmSetting:
+    """The arm as the check needs it: the assumed pose of the CT, what is mounted, the start.
+
+    `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
+    head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
+    states for its operating mode. With a `scene`, every motion must
+    also be clear of everything in it. `sizes` are those of the arm's remaining errors. `gauge_rad` is where
+    the guide is checked after mounting; None leaves that out.
+    """
+
+    kinematics: Kinematics
+    robot_from_ct: Transform
+    flange_from_tool: Transform
+    strategy: Strategy
+    start_rad: JointVector
+    limits: MotionLimits
+    flange_from_stereo: Transform | None = None
+    approach_mm: float = APPROACH_MM
+    scene: PlanningScene | None = None
+    sizes: ErrorSizes = UNCALIBRATED
+    gauge_rad: JointVector | None = None
+
+    def __post_init__(self) -> None:
+        """Raise FRM-001 if a transform maps between other frames."""
+        require_frames(self.robot_from_ct, Frame.ROBOT, Frame.CT)
+        require_frames(self.flange_from_tool, Frame.FLANGE, Frame.TOOL)
+        if self.flange_from_stereo is not None:
+            require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
+
+    def in_branch(self, branch: Branch) -> ArmInBranch:
+        """This arm in a branch, for strategies."""
+        return ArmInBranch(
+            self.kinematics,
+            flange_from_guide=self.flange_from_tool,
+            flange_from_stereo=self.flange_from_stereo or self.flange_from_tool,
+            branch=branch,
+            near_rad=self.start_rad,
+            sizes=self.sizes,
+        )
+
+
+@dataclass(frozen=True)
+class Axes:
+    """The axes of a procedure: those along which the spheres are localized, and those of the targets.
+
+    They are the same if the strategy localizes for every trajectory.
+    """
+
+    localized: tuple[Trajectory, ...]
+    targeted: tuple[Trajectory, ...]
+
+    @classmethod
+    def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
+        """Axes as chosen by the strategy, at the planned free angles."""
+        along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
+        return cls(along, tuple(trajectories))
+
+    @property
+    def each(self) -> tuple[Trajectory, ...]:
+        """Axes without repetition."""
+        return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
+
+    def only(self, identifier: str) -> Axes:
+        """The part of the procedure along one axis."""
+        return Axes(
+            tuple(one for one in self.localized if one.identifier == identifier),
+            tuple(one for one in self.targeted if one.identifier == identifier),
+        )
+
+    def turned(self, turns_rad: Mapping[str, float]) -> Axes:
+        """Each axis turned about itself by the angle under its name."""
+
+        def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
+            return tuple(
+                replace(one, free_angle_rad=one.free_angle_rad + turns_rad[one.identifier]) for one in axes
+            )
+
+        return Axes(turn(self.localized), turn(self.targeted))
+
+
+def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
+    """Poses in the order of the procedure: localizations, then, after the tool change, targets.
+
+    Raises the strategy's errors when it finds no poses in this branch.
+    """
+    localizations = [
+        visit for axis in axes.localized for visit in localizations_along(setting, axis, fiducials_mm, branch)
+    ]
+    return (*localizations, *(target_visit(setting, trajectory) for trajectory in axes.targeted))
+
+
+def localizations_along(
+    setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
+) -> tuple[Visit, ...]:
+    """Poses of all fiducials (n, 3) in CT mm along one axis. Raises like `visits_of`."""
+    points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
+    arm = setting.in_branch(branch)
+    poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
+    return tuple(
+        Visit(
+            f"{axis.identifier}/fiducial {index}",
+            VisitKind.LOCALIZATION,
+            axis.identifier,
+            index,
+            pose,
+            setting.approach_mm,
+        )
+        for index, pose in enumerate(poses)
+    )
+
+
+def target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
+    """Pose at a target, with the guide held outside the skin."""
+    pose = target_pose(trajectory, setting.robot_from_ct)
+    name = trajectory.identifier
+    return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)

@@ -1,0 +1,269 @@
+"""Steps of the stereo head's calibration: a look at the ball, looks from all sides, looks of a check."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from pydantic import Field
+
+from procedures.calibration import Baseline, Observation, ObservationSet, Outline
+from procedures.calibration.bundle import LEAST_POSES
+from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_variants
+from procedures.engine.context import StepContext
+from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.operator.topic import Topic
+from procedures.relocalization.errors import NoSphere
+from procedures.relocalization.triangulation import check_serial
+from procedures.results.errors import GateFailed
+from procedures.results.result import StepResult
+from procedures.steps.calibration.ball_place import (
+    BALL_PICTURE,
+    SPARE,
+    BallPlace,
+    bring_over_ball,
+    return_home_if_clear,
+)
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.conditions import carries
+from procedures.workcell import MountedTool
+from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.stereo_look import Look, pair_picture
+from ronna_hw.calibration import Numbers3, StereoHeadCalibration
+
+
+class LookedAtBall(StepResult, kind="ball_look"):
+    """Result of one stereo pair."""
+
+    position_mm: Numbers3 | None = Field(description="The ball in the tool frame, if measured.")
+    left: Outline | None = Field(description="Its outline in the left image.")
+    right: Outline | None = Field(description="Its outline in the right image.")
+    reason: str = Field(description="Why the measurement yielded no point.")
+
+
+def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
+    """Look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
+    workcell = context.workcell
+    head, stereo = workcell.calibrations.stereo_head, workcell.stereo
+    head.check_valid_at(context.setting.today())
+    stereo.connect()
+    for camera, serial in zip((head.left, head.right), stereo.serials, strict=True):
+        check_serial(camera, serial)
+    stereo.configure()
+    workcell.sensors.read_whole()
+    stereo.activate()
+    return _kept(context, workcell.look())
+
+
+def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
+    """Look from over the ball, and return home."""
+    context.result(CheckedSetUp)
+    bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
+    seen = context.workcell.look()
+    context.workcell.go_home()
+    return _kept(context, seen)
+
+
+def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
+    context.setting.memory.keep(seen)  # for a display of the pictures
+    context.keep_picture(BALL_PICTURE, pair_picture(seen))
+    point = seen.point
+    return Outcome(
+        LookedAtBall(
+            position_mm=None if point is None else point.position_mm.tolist(),
+            left=None if seen.left is None else Outline.of(seen.left),
+            right=None if seen.right is None else Outline.of(seen.right),
+            reason=seen.reason,
+        ),
+        seen.reason or "measured",
+    )
+
+
+def look_step(*, over_ball: bool) -> StepSpec[LookedAtBall]:
+    """Build the step, with motion or without."""
+    if not over_ball:
+        return StepSpec(LookedAtBall, "Look", Phase.OPERATION, run_where_it_stands)
+    return StepSpec(
+        LookedAtBall,
+        "Measure the ball",
+        Phase.OPERATION,
+        run_over_ball,
+        reads=(CheckedSetUp, BallPlace),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )
+
+
+class ObservedBall(StepResult, kind="ball_observation"):
+    """Looks from which a calibration is computed."""
+
+    observed: ObservationSet = Field(description="Contents of `observations.json`.")
+    remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
+
+
+@dataclass(frozen=True)
+class BallObservation:
+    """Number of poses, and of visits to each orientation of the check."""
+
+    poses: int
+    visits: int
+
+    def run(self, context: StepContext) -> Outcome[ObservedBall]:
+        """Measure the ball. Raises PRO-002, STE-009 without a ball, CAL-010 or CAL-002 for too few looks."""
+        context.result(CheckedSetUp)
+        place, workcell = context.result(BallPlace), context.workcell
+        total = self.poses + self.visits * CHECK_ORIENTATIONS
+        purpose = f"{total} measurements from {self.poses + CHECK_ORIENTATIONS} poses"
+        watcher = bring_over_ball(context, place, purpose, self.poses)
+        plan = calibration_looks(place.reference, watcher.ball_mm, round(SPARE * self.poses))
+        seen = watcher.observe_all(
+            plan, self.poses, lambda count: context.progress(count / total, "measuring the ball")
+        )
+        for visit in range(self.visits):
+            for number in range(CHECK_ORIENTATIONS):
+                one = check_look(watcher, check_variants(place.reference, watcher.ball_mm, number), seen)
+                if one is not None:
+                    seen.append(one)
+                done = self.poses + CHECK_ORIENTATIONS * visit + number
+                context.progress(done / total, "measuring the ball")
+        remarks = return_home_if_clear(context)
+        if watcher.rejected:
+            remarks.append(
+                f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}"
+            )
+        checked = len({one.orientation for one in seen} - {None})
+        if checked < CHECK_ORIENTATIONS:
+            remarks.append(
+                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations were measured"
+            )
+        if len(seen) < LEAST_POSES:
+            refuse_too_few(watcher, len(seen))
+        calibrations = workcell.calibrations
+        observed = ObservationSet(
+            created=context.setting.began,
+            serials=workcell.stereo.serials,
+            arm_variant=workcell.arm.kinematics.name,
+            start=calibrations.stereo_head,
+            tool_tip=calibrations.tool_tip,
+            observations=tuple(seen),
+        )
+        return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
+
+
+def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
+    """Build the step for a number of poses, and of visits to each orientation of the check."""
+    return StepSpec(
+        ObservedBall,
+        "Measure the ball",
+        Phase.OPERATION,
+        BallObservation(poses, visits).run,
+        reads=(CheckedSetUp, BallPlace),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )
+
+
+def check_look(
+    watcher: BallWatcher, variants: Sequence[PlannedLook], seen: Sequence[Observation]
+) -> Observation | None:
+    """Take a look of the check: the first variant that works, and from then on always its joint angles."""
+    for one in seen:
+        if one.orientation is not None and one.orientation == variants[0].orientation:
+            return watcher.observe_at(one.joints_rad, one.orientation)
+    for planned in variants:
+        found = watcher.observe(planned)
+        if found is not None:
+            return found
+    return None
+
+
+def refuse_too_few(watcher: BallWatcher, count: int) -> None:
+    """Raise CAL-010 if most looks were out of reach, CAL-002 if they showed no ball."""
+    expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
+    if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
+        raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
+    raise TooFewPoses("too few poses show the ball", expected=expected, got=got)
+
+
+class VisitedBaseline(StepResult, kind="baseline_visit"):
+    """Looks of a check."""
+
+    calibration: str = Field(description="Name of the calibration being checked.")
+    looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
+
+
+@dataclass(frozen=True)
+class BaselineVisit:
+    """A baseline, and the number of visits to each of its orientations."""
+
+    baseline: Baseline
+    visits: int
+
+    def run(self, context: StepContext) -> Outcome[VisitedBaseline]:
+        """Measure the ball from the baseline's poses. Raises STE-010, CAL-008, CAL-001, PRO-002, STE-003."""
+        context.result(CheckedSetUp)
+        workcell, head = context.workcell, self.baseline.stereo_head
+        for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
+            check_serial(camera, serial)
+        in_use = workcell.calibrations.stereo_head
+        _require_same_cameras(in_use, head)
+        in_use.check_valid_at(context.setting.today())
+        arm = workcell.arm.kinematics.name
+        if self.baseline.arm_variant != arm:
+            raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
+        context.confirm(
+            Topic.CALIBRATION,
+            "The arm will move to the eight poses of the baseline; the ball must be where it was",
+            f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",
+        )
+        first = [
+            next(one for one in self.baseline.looks if one.orientation == orientation)
+            for orientation in self.baseline.orientations
+        ]
+        watcher = BallWatcher(workcell, self.baseline.ball_mm)
+        tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+        workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
+        workcell.start(cameras=True)
+        workcell.sensors.read_whole()
+        seen = []
+        for visit in range(self.visits):
+            for number, one in enumerate(first):
+                found = watcher.observe_at(one.joints_rad, one.orientation)
+                if found is not None:
+                    seen.append(found)
+                done = visit * len(first) + number + 1
+                context.progress(done / (self.visits * len(first)), "measuring the ball")
+        workcell.go_home()
+        if watcher.last is not None:
+            context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
+        if not seen:
+            raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
+        return Outcome(
+            VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
+        )
+
+
+def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCalibration) -> None:
+    """Raise CAL-008 for other cameras; the head's pose on the flange may have been calibrated anew."""
+    if (in_use.left, in_use.right) != (baseline.left, baseline.right):
+        raise NotTheBaseline(
+            "the theatre's calibration of the cameras is not that of the baseline",
+            expected=in_use.identifier,
+            got=baseline.identifier,
+            action="Give the baseline of the theatre's calibration, or put the records that were written "
+            "with this baseline into the theatre file.",
+        )
+
+
+def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
+    """Build the step for a baseline."""
+    return StepSpec(
+        VisitedBaseline,
+        "Measure the ball again",
+        Phase.OPERATION,
+        BaselineVisit(baseline, visits).run,
+        reads=(CheckedSetUp,),
+        moves=True,
+        preconditions=carries(MountedTool.STEREO_HEAD),
+    )

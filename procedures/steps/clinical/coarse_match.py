@@ -1,0 +1,79 @@
+"""Match of the spheres in CT and room, with the plan's layout and the patient's position as priors."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import RigidTransform
+
+from procedures.planning.line_of_sight import SENSORS_MM
+from procedures.planning.plan_model import FiducialKind
+from procedures.registration import match, match_by_template
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior
+from procedures.registration.room_prior import MIRROR, HeadSight, RoomPrior
+from procedures.registration.template import TEMPLATE_SIGMA_MM
+from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.config import ProcedureSettings
+from ronna_hw.frames import Transform
+from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
+from ronna_hw.x_frame import SPHERE_CENTRES_MM
+
+Array = NDArray[np.float64]
+
+SIGMA_CT_MM = 0.10  # per axis: the localizer's error on a poor series, with reserve
+SIGMA_TRACKER_MM = 0.35  # per axis: 0.25 mm rms of the volume, twice, for spheres and frame
+# Upward direction, LPS, by the end of the position's name: supine, prone, on the right, on the left side.
+UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "DL": (-1.0, 0.0, 0.0)}
+
+
+def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
+    """Prior on the pose robot <- CT from the planned patient position and the tracker's line of sight."""
+    return RoomPrior(
+        lying_up=np.array(UP_LPS[plan.plan.lies.value[2:]]),
+        recline_deg=settings.recline_deg,
+        tolerance_deg=settings.head_turn_deg,
+        sight=HeadSight(
+            centre_mm=np.array(plan.head.centre_mm),
+            semi_axes_mm=np.array(plan.head.semi_axes_mm),
+            eyes_mm=robot_from_tracker.apply(SENSORS_MM),
+        ),
+    )
+
+
+def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
+    """Poses by which the mirrored image of paired spheres (n, 3) fits as well, in view of the tracker."""
+    found = matched(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
+    if found.transform is None:
+        return []
+    rival = [found.runner_up.transform] if found.status is not MatchStatus.UNIQUE and found.runner_up else []
+    return [found.transform, *rival]
+
+
+def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
+    """Match spheres in the CT (n, 3) and in the room (m, 3), mm, by frame, template or implanted number."""
+    template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
+    if plan.plan.fiducials is FiducialKind.XFRAME:
+        template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
+    if template_mm is None or plan.implanted != len(template_mm):
+        return matched(image, physical, prior, expected=plan.implanted)
+    return match_by_template(
+        template_mm,
+        image,
+        physical,
+        sigma_image_mm=SIGMA_CT_MM,
+        sigma_physical_mm=SIGMA_TRACKER_MM,
+        sigma_template_mm=sigma_mm,
+        prior=prior,
+    )
+
+
+def matched(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
+    """Match by distances and prior alone."""
+    return match(
+        image,
+        physical,
+        sigma_image_mm=SIGMA_CT_MM,
+        sigma_physical_mm=SIGMA_TRACKER_MM,
+        expected=expected,
+        prior=prior,
+    )

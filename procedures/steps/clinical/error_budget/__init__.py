@@ -1,1 +1,0 @@
-"""The error budget that a registration is judged by."""

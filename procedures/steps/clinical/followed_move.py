@@ -1,0 +1,168 @@
+"""Small move of the head: the tracker measures it, and the registration follows if the operator agrees.
+
+The arm is home, where the localization was made: there the frame on the arm shows that neither cart nor
+tracker has moved, and nothing hides the head. Only a single rigid, small and completed move is followed.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from procedures.engine.context import StepContext
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import RoomReading, room_reading
+from procedures.guards.room_watch import RoomWatch
+from procedures.guards.stability import HEAD_NOTICEABLE_MM
+from procedures.registration.movement import RigidMove, rigid_move, same_points, shift_of
+from procedures.results.errors import StepRefused
+from procedures.results.result import FramedPose
+from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.results import FollowedMove
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM, build_watch, frame_at_home
+from procedures.workcell.tracker_look import FRAMES, frames_at_rest
+from ronna_hw.devices.strays import average_strays
+from ronna_hw.frames import Frame, Transform
+from ronna_hw.text import beyond, side_by_side
+
+Array = NDArray[np.float64]
+
+# Limits of a followed move, with `MOST_FOLLOWED_MM`: paths and angles were chosen for the head as it lay, and
+# a clamp that let it go further is not trusted to hold it now.
+MOST_FOLLOWED_RAD = math.radians(2.0)
+AT_REST_MM = 0.15  # between the halves of the reading: their noise is 0.05 mm
+STEADY_MM = 0.03  # per axis: drift of the tracker between two readings of one place; an estimate
+
+
+@dataclass(frozen=True)
+class MeasuredMove:
+    """A measured move and its fit, in the robot frame."""
+
+    fit: RigidMove
+    record: FollowedMove
+
+    def shares_mm(self, place_mm: ArrayLike) -> dict[str, float]:
+        """Errors by source that following adds at a place (3,) from before the move, robot frame."""
+        return {
+            "measured head movement": self.fit.error_mm(place_mm),
+            "cart and tracker stability": self.record.base_mm,
+        }
+
+
+def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
+    """Measure the move and have it agreed to; None if the head is where it was localized.
+
+    `places_mm` (n, 3) are the targets served, robot frame, before the move. Raises PRO-001 unless the arm is
+    home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.
+    """
+    try:
+        move = _measured(context)
+        if move is not None:
+            _have_agreed(context, move, places_mm)
+    except (BaseShifted, PatientMoved) as moved:
+        context.setting.memory.drop(RoomWatch)
+        context.void(GlobalLocalization, moved)
+        raise
+    return move
+
+
+def _measured(context: StepContext) -> MeasuredMove | None:
+    workcell = context.workcell
+    if not workcell.place.is_home:
+        raise StepRefused(
+            "the movement of the head can only be measured with the arm at home",
+            action="Send the arm home, then run the step again.",
+        )
+    localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
+    watch = build_watch(workcell, "", localized, pairs)
+    watch.refer(frame_at_home(context))
+    context.progress(0.0, "measuring whether the head has moved")
+    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock)
+    reading = room_reading(workcell, frames, watch.robot_from_tracker)
+    base_mm = _base_mm(watch, reading)
+    rows = same_points(watch.spheres_mm, reading.spheres_mm)
+    if rows is None:
+        raise PatientUnseen("the tracker sees too few known spheres to measure the movement of the head")
+    before, after = (list(side) for side in zip(*rows, strict=True))
+    halves = (average_strays(half).groups for half in (frames[: FRAMES // 2], frames[FRAMES // 2 :]))
+    ways = shift_of(*([group.mean_mm for group in groups] for groups in halves))
+    if ways is None or ways.rms_mm > AT_REST_MM:
+        raise PatientUnseen("the head is not at rest: its movement cannot be measured")
+    to_robot = watch.robot_from_tracker
+    groups = average_strays(frames).groups
+    each = np.array([groups[row].covariance_mm2 for row in after])
+    counts = np.array([[1.0 / groups[row].count + 1.0 / FRAMES] for row in after])[:, :, None]
+    turn = to_robot.rotation_matrix
+    covariance = turn @ (each * counts) @ turn.T + np.eye(3) * STEADY_MM**2
+    fit = rigid_move(
+        to_robot.apply(watch.spheres_mm[before]), to_robot.apply(reading.spheres_mm[after]), covariance
+    )
+    if fit.rms_mm < HEAD_NOTICEABLE_MM:
+        return None
+    now = to_robot.inverse().apply(fit.fit.transform.apply(to_robot.apply(watch.spheres_mm)))
+    now[before] = reading.spheres_mm[after]
+    move = FollowedMove(
+        robot_from_robot=FramedPose.of(Transform(Frame.ROBOT, Frame.ROBOT, fit.fit.transform)),
+        way_mm=fit.way_mm,
+        turn_deg=math.degrees(fit.turn_rad),
+        pairs=fit.fit.pairs,
+        residual_mm=float(fit.fit.fre_mm),
+        limit_mm=fit.gate.limit_mm,
+        base_mm=base_mm,
+        spheres_tracker_mm=tuple(now.tolist()),
+    )
+    _require_followable(fit, move)
+    return MeasuredMove(fit, move)
+
+
+def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
+    base = watch.base_shift(reading)
+    if base is None:
+        raise PatientUnseen(
+            "the tracker does not see the frame on the arm: head and tracker movement cannot be told apart"
+        )
+    if base.moved_mm >= base.limit_mm:
+        raise BaseShifted(
+            "the cart or the tracker was moved: the movement of the head cannot be measured",
+            limit=f"{base.limit_mm:g} mm",
+            got=f"{beyond(base.moved_mm, base.limit_mm, 2)} mm",
+        )
+    return base.moved_mm
+
+
+def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
+    if not fit.gate.passed:
+        residual, limit = side_by_side(move.residual_mm, move.limit_mm, 2)
+        raise PatientMoved(
+            "the spheres on the head have not moved as a rigid body",
+            limit=f"{limit} mm",
+            got=f"{residual} mm",
+        )
+    if fit.rms_mm > MOST_FOLLOWED_MM or fit.turn_rad > MOST_FOLLOWED_RAD:
+        raise PatientMoved(
+            "the head has moved too far for the registration to follow",
+            limit=f"{MOST_FOLLOWED_MM:g} mm, {math.degrees(MOST_FOLLOWED_RAD):g} deg",
+            got=f"{fit.rms_mm:.2f} mm, {move.turn_deg:.2f} deg",
+        )
+
+
+def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike) -> None:
+    figures, names = move.record, " and ".join(context.served_trajectories)
+    moved = f"{figures.way_mm:.2f} mm and {figures.turn_deg:.2f} deg"
+    adds_mm = max(math.hypot(*move.shares_mm(place).values()) for place in np.reshape(places_mm, (-1, 3)))
+    question = MOVE_FOLLOWED.question(
+        f"the head has moved by {moved}: let the registration for {names} follow",
+        f"{figures.pairs} spheres fit one rigid motion to {figures.residual_mm:.2f} mm, limit "
+        f"{figures.limit_mm:.2f} mm; following adds {adds_mm:.2f} mm rms at the target",
+        context.key.trajectory,
+    )
+    if context.choose(question) != FOLLOW:
+        raise PatientMoved.by(
+            "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
+        )
+    context.find(f"the registration for {names} follows a head movement of {moved}")

@@ -1,0 +1,127 @@
+"""Guard of the inputs: CT, plan and proposed place are still those that the results were computed from.
+
+Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
+"""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from contextlib import suppress
+from pathlib import Path
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.engine import Engine
+from procedures.engine.step import StepKey
+from procedures.guards.errors import InputChanged
+from procedures.imaging.series import read_series
+from procedures.planning.plan_file import read_plan
+from procedures.results.result import StepResult
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.plan_check import CheckedPlan
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
+from ronna_hw.evidence.manifest import input_hashes, made_from
+from ronna_hw.records import Record
+
+Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
+Stamps = tuple[Stamp, ...]
+
+
+class UnchangedInputs:
+    """Guard of CT, plan and cart position; a change ends the step and voids all results computed from it."""
+
+    name = "CT, plan and cart position"
+
+    def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
+        """Remember the files as they are. Raises OSError."""
+        self._engine = engine
+        self._inputs: dict[Path, type[StepResult]] = {
+            clinical.series: ImportedCt,
+            clinical.plan: CheckedPlan,
+            clinical.place: LockedCart,
+        }
+        self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
+
+    def unmet(self) -> str | None:
+        """Describe an unreadable input. Raises PRO-021 for a changed one."""
+        for path, model in self._inputs.items():
+            stored = self._engine.case.find(model, None)
+            try:
+                stamps = _stamps(path)
+            except OSError as error:
+                if model is LockedCart and (stored is None or not _proposed(stored.result)):
+                    continue  # it need not be there
+                return f"{path.name} cannot be read ({error.strerror}): restore it"
+            if stored is None or stamps == self._seen.get(path):
+                continue
+            key = StepKey(model.kind)
+            if model is LockedCart and not _proposed(stored.result):
+                self._engine.find(f"{path.name} did not exist at {key}: the cart is not compared with it")
+            elif changed := _changed(stored.result, path):
+                problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
+                self._engine.context(key).void(model, problem)
+                self._seen[path] = stamps
+                raise problem
+            elif model is not ImportedCt:
+                note_same_content(self._engine, path, stored.record)
+            self._seen[path] = stamps
+        return None
+
+    def close(self) -> None:
+        """Note inputs rewritten since the last look, when the run is closed."""
+        for path, model in self._inputs.items():
+            stored = self._engine.case.find(model, None)
+            if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
+                continue
+            if not _changed(stored.result, path):
+                with suppress(RonnaError):  # the journal cannot be written: close all the same
+                    note_same_content(self._engine, path, stored.record)
+
+
+def note_same_content(engine: Engine, path: Path, record: Record) -> None:
+    """Note that a plan or position was rewritten with equal content: the standing result remains valid.
+
+    Raises PRO-003.
+    """
+    folder = engine.case.folder
+    then = made_from(read_chain(folder / JOURNAL_FILE).lines)
+    now: dict[str, JournalValue] = dict(input_hashes(folder, [path]))
+    if any(then.get(name, sha256) != sha256 for name, sha256 in now.items()):
+        text = f"{path.name} was written again with the same content"
+        engine.find(text, record=record.identifier, inputs=now)
+
+
+def _proposed(result: StepResult) -> bool:
+    return isinstance(result, LockedCart) and result.proposal is not None
+
+
+def _changed(result: StepResult, path: Path) -> str:
+    """Describe how an input differs, or why it cannot be read; empty if it is the same."""
+    try:
+        if isinstance(result, ImportedCt):
+            return result.differences(read_series(path))
+        if isinstance(result, LockedCart):
+            return result.differences(path)
+        same = isinstance(result, CheckedPlan) and read_plan(path) == result.plan
+        return "" if same else "another plan"
+    except (RonnaError, OSError) as problem:
+        return str(problem)
+
+
+def _stamps(path: Path) -> Stamps:
+    return tuple(sorted(_each(path)))
+
+
+def _each(path: Path) -> Iterator[Stamp]:
+    if not path.is_dir():
+        yield _stamp(path.name, path.stat())
+        return
+    with os.scandir(path) as files:  # a series has hundreds of slices, and this is asked before each motion
+        for file in files:
+            yield _stamp(file.name, file.stat())
+
+
+def _stamp(name: str, seen: os.stat_result) -> Stamp:
+    return name, seen.st_ino, seen.st_size, seen.st_mtime_ns

@@ -1,0 +1,194 @@
+"""Results that the comparison of the room reads: localized spheres, registration, look after a target.
+
+They are apart from their steps, which themselves compare the room.
+"""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Mapping
+from dataclasses import asdict
+from typing import Self
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
+
+from procedures.engine.context import StepContext
+from procedures.guards.stability import SeenUnchanged, Subject
+from procedures.registration import TwoWayTable
+from procedures.results.result import FramedPose, Matrix3, Numbers6, StepResult, Values
+from ronna_hw.calibration import Numbers3
+
+Array = NDArray[np.float64]
+
+# Rms at the spheres that remains after a rigid fit, as measured in docs/reference/scanner-faults.md. No scan
+# shows these by itself.
+NOT_PREDICTED = (
+    "what is common to a scan (scale, table feed, motion, hidden tilt): 0.02 mm at the spheres for 0.1 % of "
+    "table feed, 0.09 mm for a motion by 0.3 mm, 0.15 mm for a tilt of 0.5 deg"
+)
+
+
+class LeftOutSphere(Values):
+    """A sphere left out of a registration, as agreed by the operator."""
+
+    fiducial: int = Field(description="Index of the sphere in the CT.")
+    reason: str = Field(description="Why.")
+
+
+class Relocalization(StepResult, kind="relocalization", version=2):
+    """Fine positions of the spheres in the room, by the stereo head; one entry for each sphere."""
+
+    fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
+    points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
+    covariances_mm2: tuple[Matrix3, ...] = Field(description="Of the stereo measurement, robot frame.")
+    residuals_mm: tuple[tuple[float, ...], ...] = Field(
+        description="Residuals of the servo, image pair by image pair."
+    )
+    ray_gaps_mm: tuple[float, ...] = Field(description="Distance between the two lines of sight.")
+    radii_mm: tuple[tuple[float, float], ...] = Field(
+        description="Centres of its outlines, left and right, at the measured position."
+    )
+    looks: tuple[int, ...] = Field(description="Image pairs taken.")
+    joints_rad: tuple[Numbers6, ...] = Field(description="Joints measured at the last image pair.")
+    coarse_offset_mm: Numbers3 = Field(description="Mean of fine minus coarse position.")
+    left_out: tuple[LeftOutSphere, ...] = Field(default=(), description="Spheres without a measurement.")
+    frame_at_home_mm: Numbers3 | None = Field(
+        default=None,
+        description="The frame on the arm before, home: by the tracker minus by the arm, robot frame.",
+    )
+
+    @model_validator(mode="after")
+    def _one_entry_for_each_sphere(self) -> Self:
+        counts = {len(self.points_robot_mm), len(self.covariances_mm2), len(self.residuals_mm)}
+        counts |= {len(self.ray_gaps_mm), len(self.radii_mm), len(self.looks), len(self.joints_rad)}
+        if counts != {len(self.fiducials)}:
+            raise ValueError("expected one entry for each of the fiducials")
+        return self
+
+    @property
+    def points_mm(self) -> Array:
+        """Spheres (n, 3), robot frame, mm."""
+        return np.asarray(self.points_robot_mm, dtype=float).reshape(-1, 3)
+
+
+class ErrorShare(Values):
+    """Share of one source in a predicted error; the squares of all shares add up to its square."""
+
+    source: str = Field(description="Such as `CT` or `guide tip`.")
+    rms_mm: float = Field(description="Root mean square at the target.")
+
+
+class Prediction(Values):
+    """Predicted error at one target."""
+
+    target: str = Field(description="Name of the trajectory.")
+    rms_mm: float = Field(description="Root mean square.")
+    limit_mm: float = Field(description="Radius that holds the error with the stated confidence.")
+    confidence: float = Field(description="Of that radius, 0 to 1.")
+    formula: str = Field(description="Method of prediction.")
+    budget: tuple[ErrorShare, ...] = Field(default=(), description="Its contributions.")
+    excluded: str = Field(default=NOT_PREDICTED, description="Errors that it does not contain.")
+
+
+class FollowedMove(Values):
+    """Move of the head since the re-localization, measured by the tracker and accepted by the operator."""
+
+    robot_from_robot: FramedPose = Field(
+        description="From the head's previous pose to its present one, robot frame."
+    )
+    way_mm: float = Field(description="Displacement of the spheres' centroid.")
+    turn_deg: float = Field(description="Angle of the rotation.")
+    pairs: int = Field(description="Spheres used.")
+    residual_mm: float = Field(description="Rms deviation from one rigid motion.")
+    limit_mm: float = Field(description="Limit of that residual, from the noise of both readings.")
+    base_mm: float = Field(
+        description="Motion between the frame on the arm and the tracker since the localization."
+    )
+    spheres_tracker_mm: tuple[Numbers3, ...] = Field(description="All matched spheres now, tracker frame.")
+
+
+class RegisteredRobot(StepResult, kind="registration"):
+    """Pose of the CT in the robot frame, with its predicted error at the targets."""
+
+    robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
+    pairs: int = Field(description="Spheres it was fitted to.")
+    fre_mm: float = Field(description="Fiducial registration error: not a measure of accuracy.")
+    residuals_mm: tuple[Numbers3, ...] = Field(description="Of each sphere, robot frame.")
+    leave_one_out_mm: tuple[float | None, ...] = Field(
+        description="Residual of each sphere when fitted without it."
+    )
+    predictions: tuple[Prediction, ...] = Field(description="One for each target it serves.")
+    two_way: TwoWayTable = Field(description="CT to room and room to CT.")
+    left_out_spheres: tuple[LeftOutSphere, ...] = Field(
+        default=(), description="Measured but not used in the fit: they disagree with all others."
+    )
+    followed: FollowedMove | None = Field(
+        default=None, description="The head movement that it follows; everything else is from before that."
+    )
+    left_out: dict[str, str] = Field(
+        default={},
+        description="Trajectories that it is not accurate enough for, and why; they are not targeted.",
+    )
+
+    def leaves_out(self) -> Mapping[str, str]:
+        return self.left_out
+
+    @property
+    def trajectories(self) -> frozenset[str]:
+        """Trajectories that it serves."""
+        return frozenset(one.target for one in self.predictions)
+
+    def prediction(self, target: str) -> Prediction:
+        """The prediction at a target. Raises KeyError."""
+        for one in self.predictions:
+            if one.target == target:
+                return one
+        raise KeyError(target)
+
+
+class LinkHealth(Values):
+    """Counters, turnaround and jitter since the arm was last activated. Times are host time."""
+
+    lock_step: bool = Field(description="Theatre time stood still between telegrams: not a real-time figure.")
+    cycles: int = Field(description="Telegrams that were answered.")
+    late_cycles: int = Field(description="Replies that came too late, according to the controller.")
+    lost_cycles: int = Field(description="Cycles missing from the telegram counter.")
+    rejected_telegrams: int = Field(description="Telegrams that were not understood.")
+    foreign_telegrams: int = Field(description="Telegrams from another sender.")
+    turnaround_median_us: float = Field(description="From telegram to reply.")
+    turnaround_p99_us: float = Field(description="99 % within.")
+    jitter_median_us: float = Field(description="Of a telegram from its place in the controller's pace.")
+    jitter_p99_us: float = Field(description="99 % within.")
+    histogram_edges_us: tuple[NonNegativeFloat, ...] = Field(description="Of both histograms.")
+    histogram_counts: tuple[NonNegativeInt, ...] = Field(description="Of the turnaround.")
+    jitter_counts: tuple[NonNegativeInt, ...] = Field(description="Of the jitter.")
+
+    @model_validator(mode="after")
+    def _bins_have_counts(self) -> Self:
+        edges, bins = self.histogram_edges_us, max(0, len(self.histogram_edges_us) - 1)
+        if len(self.histogram_counts) != bins or len(self.jitter_counts) not in (0, bins):
+            raise ValueError(f"expected {bins} counts of turnaround, and as many or none of jitter")
+        if any(low >= high for low, high in itertools.pairwise(edges)):
+            raise ValueError("the edges of the histograms do not ascend")
+        return self
+
+
+def link_health(context: StepContext) -> LinkHealth:
+    """Read the health of the link; call it right before the stream is ended."""
+    statistics = asdict(context.workcell.link_statistics())
+    fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
+    return LinkHealth(lock_step=not context.setting.clock.paced, **fields)
+
+
+class ConfirmedTarget(StepResult, kind="confirmation"):
+    """Result of the look after a target."""
+
+    seen: tuple[SeenUnchanged, ...] = Field(description="Head, cart and tracker, guide.")
+    in_doubt: tuple[str, ...] = Field(description="Targets that may be off by more than was predicted.")
+    link: LinkHealth | None = Field(description="Health of the robot link over the gauge; none if unused.")
+
+    def confirms(self, subject: Subject) -> bool:
+        """Whether a subject was seen unchanged."""
+        return any(one.unchanged for one in self.seen if one.subject == subject)

@@ -1,0 +1,195 @@
+"""Comparison of the room with its localization, before and after the motions of a step.
+
+Have head, cart and tracker stayed in place? If not, the results that depend on what moved are voided, and the
+targets that nobody has confirmed since are in doubt.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from procedures.engine.context import StepContext
+from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
+from procedures.guards.room_reading import FRAMES, RoomReading
+from procedures.guards.room_watch import Approach, RoomLook, RoomWatch, check_now
+from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.planning.line_of_sight import TrackerSight
+from procedures.registration.movement import LEAST_POINTS
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
+from procedures.workcell import MountedTool, Workcell
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+
+Array = NDArray[np.float64]
+
+MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration may follow
+ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
+
+
+def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLook:
+    """Compare a reading of the tracker, taken at rest, with the localization and the readings since.
+
+    Raises PRO-019, PRO-020 and PRO-022; a move voids the localization, or the registrations that may follow
+    it, and everything computed from them.
+    """
+    setting, void = context.setting, partial(void_moved, context)
+    look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
+    for finding in look.findings:
+        context.find(f"{where}: {finding}")
+    return look
+
+
+def require_unmoved(context: StepContext, where: str) -> None:
+    """Look carefully, with the arm home, before a guide goes to the head.
+
+    Raises PRO-022 if head or base cannot be compared, and as `check_room`.
+    """
+    look = check_room(context, where, CAREFUL_FRAMES)
+    if look.head_mm is None:
+        raise PatientUnseen(
+            f"{where}, the tracker does not see the head",
+            expected="at least three known spheres in view",
+        )
+    if look.base is None:
+        raise PatientUnseen(
+            f"{where}, the tracker does not see the frame on the arm: the cart may have moved",
+            expected="the frame on the arm in view, with the arm home",
+        )
+
+
+@dataclass(frozen=True)
+class ExpectedSight:
+    """Expected view of the tracker past the guide, from the bodies of the clearance check."""
+
+    context: StepContext
+    sight: TrackerSight
+    surroundings: Surroundings
+
+    def hidden_at(self, joints_rad: JointVector) -> bool:
+        """Whether too few spheres are visible with the arm at these joints."""
+        arm = self.context.workcell.arm.kinematics
+        return int(self.sight.seen(arm, self.surroundings, joints_rad).sum()) < LEAST_POINTS
+
+    def hidden_now(self) -> bool:
+        """Whether too few spheres are visible with the arm in its present pose."""
+        return self.hidden_at(self.context.workcell.joints_rad())
+
+
+def expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
+    """Build the expected view of the localized spheres, and give it to the watch."""
+    watch = room_watch(context)
+    expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
+    watch.approach = Approach(expected.hidden_now)
+    return expected
+
+
+@contextmanager
+def head_must_show(context: StepContext) -> Iterator[None]:
+    """Bound, within the block, the time for which the head may be unseen before the case suspends."""
+    watch = context.setting.memory.find(RoomWatch)
+    approach = None if watch is None else watch.approach
+    if approach is None:
+        yield
+        return
+    approach.under_way = True
+    try:
+        yield
+    finally:
+        approach.under_way = False
+
+
+def room_watch(context: StepContext) -> RoomWatch:
+    """Return the watch over the standing localization; begin one for a new localization.
+
+    If the registration has followed a move of the head, the spheres are expected where they are since.
+    """
+    localized = context.result(GlobalLocalization)
+    name = context.identifier(GlobalLocalization)
+    watch = context.setting.memory.find(RoomWatch)
+    if watch is None or watch.localization != name:
+        watch = build_watch(context.workcell, name, localized, context.result(Correspondence).pairs)
+        watch.refer(frame_at_home(context))
+        context.setting.memory.keep(watch)
+    followed = partial(followed_registration, trajectory=context.key.trajectory)
+    watch.follow(followed_spheres(context.result_among(RegisteredRobot, followed)))
+    return watch
+
+
+def build_watch(
+    workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
+) -> RoomWatch:
+    """Build the watch over the localization of this name, over all its spheres unless `pairs` are matched."""
+    spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
+    if pairs is not None:
+        spheres = spheres[[room for _, room in pairs]]
+    flange = workcell.flange_pose(localized.joints_rad)
+    begun = RoomReading(flange, np.zeros(3), spheres, frames=localized.frames)
+    return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
+
+
+def followed_registration(
+    registrations: Sequence[RegisteredRobot], trajectory: str | None
+) -> RegisteredRobot | None:
+    """The registration of a trajectory, else the last one, if it has followed a move of the head."""
+    own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
+    return own[-1] if own and own[-1].followed is not None else None
+
+
+def followed_spheres(registration: RegisteredRobot | None) -> Array | None:
+    """Spheres (n, 3) since a registration followed them, tracker frame; None if none did."""
+    move = None if registration is None else registration.followed
+    return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
+
+
+def frame_at_home(context: StepContext) -> Array | None:
+    """Frame on the arm at home (3,) mm, before the spheres were localized again; None if not recorded."""
+
+    def first(made: Sequence[Relocalization]) -> Relocalization | None:
+        return next((one for one in made if one.frame_at_home_mm is not None), None)
+
+    found = context.result_among(Relocalization, first)
+    return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)
+
+
+def unconfirmed(context: StepContext) -> tuple[str, ...]:
+    """Targets with work begun or done since the last look that showed no change."""
+    confirmed = context.done_for(ConfirmedTarget, lambda look: not look.in_doubt)
+    stages = context.workcell.instrument.stages
+    return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
+
+
+def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
+    """Record a finding on the unconfirmed targets; unless `again`, only on those without any look."""
+    looked = () if again else context.done_for(ConfirmedTarget)
+    if targets := tuple(name for name in unconfirmed(context) if name not in looked):
+        context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
+
+
+def void_moved(context: StepContext, moved: RonnaError) -> None:
+    """Void the registrations that may follow a small move with the guide mounted, else the localization.
+
+    A moved cart voids its lock as well. Unconfirmed targets are in doubt, as nobody knows when it moved.
+    """
+    doubt(context, moved.summary)
+    may_follow = (
+        isinstance(moved, PatientMoved)
+        and moved.moved_mm <= MOST_FOLLOWED_MM
+        and context.workcell.tool is MountedTool.GUIDE
+        and context.stands(RegisteredRobot)
+    )
+    if may_follow:
+        context.void_each(RegisteredRobot, moved)
+    elif isinstance(moved, BaseShifted) and moved.cart and context.stands(LockedCart):
+        context.void(LockedCart, moved)
+    else:
+        context.void(GlobalLocalization, moved)

@@ -1,1 +1,0 @@
-"""Spheres as several steps know them: roughly matched, and left out."""

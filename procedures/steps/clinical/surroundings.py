@@ -1,0 +1,67 @@
+"""Surroundings for the arm's clearance check: the head, where the case has it, and the room."""
+
+from __future__ import annotations
+
+from numpy.typing import ArrayLike
+
+from procedures.engine.context import StepContext
+from procedures.planning.scene import PlanningScene, frame_bodies
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.strategies.trajectory import Trajectory
+from procedures.workcell import MountedTool
+from ronna_hw.arm.clearance.bodies import Surroundings
+from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.frames import Transform
+
+READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
+
+
+def planning_scene_of(context: StepContext) -> PlanningScene:
+    """Scene of a step: the head in the CT, its spheres, and the theatre file's bodies."""
+    around = context.setting.surroundings
+    return planning_scene(around, context.result(CheckedPlan), context.result(LocalizedFiducials))
+
+
+def planning_scene(
+    around: CollisionConfig, plan: CheckedPlan, localized: LocalizedFiducials
+) -> PlanningScene:
+    """Scene from these results."""
+    return PlanningScene(
+        around,
+        plan.head,
+        tuple(marker.centre_mm for marker in localized.markers),
+        frame_bodies(plan.plan.fiducials, localized.centres_mm),
+    )
+
+
+def surround_stereo_head(
+    context: StepContext,
+    near_rad: JointVector,
+    trajectory: Trajectory | None = None,
+    offset_mm: ArrayLike = (0.0, 0.0, 0.0),
+) -> None:
+    """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
+
+    `near_rad` is where the arm works, see `Workcell.surround`. With a trajectory, its corridor into the head
+    is open. `offset_mm` (3,) is the displacement of the head as seen by the stereo head.
+    """
+    workcell = context.workcell
+    robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displaced(offset_mm)
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
+
+
+def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: JointVector) -> Surroundings:
+    """Set the arm's surroundings while the guide is mounted, from this trajectory's registration.
+
+    `near_rad` is where the arm works, see `Workcell.surround`.
+    """
+    workcell = context.workcell
+    trajectory = context.result(CheckedPlan).trajectory(context.trajectory).trajectory
+    guide = workcell.flange_from(MountedTool.GUIDE)
+    surroundings = planning_scene_of(context).with_guide(robot_from_ct, guide, trajectory)
+    workcell.surround(surroundings, near_rad)
+    return surroundings

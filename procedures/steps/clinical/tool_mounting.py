@@ -1,0 +1,88 @@
+"""The mounted tool: exchanged by hand on the parked arm, and seen in place by the tracker.
+
+The controller's inputs show whether the right tool is mounted. The tracker compares the frame on the tool
+with frame M on the mount in the same readings, so neither the arm, nor the tracker's position, nor any
+calibration matters. This gross check precedes any motion: a longer tool would hit the gauge.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from procedures.engine.context import StepContext
+from procedures.operator.question import YES
+from procedures.operator.topic import Topic
+from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
+from procedures.steps.errors import ToolSeenElsewhere
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import WrongTool
+from procedures.workcell.tracker_look import frames_at_rest, mean_pose
+from ronna_hw.calibration import STEREO_HEAD_NUMBER
+from ronna_hw.frames import Frame
+from ronna_hw.text import beyond
+from ronna_hw.tool_record import ToolFrame
+
+SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
+FRAMES, LEAST_FRAMES = 30, 15  # half a second, and how many of them must show both
+
+
+def exchange_tool(context: StepContext, tool: MountedTool) -> int:
+    """End the correction stream and have a tool mounted, unless it is already; return its number.
+
+    Raises PRO-002, or PRO-009 if it is not mounted in the end.
+    """
+    workcell = context.workcell
+    workcell.rest()
+    number, name = STEREO_HEAD_NUMBER, "the stereo head"
+    if tool is MountedTool.GUIDE:
+        number, name = workcell.calibrations.tool_tip.tool_number, "the surgical guide"
+    value = f"{name}, tool {number}"
+    if workcell.tool is tool:  # after an interrupted exchange: remounting would change its seat
+        context.confirm(Topic.TOOL_CHANGE, "the tool is still mounted; leave it on", value)
+    else:
+        context.setting.room.change_tool(number, name)
+        context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
+    for mounting in range(1, MOUNTINGS + 1):
+        try:
+            return workcell.check_mounted(tool)
+        except WrongTool as problem:
+            if mounting == MOUNTINGS:
+                raise
+            context.setting.room.change_tool(number, name)
+            again = WRONG_TOOL.question(
+                "the wrong tool is mounted: mount again", f"{value}; {problem.summary}"
+            )
+            if context.choose(again) != YES:
+                raise
+    raise AssertionError("the last mounting has returned or raised")
+
+
+def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: bool = True) -> float | None:
+    """Largest distance of a sphere on the tool from its recorded position, mm. Raises TOOL-006.
+
+    None if a frame is hidden and `must_see` is not set.
+    """
+    workcell = context.workcell
+    reference = workcell.calibrations.tracker_frame
+    workcell.rest()  # the tracker measures while the arm's stream is off
+    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock, count=FRAMES)
+    on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
+    on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
+    if on_mount is None or on_tool is None:
+        if not must_see:
+            return None
+        unseen = reference.tool if on_mount is None else frame.tool
+        raise ToolSeenElsewhere(
+            f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"
+        )
+    seen_mm = (on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
+    recorded = frame.mount_from_frame.transform(Frame.MARKER, Frame.MARKER)
+    expected_mm = recorded.apply(workcell.tracker.markers_mm[frame.tool])
+    off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
+    if off_mm > SEEN_LIMIT_MM:
+        raise ToolSeenElsewhere(
+            f"the tracker sees {frame.tool} off its recorded position on the mount",
+            limit=f"{SEEN_LIMIT_MM:g} mm",
+            got=f"{beyond(off_mm, SEEN_LIMIT_MM, 2)} mm",
+        )
+    return off_mm

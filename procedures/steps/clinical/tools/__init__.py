@@ -1,1 +1,0 @@
-"""The tool on the arm, and the instrument in it."""

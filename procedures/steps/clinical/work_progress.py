@@ -1,0 +1,222 @@
+"""Progress of the work through the guide: its stages, the depth stop, and where it continues."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from pydantic import Field
+
+from procedures.engine.context import StepContext
+from procedures.engine.engine import Engine
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import NO, YES
+from procedures.operator.room import Task
+from procedures.operator.topic import Topic
+from procedures.planning.guide import depth_stop_mm
+from procedures.results.result import Values
+from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, from_stage
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.conditions import require_recent
+from procedures.steps.errors import DepthStopWrong, ReadingTooOld
+from ronna_hw.wire import room_tasks
+from ronna_hw.wire.room_tasks import DEPTH_STOP
+
+# A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
+STOP_LIMIT_MM = 0.1
+BESIDE = "the guide was repositioned since; its axis may miss the opening"
+
+
+@dataclass(frozen=True)
+class WorkStage:
+    """Stage of the work through the guide: the task for hands, and the statement to confirm."""
+
+    task: str
+    topic: Topic
+    does: str
+    confirms: str
+
+
+STAGES = (
+    WorkStage(room_tasks.SKIN, Topic.SKIN, "open the skin", "the skin is open"),
+    WorkStage(room_tasks.DRILL, Topic.DRILL, "drill the skull", "the skull is drilled"),
+    WorkStage(room_tasks.DURA, Topic.DURA, "open the dura", "the dura is open"),
+    WorkStage(
+        room_tasks.INSERT,
+        Topic.AT_TARGET,
+        "insert the instrument until its stop rests on the guide",
+        "the instrument is at depth and the work there is done",
+    ),
+)
+
+
+@dataclass
+class WorkProgress:
+    """Work done through the guide, from which an interrupted step continues.
+
+    `before` are the tasks of stages done on an earlier visit, which are not repeated. `watched` says that the
+    tracker saw the guide after each stage since, `pushed_mm` is its largest displacement after one.
+    `stop_read_s` is the theatre time of the depth stop's reading until the instrument goes in.
+    """
+
+    trajectory: str
+    stop: DepthStop
+    before: tuple[str, ...] = ()
+    done: list[str] = field(default_factory=list)  # tasks
+    watched: bool = True
+    pushed_mm: float = 0.0
+    stop_read_s: float | None = None
+
+    @property
+    def finished_before(self) -> bool:
+        """Whether all stages were done on an earlier visit."""
+        return len(self.before) == len(STAGES)
+
+    def rely_on_stop(self, context: StepContext) -> None:
+        """Rely on the depth stop for insertion. Raises TOOL-007 if its reading is too old, to set it anew."""
+        if self.stop_read_s is None:
+            return
+        try:
+            require_recent(context, f"the depth stop for {self.trajectory}", self.stop_read_s)
+        except ReadingTooOld:
+            context.setting.memory.drop(WorkProgress)
+            raise
+        self.stop_read_s = None
+
+
+def work_progress(context: StepContext) -> WorkProgress:
+    """Return work that was left with the instrument inside, otherwise new work with the depth stop set.
+
+    If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
+    """
+    memory, instrument = context.setting.memory, context.workcell.instrument
+    trajectory = context.trajectory
+    begun = memory.find(WorkProgress)
+    if begun is not None and begun.trajectory == trajectory == instrument.inside:
+        return begun
+    context.have_instrument_out()
+    before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
+    if len(before) == len(STAGES):
+        context.find(
+            f"the work at {trajectory} was finished when the guide was there earlier; the guide "
+            "was not watched then"
+        )
+        return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
+    begun = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
+    begun.stop_read_s = context.setting.clock.now_s()
+    instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
+    memory.keep(begun)
+    context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
+    instrument.goes_in(trajectory)
+    return begun
+
+
+def done_in_words(known: Mapping[str, bool]) -> str:
+    """Describe the work done."""
+    stages = [stage for stage in STAGES if stage.task in known]
+    return ", ".join(
+        stage.confirms if known[stage.task] else f"begun and not confirmed: {stage.does}" for stage in stages
+    )
+
+
+def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
+    """Describe the work begun at each unfinished target."""
+    finished = engine.course.finished
+    stages = engine.setting.workcell.instrument.stages
+    names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
+    return tuple(f"work has begun at {name}: {done_in_words(stages.at(name))}" for name in names)
+
+
+def _done_before(context: StepContext) -> tuple[str, ...]:
+    """Tasks not to be repeated, as the operator chooses; all of them if the work was finished."""
+    stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
+    if not (known := stages.at(context.trajectory)):
+        return ()
+    # The instrument is out, and goes in again whatever was done with it.
+    first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
+    first = min(first, len(tasks) - 1)
+    finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
+    trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
+    question = WORK_BEGUN.question(
+        f"work was already begun at {trajectory}: {done_in_words(known)}",
+        f"{BESIDE}; check, then choose the stage to continue from",
+        trajectory,
+        (*((FINISHED,) if finished else ()), *offered, HOLD),
+    )
+    answer = context.choose(question)
+    if finished and answer == FINISHED:
+        return tuple(tasks)
+    if answer not in offered:
+        raise NotConfirmed(
+            f"nobody chose the stage to continue from at {trajectory}",
+            action="Nothing was done. Repeat the step, or send the arm home.",
+        )
+    return tuple(tasks[: len(offered) - 1 - offered.index(answer)])
+
+
+class DepthStop(Values):
+    """Computed setting and reading of the depth stop."""
+
+    bore_mm: float = Field(description="Length of the guide's bore.")
+    standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
+    depth_mm: float = Field(description="From the entry to the target.")
+    computed_mm: float = Field(description="From the instrument's tip to the stop: the sum of these.")
+    read_mm: float = Field(description="As read off the instrument.")
+
+    @property
+    def too_deep_mm(self) -> float:
+        """Depth beyond the target that the reading allows; negative if short of it."""
+        return self.read_mm - self.computed_mm
+
+
+def set_depth_stop(context: StepContext) -> DepthStop:
+    """Have the depth stop set, read and confirmed. Raises TOOL-004 if it stays wrong, PRO-002."""
+    checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
+    plan, planned = checked.plan, checked.trajectory(context.trajectory)
+    computed_mm = depth_stop_mm(plan, planned, bore)
+    sum_of = (
+        f"bore {bore.length_mm:.2f} + stand-off {plan.standoff_mm:.2f} + depth {planned.depth_mm:.2f}"
+        f" = {computed_mm:.2f} mm from tip to stop"
+    )
+    task = Task(
+        DEPTH_STOP,
+        f"set the depth stop of the instrument for {context.trajectory} to {computed_mm:.2f} mm",
+        context.trajectory,
+        (computed_mm,),
+        ("depth stop in mm, read off its scale",),
+        (bore.length_mm, plan.instrument_length_mm),  # the part of its scale beyond the guide
+    )
+    for setting in range(1, SETTINGS + 1):
+        (read_mm,) = context.have_done(task)
+        wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
+        if not wrong:
+            break
+        problem = DepthStopWrong(
+            f"the depth stop for {context.trajectory} is set wrong",
+            expected=f"{computed_mm:.2f} mm",
+            limit=f"{STOP_LIMIT_MM:g} mm from it",
+            got=f"{read_mm:.2f} mm",
+        )
+        context.find(problem.summary)
+        question = WRONG_STOP.question(
+            "the depth stop is set wrong: set it again",
+            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
+            f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
+            "no instrument is inserted",
+            context.trajectory,
+        )
+        if setting == SETTINGS or context.choose(question) != YES:
+            raise problem
+    context.confirm(
+        Topic.DEPTH_STOP,
+        f"the depth stop for {context.trajectory} is set",
+        f"{sum_of}; read {read_mm:.2f} mm",
+        context.trajectory,
+    )
+    return DepthStop(
+        bore_mm=bore.length_mm,
+        standoff_mm=plan.standoff_mm,
+        depth_mm=planned.depth_mm,
+        computed_mm=computed_mm,
+        read_mm=read_mm,
+    )

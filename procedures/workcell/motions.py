@@ -1,0 +1,186 @@
+"""A motion of the workcell as a value, and its facts in the words of a question.
+
+The operator confirms exactly what the arm then drives.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+from typing import Protocol
+
+from procedures.journal.journal import JournalValue
+from procedures.operator.question import ReadBack
+from procedures.workcell.arm_place import Insertion
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.arm.preview import PathPreview
+from ronna_hw.devices import JointMove, Motion, RobotArm
+from ronna_hw.devices.readings import JointVector
+
+
+class MotionKind(StrEnum):
+    """Kind of a motion, as named in the journal."""
+
+    START = "start"  # a confirmed start: an unverified controller is tested by a micro-move
+    GO = "go"
+    HOME = "home"
+    BACK = "back"
+    STEP = "step"
+    SETTLE = "settle"
+    LINE = "line"
+    INSERT = "insert"
+    WITHDRAW = "withdraw"
+
+
+@dataclass(frozen=True)
+class PlannedMotion:
+    """One motion of the workcell from wherever the arm is: its legs in turn, all but the last joint moves.
+
+    If its first leg is not clear, the motions of `otherwise` replace it, if there are any. They are motions
+    of their own, so that the journal has the way the arm came.
+    """
+
+    what: MotionKind
+    moves: str  # such as `the guide`
+    to: tuple[float, ...]  # joints in rad, or the tool's position in mm
+    legs: tuple[Motion, ...]
+    otherwise: tuple[PlannedMotion, ...] = ()
+    detour: str = "via home"  # what `otherwise` is
+    axis: Insertion | None = None  # along which it leads
+
+    @property
+    def trajectory(self) -> str | None:
+        """Trajectory along whose axis it leads."""
+        return None if self.axis is None else self.axis.trajectory
+
+    def as_intent(self) -> dict[str, JournalValue]:
+        """Plain values for the journal."""
+        axis: dict[str, JournalValue] = {} if self.axis is None else {"axis": self.axis.as_plain()}
+        return {"what": self.what, "to": list(self.to), "trajectory": self.trajectory, **axis}
+
+
+class PreviewingArm(Protocol):
+    """An arm, or a plan of one, that can preview a motion."""
+
+    @property
+    def kinematics(self) -> Kinematics:
+        """Kinematics of the arm."""
+        ...
+
+    def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
+        """Preview a motion driven from these joints."""
+        ...
+
+
+@dataclass(frozen=True)
+class MotionFacts:
+    """Facts of one motion before it is driven, from the previews of its legs."""
+
+    what: str  # the moving tool, such as `the guide`
+    travel_mm: float  # sum of the straight distances: of the tool on a line, of the flange in a joint move
+    previews: tuple[PathPreview, ...]
+    detour: str = ""  # such as `via home`
+
+    def __str__(self) -> str:
+        """One line for the operator."""
+        return self.in_words(", ", self.near())
+
+    def in_words(self, apart: str, near: Sequence[str]) -> str:
+        """State what moves how far, then, after `apart`, the rest with the clearances `near`."""
+        turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
+        duration_s = sum(one.duration_s for one in self.previews)
+        fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
+        by = self.detour and f" {self.detour}"
+        how = (
+            f"joints turn up to {_not_nothing(math.degrees(max(turns_rad)))} deg, in {duration_s:.1f} s "
+            f"at up to {_not_nothing(fastest_mm_s)} mm/s"
+        )
+        return f"{self.what} moves {_not_nothing(self.travel_mm)} mm{by}{apart}" + "; ".join((how, *near))
+
+    def near(self) -> list[str]:
+        """Closest pair of bodies, nearly always of the arm alone, and the distance from the head."""
+        nearest = [one.refused or one.closest for one in self.previews]
+        closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
+        to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
+        said = ["nothing near"]
+        if closest:
+            said = [f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"]
+        if to_head_mm and not (closest and min(to_head_mm) <= closest.distance_mm):  # else already stated
+            said.append(f"at least {min(to_head_mm):.0f} mm from the head")
+        return said
+
+    @property
+    def read_back(self) -> ReadBack:
+        """Distance to type back, known only to those who read the question."""
+        distance_mm = _not_nothing(self.travel_mm)
+        return ReadBack(
+            "how many mm it moves first",
+            distance_mm,
+            wrong=f"is not it: the question says that it moves {distance_mm} mm first.",
+            shown=f"moves {distance_mm} mm",
+            unit="mm",
+        )
+
+
+def in_a_question(facts: Sequence[MotionFacts]) -> str:
+    """State all motions of a question; the distance to type ends a line, no clearance comes twice."""
+    motions: list[str] = []
+    said: set[str] = set()
+    for one in facts:
+        near = one.near()
+        motions.append(
+            one.in_words(", " if motions else ",\n", [words for words in near if words not in said])
+        )
+        said.update(near)
+    return "; then ".join(motions)
+
+
+def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
+    """Facts of these motions driven in turn from here. Raises as `RobotArm.preview`."""
+    here = arm.read_state()
+    return facts_from(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
+
+
+def facts_from(
+    at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
+) -> list[MotionFacts]:
+    """Facts of these motions driven in turn from the joints `at_rad`."""
+    facts: list[MotionFacts] = []
+    for motion in motions:
+        own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
+        if motion.otherwise and not own_facts.previews[0].clear:
+            legs = [leg for one in motion.otherwise for leg in one.legs]
+            own_facts, end_rad = _facts(arm, motion, legs, at_rad, motion.detour)
+        facts.append(own_facts)
+        at_rad = end_rad
+    return facts
+
+
+def _facts(
+    arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
+) -> tuple[MotionFacts, JointVector]:
+    """Facts of one motion, and the joints after its last joint move."""
+    travel_mm, previews = 0.0, []
+    for leg in legs:
+        previews.append(arm.preview(leg, start_rad=at_rad))
+        travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
+        if isinstance(leg, JointMove):
+            at_rad = leg.target_rad
+    return MotionFacts(motion.moves, travel_mm, tuple(previews), detour), at_rad
+
+
+def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -> float:
+    here = kinematics.flange_pose(start_rad)
+    if isinstance(motion, JointMove):
+        there = kinematics.flange_pose(motion.target_rad)
+    else:
+        there = motion.target
+        here = here if motion.flange_from_tool is None else here @ motion.flange_from_tool
+    return math.dist(there.translation_mm, here.translation_mm)
+
+
+def _not_nothing(value: float) -> str:
+    """Format as a whole number, with one decimal if that would read 0: something does move."""
+    return f"{value:.1f}" if 0.05 <= value < 0.5 else f"{value:.0f}"

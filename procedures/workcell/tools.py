@@ -1,0 +1,139 @@
+"""The tool on an arm: its mount, by the controller's inputs, and its poses, by the arm's calibration."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from enum import StrEnum
+
+from procedures.workcell.errors import AnotherArm, WrongTool
+from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
+from ronna_hw.config import Calibrations
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame, Transform
+
+# Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
+Sides = Sequence[int] | None
+
+
+class MountedTool(StrEnum):
+    """The mounted tool according to the last check."""
+
+    UNKNOWN = "unchecked tool"
+    STEREO_HEAD = "stereo head"
+    GUIDE = "guide"
+
+
+class ToolMount:
+    """Mount of one arm; `tool` is the tool last found there."""
+
+    def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
+        self.tool = MountedTool.UNKNOWN
+        self._reported: int | None = None  # when the inputs were last read
+        self._read_number = read_number
+        self._calibrations = calibrations
+
+    @property
+    def checked_number(self) -> int | None:
+        """Number of the tool last found; None if unknown."""
+        return None if self.tool is MountedTool.UNKNOWN else self._number(self.tool)
+
+    def check(self, tool: MountedTool) -> int:
+        """Check that a tool is mounted, and return its number. Raises PRO-009 for another tool."""
+        expected = self._number(tool)
+        self.tool = MountedTool.UNKNOWN
+        mounted = self._reported = self._read_number()
+        if mounted != expected:
+            raise WrongTool(
+                f"the {tool} is not mounted",
+                expected=f"{tool}, number {expected}",
+                got=f"number {mounted} from the controller's inputs",
+            )
+        self.tool = tool
+        return mounted
+
+    def identify(self) -> MountedTool:
+        """Identify the mounted tool; UNKNOWN unless it is one of ours."""
+        self.tool = MountedTool.UNKNOWN
+        with contextlib.suppress(RonnaError):
+            mounted = self._reported = self._read_number()
+            known = (MountedTool.STEREO_HEAD, MountedTool.GUIDE)
+            self.tool = next((tool for tool in known if self._number(tool) == mounted), MountedTool.UNKNOWN)
+        return self.tool
+
+    def flange_from(self, tool: MountedTool) -> Transform:
+        """Return FLANGE <- TOOL from a tool's calibration record. Raises PRO-009 for an unchecked tool."""
+        if tool is MountedTool.UNKNOWN:
+            known = (f"{each}, number {self._number(each)}" for each in list(MountedTool)[1:])
+            raise WrongTool(
+                "the mounted tool is not a calibrated one, or has not been checked",
+                expected=" or ".join(known),
+                got="nothing read yet"
+                if self._reported is None
+                else f"number {self._reported} when the controller's inputs were last read",
+            )
+        records = self._calibrations
+        record = records.tool_tip if tool is MountedTool.GUIDE else records.stereo_head
+        return record.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
+
+    def _number(self, tool: MountedTool) -> int:
+        guide = tool is not MountedTool.STEREO_HEAD
+        return self._calibrations.tool_tip.tool_number if guide else STEREO_HEAD_NUMBER
+
+
+def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
+    """The arm with the deviations of its record, or nominal without one.
+
+    Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
+    """
+    kinematics_named(kinematics.name)
+    if record is None:
+        return CalibratedArm(kinematics)
+    if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
+        raise AnotherArm(
+            f"calibration {record.identifier} belongs to another arm",
+            expected=kinematics.name,
+            got=record.arm,
+        )
+    return CalibratedArm(kinematics, ArmDeviations.of(record))
+
+
+def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
+    """Raise CAL-013 for the record of another arm of this model; `serial` is empty if not reported."""
+    if record is not None and record.serial and serial and record.serial != serial:
+        raise AnotherArm(
+            f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
+        )
+
+
+@dataclass(frozen=True)
+class CarriedTool:
+    """A tool on an arm: conversion between poses ROBOT <- TOOL and joint angles."""
+
+    arm: CalibratedArm
+    flange_from_tool: Transform
+
+    def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
+        """Pose of the tool at joint angles; `arrived` is the side from which each joint came, if known."""
+        return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
+
+    def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
+        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
+
+    def commanded(
+        self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
+    ) -> Transform:
+        """Pose to command to the controller, which knows no calibration, to bring the tool to a pose.
+
+        `here_rad` measures the joints, in whose branch the arm stays.
+        """
+        if self.arm.is_nominal:
+            return pose
+        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
+        return flange.to_transform() @ self.flange_from_tool

@@ -1,0 +1,118 @@
+"""The error predicted while a plan is drawn, against independent formulas and random draws."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from procedures.calibration.arm_model import ArmModel
+from procedures.calibration.arm_sources import REPEATABILITY_MM
+from procedures.planning.free_angle import choose_free_angles
+from procedures.planning.line_of_sight import StereoSight
+from procedures.planning.target_error import (
+    USUAL_SEATING_MM,
+    choose_best_strategies,
+    predicted_arm_error_mm,
+    predicted_by_markers,
+)
+from procedures.planning.visits import ArmSetting, PathCheck
+from procedures.registration.error_theory import tre_principal_axes_mm
+from procedures.registration.rigid_fit import fit_rigid
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
+from procedures.strategies.trajectory import Trajectory
+from ronna_hw.arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.arm.error_budget import ErrorSizes
+
+MARKERS_MM = np.array([[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]])
+TARGET_MM = (5.0, -20.0, 20.0)
+
+
+def test_equal_markers_give_the_error_of_fitzpatricks_formula() -> None:
+    own_mm = 0.1  # 3-D rms
+    covariances = np.tile(np.eye(3) * own_mm**2 / 3.0, (4, 1, 1))
+    fle_mm = float(np.sqrt(own_mm**2 + 3.0 * USUAL_SEATING_MM**2))
+    (by_formula,) = tre_principal_axes_mm(np.array([TARGET_MM]), MARKERS_MM, fle_mm)
+    assert predicted_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
+        by_formula, rel=1e-6
+    )
+
+
+def test_unequal_markers_give_the_error_of_many_random_draws() -> None:
+    random = np.random.default_rng(5)
+    covariances = np.stack([np.diag(random.uniform(0.001, 0.09, 3)) for _ in MARKERS_MM])
+    seated = covariances + np.eye(3) * USUAL_SEATING_MM**2
+    roots = np.linalg.cholesky(seated)
+    errors = []
+    middle = MARKERS_MM.mean(axis=0)
+    for _ in range(2000):
+        moved = MARKERS_MM + np.einsum("nij,nj->ni", roots, random.standard_normal((4, 3)))
+        turn, _ = Rotation.align_vectors(moved - moved.mean(axis=0), MARKERS_MM - middle)
+        errors.append(turn.apply(np.array(TARGET_MM) - middle) + moved.mean(axis=0) - TARGET_MM)
+    drawn_mm = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
+    assert predicted_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
+        drawn_mm, rel=0.06
+    )
+
+
+FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0], [30.0, -90.0, 20.0]])
+CAMERA_MM = np.array([0.0, 115.0, -222.0])
+SIGHT = StereoSight(left_mm=CAMERA_MM * (1.0, -1.0, 1.0), right_mm=CAMERA_MM)
+DRAWS = 400  # their rms is known to 4 %
+LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
+
+
+@pytest.mark.parametrize("sizes", [ErrorSizes(), ErrorSizes(links=0.0, joints=0.0)], ids=["all", "tool"])
+def test_the_strategy_with_the_least_predicted_error_is_chosen(
+    make_arm: Callable[..., ArmSetting], sizes: ErrorSizes
+) -> None:
+    setting = make_arm(strategy=strategy_named("best"), sizes=sizes)
+    chosen = choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT).strategy
+    assert isinstance(chosen, BestOfEach)
+    predicted_mm = {}
+    for one in CANDIDATES:
+        alone = replace(setting, strategy=one)
+        check = choose_free_angles(alone, [LEANING], FIDUCIALS, SIGHT).check
+        predicted_mm[one.name] = predicted_arm_error_mm(alone, check, LEANING)
+    assert chosen.of("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
+
+
+def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_not_at_the_holding_pose(
+    make_arm: Callable[..., ArmSetting],
+) -> None:
+    held = LEANING.held(-90.0)
+    setting = make_arm(sizes=ErrorSizes(tool_mm=0.0, backlash=0.0))
+    check = choose_free_angles(setting, [held], FIDUCIALS, SIGHT).check
+    errors_mm = np.array([_error_of_a_drawn_arm_mm(setting, check, held, draw) for draw in range(DRAWS)])
+    rms_mm = np.sqrt(np.mean(np.sum(errors_mm**2, axis=1)))
+    assert predicted_arm_error_mm(setting, check, held) == pytest.approx(rms_mm, rel=0.1)
+
+
+def _error_of_a_drawn_arm_mm(
+    setting: ArmSetting, check: PathCheck, held: Trajectory, draw: int
+) -> NDArray[np.float64]:
+    """Where an arm of set S brings the tip beside the target, by its nominal twin's poses."""
+    generator, chain = np.random.default_rng(draw), setting.kinematics.chain
+    sigmas = ArmModel(setting.kinematics, setting.flange_from_tool).prior
+    drawn = ArmDeviations.of_flat(sigmas * generator.normal(size=len(sigmas)), len(chain.joints))
+    points = np.concatenate(
+        [setting.robot_from_ct.apply(FIDUCIALS), [setting.robot_from_ct.apply(held.target_mm)]]
+    )
+    off = np.zeros_like(points)
+    for row, (one, point) in enumerate(zip(check.reached, points, strict=True)):
+        nominal = setting.kinematics.flange_pose(one.at_rad)
+        true = flange_poses(chain, drawn, [one.at_rad])[0]
+        off[row] = true[:3, :3] @ nominal.inverse().apply(point) + true[:3, 3] - point
+    off += generator.normal(0.0, REPEATABILITY_MM, off.shape)
+    fit = fit_rigid(points[:-1], points[:-1] - off[:-1])
+    reached: NDArray[np.float64] = fit.rotation @ points[-1] + fit.translation_mm + off[-1]
+    return reached - points[-1]
+
+
+def test_a_fixed_strategy_stays_unchanged(make_arm: Callable[..., ArmSetting]) -> None:
+    setting = make_arm()
+    assert choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT) is setting

@@ -1,0 +1,306 @@
+"""Workcell motions: each has an intent and a result in the journal, none passes a guide before an entry."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Callable
+
+import pytest
+from recording_cell import GUIDE, HOME, RecordingCell, tool_pose
+
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.errors import InstrumentInGuide, InstrumentInside, TipOffAxis, WrongTool
+from procedures.workcell.motions import PlannedMotion
+from ronna_hw.arm.errors import NotClear
+from ronna_hw.devices import Device
+from ronna_hw.devices.errors import WrongKind
+from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.devices.readings import JointVector
+from ronna_hw.errors import LinkTimeout
+from ronna_hw.frames import Transform
+
+WAY_MM = 60.0
+BELOW_HOME = approach_joints(HOME, ONE_SIDE)  # from where every joint turns onto home
+
+
+def turned(by_rad: float) -> JointVector:
+    A1, A2, A3, A4, A5, A6 = HOME
+    return (A1 + by_rad, A2, A3, A4, A5, A6)
+
+
+def motions(cell: RecordingCell) -> list[tuple[str, object]]:
+    lines = read_journal(cell.folder / JOURNAL_FILE)
+    return [(line["entry"], line.get("what", line.get("error"))) for line in lines]
+
+
+def with_guide(cell: RecordingCell) -> None:
+    cell.arm.mounted = GUIDE
+    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.set_home()
+
+
+def insertion(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+    """A trajectory whose stand-off is where the guide is now."""
+    here = tool_pose(cell.arm.joints_rad, cell)
+    target = Transform.of(
+        here.target,
+        here.source,
+        translation_mm=here.apply([0.0, 0.0, WAY_MM]),
+        quaternion_wxyz=here.quaternion_wxyz,
+    )
+    return Insertion(trajectory, target, WAY_MM)
+
+
+def inserted(cell: RecordingCell, trajectory: str = "T1") -> Insertion:
+    with_guide(cell)
+    made = insertion(cell, trajectory)
+    cell.workcell.insert(made)
+    return made
+
+
+def test_every_motion_is_recorded_as_an_intent_and_a_result(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.workcell.go(turned(0.1))
+    cell.workcell.settle(turned(0.2), (1,) * 6)
+    cell.workcell.go_home()
+    assert motions(cell) == [
+        ("placed", None),
+        *[("motion", "go"), ("moved", None)],
+        *[("motion", "settle"), ("moved", None)],
+        *[("motion", "home"), ("moved", None)],
+    ]
+
+
+@pytest.mark.hazard(33)
+def test_a_motion_whose_intent_cannot_be_written_is_not_made(cell: RecordingCell) -> None:
+    os.dup2(full := os.open("/dev/full", os.O_WRONLY), cell.journal._file)
+    os.close(full)
+    with pytest.raises(JournalNotWritable, match="PRO-003"):
+        cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(33)
+def test_the_intent_is_on_the_disk_before_the_arm_moves(
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    on_disk: list[int] = []
+    as_it_moved: list[bytes] = []
+    monkeypatch.setattr(os, "fdatasync", lambda file: on_disk.append(os.fstat(file).st_size))
+
+    def move(_start: JointVector, _target: JointVector) -> bool:
+        as_it_moved.append((cell.folder / JOURNAL_FILE).read_bytes()[: on_disk[-1]])
+        return False  # the way is clear
+
+    cell.arm.blocked = move
+    cell.workcell.go(turned(0.1))
+    assert b'"motion"' in as_it_moved[0].splitlines()[-1]
+
+
+@pytest.mark.hazard(33)
+def test_without_an_open_journal_nothing_moves_and_no_workcell_is_made(cell: RecordingCell) -> None:
+    cell.journal.close()
+    with pytest.raises(JournalNotWritable, match="the journal is closed"):
+        cell.workcell.go(turned(0.1))
+    with pytest.raises(JournalNotWritable, match="the journal is closed"):
+        cell.make_workcell()
+    assert cell.arm.motions == []
+
+
+def test_a_failed_motion_is_recorded_in_the_journal(cell: RecordingCell) -> None:
+    cell.arm.failing = LinkTimeout("telegrams ceased")
+    with pytest.raises(LinkTimeout):
+        cell.workcell.go(turned(0.1))
+    assert motions(cell) == [("motion", "go"), ("moved", LinkTimeout.code)]
+
+
+def test_a_blocked_straight_way_is_replaced_by_one_via_home(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.arm.joints_rad = turned(-0.1)
+    cell.arm.blocked = lambda start, target: target == turned(0.1) and start != HOME
+    cell.workcell.go(turned(0.1))
+    assert [to for _, to in cell.arm.motions] == [BELOW_HOME, HOME, turned(0.1)]
+
+
+def test_the_way_back_after_a_detour_by_home_leads_by_home_not_by_where_the_arm_was_before(
+    cell: RecordingCell,
+) -> None:
+    cell.workcell.set_home()
+    before, across, last = turned(0.5), turned(-0.5), turned(-0.6)
+    unclear = ({before, across}, {before, last}, {last, BELOW_HOME})
+    cell.arm.blocked = lambda start, target: {start, target} in unclear
+    cell.workcell.go(before)
+    cell.workcell.go(across)
+    assert [to for _, to in cell.arm.motions] == [before, BELOW_HOME, HOME, across]
+    cell.workcell.settle(last, None)
+    cell.arm.motions.clear()
+    cell.workcell.return_home()
+    assert [to for _, to in cell.arm.motions] == [last, across, BELOW_HOME, HOME]
+    assert cell.workcell.place.is_home
+
+
+def test_nothing_moves_when_no_way_is_clear(cell: RecordingCell) -> None:
+    cell.workcell.set_home()
+    cell.arm.blocked = lambda _start, _target: True
+    with pytest.raises(NotClear):
+        cell.workcell.go(turned(0.1))
+    assert cell.arm.motions == []
+
+
+def test_joints_settle_from_the_requested_side(cell: RecordingCell) -> None:
+    cell.workcell.settle(HOME, (1, -1, 1, -1, 1, -1))
+    back, there = (to for _, to in cell.arm.motions)
+    assert there == HOME
+    stood_back = [round((end - start) / APPROACH_RAD) for start, end in zip(back, there, strict=True)]
+    assert stood_back == [1, -1, 1, -1, 1, -1]
+
+
+def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> None:
+    made = inserted(cell)
+    assert (on := cell.workcell.place.axis) is not None
+    assert on.as_plain() == made.as_plain()
+    reached = tool_pose(cell.arm.joints_rad, cell)
+    assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
+    cell.workcell.withdraw("T1")
+    assert not cell.workcell.place.on_axis
+    assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
+
+
+VIEWS: dict[str, Callable[[RecordingCell], PlannedMotion]] = {
+    "going": lambda cell: cell.workcell.going(turned(0.1)),
+    "returning home": lambda cell: cell.workcell.returning_home(),
+    "settling": lambda cell: cell.workcell.settling(turned(0.1), (1,) * 6),
+    "straight": lambda cell: cell.workcell.straight(tool_pose(HOME, cell)),
+    "inserting": lambda cell: cell.workcell.inserting(insertion(cell, "T2")),
+    "withdrawing": lambda cell: cell.workcell.withdrawing(insertion(cell, "T2")),
+}
+Anything = Callable[[RecordingCell], object]
+OTHER_MOTIONS: dict[str, Anything] = {
+    "go": lambda cell: cell.workcell.go(turned(0.1)),
+    "home": lambda cell: cell.workcell.go_home(),
+    "settle": lambda cell: cell.workcell.settle(turned(0.1), (1,) * 6),
+    "line": lambda cell: cell.workcell.line_to(tool_pose(HOME, cell)),
+    "insert": lambda cell: cell.workcell.insert(insertion(cell, "T2")),
+    **{
+        f"{view} carried out": lambda cell, view=view: cell.workcell.supervised.carry_out(VIEWS[view](cell))
+        for view in VIEWS
+    },
+}
+
+
+@pytest.mark.hazard(24)
+@pytest.mark.parametrize("what", OTHER_MOTIONS)
+def test_while_the_guide_is_before_an_entry_every_motion_off_its_axis_is_refused(
+    cell: RecordingCell, what: str
+) -> None:
+    inserted(cell)
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInside, match=r"PRO-014.*in front of the entry of T1"):
+        OTHER_MOTIONS[what](cell)
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(24)
+def test_a_retreat_along_another_trajectory_is_refused(cell: RecordingCell) -> None:
+    inserted(cell, "T2")
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInside, match="not on T1; expected T1, got T2"):
+        cell.workcell.withdraw("T1")
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(24)
+def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCell) -> None:
+    inserted(cell)
+    moved = len(cell.arm.motions)
+    aside = tool_pose(turned(0.1), cell)
+    with pytest.raises(TipOffAxis, match="PRO-015"):
+        cell.workcell.supervised.carry_out(cell.workcell.withdrawing(Insertion("T1", aside, WAY_MM)))
+    assert len(cell.arm.motions) == moved
+
+
+@pytest.mark.hazard(24)
+def test_the_arm_of_the_workcell_can_be_looked_at_and_not_moved(cell: RecordingCell) -> None:
+    seen = {"kinematics", "limits", "observe", "state", "notices", "connect", "configure"}
+    for arm in (cell.workcell.arm, cell.workcell.devices["arm"]):
+        assert {name for name in dir(arm) if name[0] != "_"} == seen
+
+
+@pytest.mark.hazard(24)
+def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> None:
+    inserted(cell)
+    A1, A2, A3, A4, A5, A6 = cell.arm.joints_rad
+    cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
+    moved = len(cell.arm.motions)
+    with pytest.raises(TipOffAxis, match="PRO-015: the guide is not on the axis of T1"):
+        cell.workcell.withdraw("T1")
+    assert len(cell.arm.motions) == moved
+    assert cell.workcell.place.on_axis
+
+
+@pytest.mark.hazard(24)
+def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
+    cell: RecordingCell,
+) -> None:
+    with_guide(cell)
+    cell.arm.failing = LinkTimeout("telegrams ceased")
+    with pytest.raises(LinkTimeout):
+        cell.workcell.insert(insertion(cell))
+    cell.arm.failing = None
+    with pytest.raises(InstrumentInside):
+        cell.workcell.go_home()
+    cell.workcell.withdraw("T1")
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.parametrize("what", ["withdraw", *OTHER_MOTIONS])
+def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
+    inserted(cell)
+    cell.workcell.instrument.goes_in("T1")
+    moved = len(cell.arm.motions)
+    with pytest.raises(InstrumentInGuide, match=r"TOOL-001.*an instrument is in the guide, and in T1"):
+        {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.withdraw("T1")}[what](cell)
+    assert len(cell.arm.motions) == moved
+    cell.workcell.instrument.is_out()
+    cell.workcell.withdraw("T1")
+
+
+@pytest.mark.hazard(3)
+def test_nothing_is_inserted_with_a_tool_other_than_the_guide(cell: RecordingCell) -> None:
+    with_guide(cell)
+    made = insertion(cell)
+    cell.arm.mounted = 1
+    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    with pytest.raises(WrongTool, match="PRO-009"):
+        cell.workcell.insert(made)
+    assert cell.arm.motions == []
+
+
+@pytest.mark.hazard(3)
+def test_poses_of_a_tool_that_was_not_checked_are_refused(cell: RecordingCell) -> None:
+    with pytest.raises(WrongTool, match="has not been checked"):
+        cell.workcell.tool_pose()
+
+
+def test_devices_are_started_and_stopped_only_once(cell: RecordingCell) -> None:
+    cell.arm.state = cell.stereo.state = Lifecycle.CONFIGURED
+    cell.workcell.start()
+    cell.workcell.start(cameras=True)
+    cell.workcell.rest()
+    cell.workcell.rest()
+    assert cell.arm.calls == ["activate", "deactivate"]
+    assert cell.stereo.calls == ["activate", "deactivate"]
+
+
+@pytest.mark.hazard(24)
+def test_an_arm_declared_as_another_kind_of_device_is_refused(cell: RecordingCell) -> None:
+    second = {"second": cell.theatre.robot["master"]}
+    cell.opened.file = cell.theatre.model_copy(update={"device": second})
+    with pytest.raises(WrongKind, match=r"DEV-008: device\.second is an arm.*Declare it as \[robot\.NAME\]"):
+        cell.workcell.device("second", Device)
+    with pytest.raises(WrongKind):
+        _ = cell.workcell.devices
