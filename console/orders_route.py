@@ -11,7 +11,7 @@ from console.guard import SESSION
 from console.hub import Hub
 from console.sessions import Role
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.orders import LONGEST_BYTES
+from procedures.runs.orders import LONGEST_BYTES
 from ronna_hw.bounded_input import parse_json
 
 

@@ -16,13 +16,13 @@ from unittest.mock import patch
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.cli.case.operators import ScriptedOperator
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.path_check.visits import Visit, VisitKind
 from procedures.planning.sight.stereo_head import StereoSight
 from procedures.relocalization import StereoPoint
+from procedures.runs.answers import ScriptedOperator
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import Look

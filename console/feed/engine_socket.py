@@ -10,7 +10,7 @@ import socket
 
 from console.hub import Hub
 from procedures.engine.events import Event
-from procedures.engine.orders import AnyOrder, Reply
+from procedures.runs.orders import AnyOrder, Reply
 
 LONGEST_LINE = 1 << 22  # bytes; a question with its tables takes some thousand, an image some 100,000
 PAIR = b'{"pair":"'

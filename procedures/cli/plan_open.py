@@ -44,7 +44,7 @@ def open_plan(
 
     The page's address, which includes a key, is printed on standard error.
     """
-    from procedures.cli.console.attaching import check_console
+    from procedures.runs.console_link import check_console
 
     require_theatre_options(config, robot_from_ct, home, strategy)
     check_console()

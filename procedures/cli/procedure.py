@@ -33,7 +33,7 @@ def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption 
     """Run the whole case; ends with the errors at the targets and a report."""
     from procedures.cli.case.display import follow_case
 
-    follow_case(case.request(), as_json=as_json, console=console.request())
+    follow_case(case.request(), case.out, as_json=as_json, console=console.request())
 
 
 @app.command("step")
@@ -42,7 +42,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
     """Step through the case by hand, one command per line; help lists them."""
     from procedures.cli.case.stepping import step_through
 
-    step_through(case.request(), console.request())
+    step_through(case.request(), case.out, console.request())
 
 
 @app.command("steps")

@@ -16,8 +16,8 @@ from typing import Generic, TypeVar, cast
 
 from procedures.engine.ancestry import without_ancestors
 from procedures.engine.step import LeftOut, StepKey
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
 from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
 

@@ -16,13 +16,19 @@ from procedures.engine.case_memory import CaseMemory
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
 from procedures.engine.step import StepKey, StepSpec
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.evidence import Evidence
-from procedures.operator.question import YES, Operator, Question, ReadBack
-from procedures.operator.room import Room, Task
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.operator.question import (
+    YES,
+    Evidence,
+    NotConfirmed,
+    Operator,
+    Question,
+    ReadBack,
+    Room,
+    Task,
+    Topic,
+)
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
@@ -72,7 +78,7 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     memory: CaseMemory = field(default_factory=CaseMemory)
-    left_away: str | None = None  # that another run left the arm away from home, and what brings it there
+    arm_not_home: str | None = None  # that another run left the arm away from home, and what brings it there
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so

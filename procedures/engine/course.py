@@ -5,7 +5,7 @@ from __future__ import annotations
 from procedures.engine.case import Case, Stored
 from procedures.engine.order import CaseOrder
 from procedures.engine.step import Phase, StepKey
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from ronna_hw.records import Record
 
 
@@ -75,6 +75,14 @@ class Course:
         if self._all_finished_before:
             return ("the work at every target is done: use home to park the arm",)
         return self.order.unmet(key, self.latest, self.settled)
+
+    def why_not_up_to(self, key: StepKey) -> str:
+        """Why the case cannot be run up to a step; empty if it can."""
+        if self.case.stands(key):
+            return f"{key} is already done"
+        if (reason := self.left_out(key)) is not None:
+            return f"{key.trajectory} was left out: {reason}"
+        return f"{key.trajectory} is finished" if self.settled(key) else ""
 
     def status(self, key: StepKey) -> str:
         """`done`, `left out`, `finished`: its target is; `next`, `superseded`, or nothing."""

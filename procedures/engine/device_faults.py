@@ -9,8 +9,8 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.course import Course
 from procedures.engine.step import StepKey
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.last_known import LastKnown

@@ -21,14 +21,11 @@ from procedures.engine.machine import RECOVERY, ProcedureMachine
 from procedures.engine.order import CaseOrder
 from procedures.engine.questions import Questions
 from procedures.engine.step import Outcome, StepKey
-from procedures.journal.errors import JournalNotWritable
+from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.operator.question import OperatorAborted, Question, Task
 from procedures.workcell.errors import WrongTool
 from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
@@ -264,6 +261,14 @@ class Engine:
                 self._show_state()
         self._recheck_tool()
         self._finish_if_over()
+
+    def leave_head(self) -> None:
+        """Retreat and park, unless the arm was never set up and so never moved. Raises as `retreat_home`."""
+        try:
+            _ = self.setting.workcell.home_rad
+        except StepRefused:
+            return
+        self.retreat_home()
 
     def _recheck_tool(self) -> None:
         """Void a check of the tool that is in doubt, once the tool is away from entry and gauge.

@@ -7,10 +7,7 @@ from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import Entry, Journal
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import NotConfirmed, Question, Task, Topic
 from ronna_hw.wire.room_tasks import OUT
 
 if TYPE_CHECKING:

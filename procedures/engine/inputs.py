@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from procedures.engine.case import Case
 from procedures.engine.step import StepKey, StepSpec
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 
 
 def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:

@@ -16,8 +16,8 @@ from transitions.extensions.nesting import NestedState
 
 from procedures.engine.order import CaseOrder, Steps, order_of
 from procedures.engine.step import Phase, Scope, StepSpec
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
-from procedures.results.result import StepResult
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
 RECOVERY, IDLE, HELD = "recovery", "idle", "held"

@@ -10,7 +10,7 @@ from itertools import groupby
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 
 Steps = Sequence[StepSpec[StepResult]]
 MOST_NEAR = 3  # names of steps that a mistyped one is answered with

@@ -12,8 +12,9 @@ from pydantic import ValidationError
 
 from procedures.engine.ancestry import without_ancestors
 from procedures.engine.case import Stored
+from procedures.engine.step import StepKey
 from procedures.journal.journal import Entry, Line
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from ronna_hw.config import describe_mistakes
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.records import BadRecord, OtherVersion, Record
@@ -62,6 +63,12 @@ class RunFolder:
     def made(self, model: type[R]) -> tuple[Stored[R], ...]:
         """All results of a step, in order. Raises REC-001, REC-003."""
         return _as(model, self.records)
+
+
+def step_key(line: Line) -> StepKey:
+    """Return the step that a journal line is about."""
+    name, _, trajectory = str(line.get("step", "")).partition(":")
+    return StepKey(name, trajectory or None)
 
 
 def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 from enum import StrEnum
 from typing import TYPE_CHECKING, Generic, TypeVar
 
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 
 if TYPE_CHECKING:
     from procedures.engine.context import StepContext

@@ -32,8 +32,8 @@ from procedures.exchange.plain_files import (
 )
 from procedures.exchange.spatial_fiducials import Fiducial, fiducial_uid, spatial_fiducials
 from procedures.exchange.spatial_registration import spatial_registration
+from procedures.journal.results import StepResult
 from procedures.reporting.used_registrations import UsedRegistration, used_registrations
-from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

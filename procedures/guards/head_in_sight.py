@@ -12,7 +12,7 @@ from dataclasses import dataclass
 from procedures.engine.case_memory import CaseMemory
 from procedures.guards.room_reading import check_now
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError

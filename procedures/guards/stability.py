@@ -17,7 +17,7 @@ from typing import TYPE_CHECKING
 from pydantic import Field
 
 from procedures.journal.journal import Entry, Line, theatre_time_s
-from procedures.results.result import Values
+from procedures.journal.results import Values
 
 if TYPE_CHECKING:
     from procedures.guards.room_watch import BaseShift

@@ -6,13 +6,93 @@ never continues. Only one of the listed words answers; anything else is asked ag
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol
 
-from procedures.operator.evidence import Evidence
-from procedures.operator.topic import DELIBERATE, Topic
+from pydantic import BaseModel, ConfigDict
+
+from ronna_hw.errors import EXIT_ABORTED, RefusedError, RonnaError
 from ronna_hw.text.typed_number import without_unit
+
+
+class Topic(StrEnum):
+    """What can be asked in a case; with a trajectory where it belongs to one, such as `approach:T1`."""
+
+    PATIENT = "patient"  # that this is the patient and the plan
+    RESUME = "resume"  # what was found again after a restart
+    FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
+    HEAD_CLAMPED = "head_clamped"  # and the clamp locked to the table
+    CART_PLACE = "cart_place"  # the cart stands elsewhere than its place was proposed
+    CART_LOCKED = "cart_locked"  # its brakes are closed
+    CART_MOVED = "cart_moved"  # or the tracker, after the localization: the case goes on from there
+    SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
+    UNMATCHED_SPHERE = "unmatched_sphere"  # one is not where the CT has it, as the tracker sees
+    UNREACHABLE = "reach"  # the arm cannot reach a trajectory
+    SPHERE = "sphere"  # the stereo head cannot measure one
+    MOVED_SPHERE = "moved_sphere"  # one alone explains why the fit disagrees
+    MARGIN = "margin"  # the predicted error exceeds the plan's
+    REGISTRATION = "registration"
+    REGISTRATION_KEPT = "registration_kept"  # after the arm was in fault
+    TOOL_CHANGE = "tool_change"
+    TOOL_TIP = "tool_tip"
+    TOOL_CHECK = "tool_check"  # of the mounted tool on a gauge
+    APPROACH = "approach"  # over an entry, and along the axis to where the guide is held
+    DEPTH_STOP = "depth_stop"  # of the instrument, as it was computed and set
+    WORK_BEGUN = "work_begun"  # through the guide, when it was there before: from which stage it goes on
+    SKIN = "skin"  # opened through the guide
+    DRILL = "drill"  # the skull is drilled
+    DURA = "dura"  # is opened
+    AT_TARGET = "at_target"  # the instrument is at depth; the arm holds until this is answered
+    INSTRUMENT_OUT = "instrument_out"  # of the guide: nothing moves before
+    RETREAT = "retreat"
+    PARK = "park"
+    CALIBRATION = "calibration"
+    PAUSE = "pause"
+    GUARD = "guard"  # a guard suspends the step
+    MOVE_FOLLOWED = "move_followed"  # the registration follows a measured move of the head
+    HEAD_UNSEEN = "head_unseen"  # a guide is near a head that the tracker has not seen for too long
+    REPEAT = "repeat"  # a step that is done: what a new result supersedes
+    READING = "reading"  # what a dial or a gauge shows, typed at a console
+    UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
+
+
+DELIBERATE = frozenset(
+    {
+        Topic.RESUME,
+        Topic.FIRST_MOTION,
+        Topic.REGISTRATION,
+        Topic.REGISTRATION_KEPT,
+        Topic.TOOL_CHECK,
+        Topic.APPROACH,
+        Topic.WORK_BEGUN,
+        Topic.AT_TARGET,
+        Topic.INSTRUMENT_OUT,
+        Topic.RETREAT,
+        Topic.PARK,
+        Topic.CALIBRATION,
+        Topic.PAUSE,
+        Topic.HEAD_UNSEEN,
+        Topic.MOVE_FOLLOWED,
+        Topic.CART_MOVED,
+        Topic.UNVERIFIED,
+    }
+)
+# What no file answers on real devices: also what hands have done to the patient, though nothing moves then.
+FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
+
+
+class Evidence(BaseModel):
+    """A table that a question is decided by, as it is shown: text, with its units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
@@ -113,3 +193,74 @@ def words(answers: Sequence[str]) -> str:
     """The answers as a person reads them: `yes or no`; those of several words are quoted."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
+
+
+@dataclass(frozen=True)
+class Task:
+    """What hands are to do, by its name in `ronna_hw.wire.room_tasks`, and what they read off after it.
+
+    `numbers` are what they need for it; `reads` names each reading, such as `depth stop in mm`, and
+    `plausible_mm` is its possible range: something else was mistyped.
+    """
+
+    name: str
+    subject: str  # for a person
+    trajectory: str | None = None
+    numbers: tuple[float, ...] = ()
+    reads: tuple[str, ...] = ()
+    plausible_mm: tuple[float, float] | None = None
+
+
+def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
+    """Why it was mistyped; empty if it may be right."""
+    low, high = plausible_mm or (-math.inf, math.inf)
+    if low <= reading <= high:
+        return ""
+    in_cm = "; did you type centimetres?" if low <= 10.0 * reading <= high else ""
+    return f"{reading:g} is implausible: expected {low:g} to {high:g}{in_cm}"
+
+
+class Room(Protocol):
+    """Who acts: whoever changes tools and works on the patient, and wants to know which step is running."""
+
+    def announce(self, step: str) -> None:
+        """Hear which step runs now, such as `at_target:T1`."""
+        ...
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Mount another tool; the step then has it confirmed and reads the controller's inputs."""
+        ...
+
+    def prepare_stand(self, holds: str) -> None:
+        """Put the ball or the divot on the calibration stand; the step then has it confirmed."""
+        ...
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Do it and read off what is asked for; nothing when nobody does. The step has it confirmed."""
+        ...
+
+
+class NotConfirmed(RonnaError):
+    """The operator answered no, or did not answer in time, which counts as no."""
+
+    code = "PRO-002"
+    action = (
+        "Nothing was done. Repeat the step when the operator can confirm: questions need a terminal, "
+        "--console or --answers."
+    )
+    exit_code = EXIT_ABORTED
+
+
+class OperatorAborted(RonnaError):
+    """The operator ended the procedure."""
+
+    code = "PRO-004"
+    action = "The arm is at rest. Start a new run when ready."
+    exit_code = EXIT_ABORTED
+
+
+class GuardUnmet(RefusedError):
+    """A guard suspended the running step, and its condition was not restored."""
+
+    code = "PRO-017"
+    action = "Restore the condition it names, then repeat the step."

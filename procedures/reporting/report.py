@@ -15,6 +15,7 @@ from typing import Any
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED, last_seen_s
 from procedures.journal.journal import Entry
+from procedures.journal.results import StepResult
 from procedures.reporting import numbers
 from procedures.reporting.calibration.result_file import figures_if_readable
 from procedures.reporting.calibration.stereo_head import HeadFigures
@@ -36,7 +37,6 @@ from procedures.reporting.target_figure import target_figure
 from procedures.reporting.target_table import TargetRow, target_rows
 from procedures.reporting.timeline import timeline
 from procedures.reporting.timeline_figure import timeline_figure
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget

@@ -14,8 +14,8 @@ from typing import Any, TypeVar
 
 from procedures.engine.case import Stored
 from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.journal.results import StepResult
 from procedures.reporting.used_registrations import UsedRegistration, used_registrations
-from procedures.results.result import StepResult
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError

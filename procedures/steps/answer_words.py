@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
-from procedures.operator.question import NO, NOBODY, READ, YES
-from procedures.operator.topic import Topic
+from procedures.operator.question import NO, NOBODY, READ, YES, Topic
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical.at_target import DONE, HOLD
 from procedures.steps.clinical.tools.begun_work import STAGES

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from ronna_hw.errors import RonnaError
 
 

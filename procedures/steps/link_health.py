@@ -9,7 +9,7 @@ from typing import Self
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from procedures.engine.context import StepContext
-from procedures.results.result import Values
+from procedures.journal.results import Values
 
 
 class LinkHealth(Values):

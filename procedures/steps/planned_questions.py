@@ -5,9 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from procedures.engine.step import StepSpec
-from procedures.operator.question import words
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic, words
 from procedures.steps.answer_words import ANSWER_WORDS
 from procedures.steps.branches import BRANCHES
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.workcell.insertion import Insertion
 from procedures.workcell.workcell import Workcell
 from ronna_hw.devices.readings import ArmReading

@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.workcell.device_views import TrackerView
 from procedures.workcell.frame_as_tool import with_its_spheres
 from procedures.workcell.mounted_tool import MountedTool

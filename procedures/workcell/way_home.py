@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
 from procedures.workcell.arm_view import stands_at
 from procedures.workcell.cell_motion import CellMotion, MotionName
 from ronna_hw.arm.errors import NotClear

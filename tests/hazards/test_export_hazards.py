@@ -24,7 +24,7 @@ from procedures.exchange.dicom_object import name_patient
 from procedures.exchange.errors import FieldNotAllowed
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import Entry, Journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker

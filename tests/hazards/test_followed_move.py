@@ -26,8 +26,8 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
+from procedures.operator.question import Topic
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.registration import RegisteredRobot

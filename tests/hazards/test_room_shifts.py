@@ -27,8 +27,8 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.ghosts import ghosts_of
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import NEAR_HEAD_MM, RoomReading
+from procedures.journal.results import StepResult
 from procedures.registration.shift import NEAR_MM
-from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.validity.room import require_unmoved
 from procedures.workcell import MountedTool

@@ -1,4 +1,4 @@
-"""What a person sees while a case runs, and at its end."""
+"""The display of a case while it runs, and of its outcome."""
 
 from __future__ import annotations
 
@@ -6,39 +6,40 @@ import contextlib
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.asking import WritePrompt
 from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.event_follower import EventFollower, Show
-from procedures.cli.case.leaving_report import end_unfinished, leave_report, seal_run
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.outcome import run_case, unfinished
+from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
-from procedures.engine.run_lock import held_run
+from procedures.runs.case_outcome import run_case, unfinished
+from procedures.runs.finishing import Finalized, finalized_run
+from procedures.runs.folders import held_run, run_folder
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.request import RunRequest
+from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.errors import RefusedError
 from ronna_hw.text.printable import without_controls
 
 if TYPE_CHECKING:
-    from procedures.cli.console.attaching import ConsoleRequest
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
+    from procedures.runs.console_link import ConsoleRequest
 
 
 @contextlib.contextmanager
-def following(*, quiet: bool) -> Iterator[Watcher]:
+def following(*, quiet: bool) -> Iterator[RunObservers]:
     """Follow a run by its events: live on a terminal, one line per step and finding elsewhere."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
-            lines = Watcher(room_open=tell)
-            if not quiet:
-                lines = replace(lines, opened=lambda engine: _write_lines_of(engine, stack))
-            yield lines
+            opened = (lambda _engine: None) if quiet else partial(_write_lines_of, stack=stack)
+            yield replace(terminal_observers(opened=opened), announce=tell)
             return
         from procedures.cli.case.live_display import LiveDisplay
 
@@ -47,7 +48,7 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []
 
-        def opened(engine: Engine) -> None:
+        def attached(engine: Engine) -> None:
             interrupts.attach(engine)
             if held is not None:
                 held.attach(engine)
@@ -62,7 +63,13 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
                 yield silence.enter_context(interrupts.asking())
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
-        yield Watcher(display.status, display.tell, opened, asking, held, held)
+        yield replace(
+            terminal_observers(asking, attached),
+            status=display.status,
+            announce=display.tell,
+            held=held,
+            at_pause=held,
+        )
 
 
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
@@ -73,13 +80,14 @@ def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFol
 
 
 def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
-    _follow(engine, _write_lines, stack)
+    _follow(engine, partial(write_lines, tell), stack)
 
 
-def _write_lines(events: Sequence[Event]) -> None:
+def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
+    """Write one line for each event that a person reads afterwards."""
     for event in events:
         if (line := done_or_note(event)) is not None:
-            tell(line)
+            write(line)
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
@@ -123,39 +131,52 @@ def _show_table(outcome: FinishedRun) -> None:
         sys.stdout.write(f"report {without_controls(str(outcome.report))}\n")
 
 
-def follow_case(request: CaseRequest, *, as_json: bool, console: ConsoleRequest | None = None) -> None:
-    """Run a case and show it; with JSON one object also for a run that did not end."""
-    check_request(request)
-    with run_folder(request) as folder, held_run(folder):
-
-        def run(watcher: Watcher) -> FinishedRun:
-            if console is None:
-                return run_case(request, folder, watcher)
-            from procedures.cli.console.attaching import with_console
-
-            with with_console(watcher, folder, console, waits=request.config is not None) as operated:
-                return run_case(request, folder, operated)
-
-        follow(request, folder, run, as_json=as_json)
+def follow_case(
+    request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
+) -> None:
+    """Run a case in a new folder in `out` and show it; with JSON one object, however it ended."""
+    check_case(request)
+    with run_folder(request, out) as folder, held_run(folder):
+        waits = request.config is not None
+        follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)
 
 
 def follow(
-    request: CaseRequest,
+    request: RunRequest,
     folder: Path,
-    run: Callable[[Watcher], FinishedRun],
+    run: Callable[[RunObservers], FinishedRun],
+    console: ConsoleRequest | None,
     *,
     as_json: bool,
+    waits: bool,
 ) -> None:
-    """Show a run while it runs and what it came to, and leave its report."""
+    """Show a case while it runs and its outcome, and leave its report.
+
+    With a console that `waits`, nothing is done until someone has taken the operator's seat.
+    """
+    final = Finalized()
     try:
-        with following(quiet=as_json) as watcher:
-            outcome = run(watcher)
-    except BaseException as problem:  # also an interruption: every run leaves a report
-        report = end_unfinished(folder, problem)
+        with (
+            finalized_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
+            following(quiet=as_json) as shown,
+            _operated(shown, folder, console, waits=waits) as observers,
+        ):
+            outcome = run(observers)
+    except BaseException as problem:
         if as_json:
             ended = unfinished(request, folder, problem)
-            print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
+            report = final.report and str(final.report)
+            print_json(ended.model_copy(update={"report": report}).model_dump(mode="json"))
         raise
-    report = leave_report(folder, name_it=False)  # the outcome names it
-    seal_run(folder)
-    show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)
+    show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=as_json)
+
+
+def _operated(
+    observers: RunObservers, folder: Path, console: ConsoleRequest | None, *, waits: bool
+) -> contextlib.AbstractContextManager[RunObservers]:
+    """Add the console that was requested, if any."""
+    if console is None:
+        return contextlib.nullcontext(observers)
+    from procedures.runs.console_link import with_console
+
+    return with_console(observers, folder, console, waits=waits)

@@ -1,25 +1,26 @@
-"""Who answers the procedure's questions: a person at the terminal, or the script of a simulated case."""
+"""The person at the terminal: answers questions, acts in the room, and types readings."""
 
 from __future__ import annotations
 
 import os
 import sys
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from contextlib import suppress
-from types import MappingProxyType
+from typing import TYPE_CHECKING
 
 from typer import style
 
 from procedures.cli.case.alarms import Alarms, awaited, forget_typed
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.operator.question import YES, Operator, Question, words
-from procedures.operator.room import Task, misread
-from procedures.operator.topic import Topic
-from ronna_hw.host.control_port import ask_control_port
+from procedures.operator.question import YES, Question, Task, misread, words
+from procedures.runs.lifecycle import RunObservers
 from ronna_hw.text.printable import printable, printable_lines
 from ronna_hw.text.typed_number import typed_number
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
 
 AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
@@ -28,76 +29,22 @@ SMALL_MM = 0.01  # as a dial shows it
 
 MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
 
-NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
+def terminal_observers(
+    asking: Asking = undisturbed, opened: Callable[[Engine], None] = lambda _engine: None
+) -> RunObservers:
+    """Return observers with the person at the terminal, who is told of devices in fault."""
+    alarms = Alarms()
 
-class ScriptedOperator:
-    """Goes on with the first answer to every question; what was asked is in the journal.
+    def attached(engine: Engine) -> None:
+        alarms.attach(engine)
+        opened(engine)
 
-    What a guard waits for in vain is left when it is asked for again: nobody is there to restore it.
-    """
-
-    def __init__(self, persons: Mapping[Topic, Operator] = NOBODY) -> None:
-        """`persons` answer topics that the script is not to: whoever sits at the terminal asked for them."""
-        self._persons = persons
-        self._waited_for: set[tuple[str, str]] = set()  # guard and place
-
-    def ask(self, question: Question) -> str:
-        """The first answer."""
-        if (person := self._persons.get(question.topic)) is not None:
-            return person.ask(question)
-        if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
-            what = (question.subject.partition(":")[0], question.value)
-            if what in self._waited_for:
-                return question.silence
-            self._waited_for.add(what)
-        return question.answers[0]
-
-
-class ByTopic:
-    """Some topics are answered by an operator of their own, everything else by another."""
-
-    def __init__(self, operators: Mapping[Topic, Operator], otherwise: Operator) -> None:
-        self._operators = operators
-        self._otherwise = otherwise
-
-    def ask(self, question: Question) -> str:
-        """The answer of the operator of its topic."""
-        return self._operators.get(question.topic, self._otherwise).ask(question)
-
-
-class SimulatedRoom:
-    """The hands in a simulated theatre, and the only one who talks to its control port.
-
-    The port ends a connection on which nothing is asked for a while, so each request has one of its own.
-    """
-
-    def __init__(self, control: str) -> None:
-        """`control` with its token."""
-        self._control = control
-
-    def announce(self, step: str) -> None:
-        """Tell the theatre which step is running."""
-        ask_control_port(self._control, "step", name=step)
-
-    def change_tool(self, number: int, description: str) -> None:
-        """Hang the other tool on the mount."""
-        ask_control_port(self._control, "mount", number=number)
-
-    def prepare_stand(self, holds: str) -> None:
-        """Put it there."""
-        ask_control_port(self._control, "stand", holds=holds)
-
-    def work(self, task: Task) -> tuple[float, ...]:
-        """Have it done, and what the scene shows read off."""
-        answer = ask_control_port(
-            self._control,
-            "work",
-            task=task.name,
-            trajectory=task.trajectory or "",
-            numbers=list(task.numbers),
-        )
-        return tuple(float(reading) for reading in answer.get("readings", ()))
+    return RunObservers(
+        opened=attached,
+        person=TerminalOperator(asking, alarms),
+        staff=lambda simulated: TerminalRoom(asking, simulated=simulated, alarms=alarms),
+    )
 
 
 class TerminalOperator:

@@ -10,12 +10,11 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
+from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
-    from procedures.cli.case.answers import Answers
-    from procedures.cli.case.request import CaseRequest, TheatreRequest
+    from procedures.runs.answers import Answers
 
 DRAWN = ("seed", "markers", "targets", "fiducials")  # which a scene file holds
 SIMULATED = (*DRAWN, "scene", "first_day", "calibration", "speed", "faults")
@@ -88,16 +87,19 @@ class TheatreOptions:
         """Whoever answers by a file. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
-        from procedures.cli.case.answers import read_answers
+        from procedures.runs.answers import read_answers
 
         return read_answers(self.answers, self.config)
 
-    def theatre(self) -> TheatreRequest:
-        """The theatre of a calibration. Raises CLI-001 for conflicting options, CFG-001, CAL-005."""
-        from procedures.cli.case.request import TheatreRequest, check_theatre
+    def theatre(self) -> RunRequest:
+        """Return the theatre of a calibration, without its procedure.
+
+        Raises CLI-001 for conflicting options, CFG-001, CAL-005.
+        """
+        from procedures.runs.request_checks import check_theatre
 
         self.check()
-        request = TheatreRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
+        request = RunRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
         check_theatre(request)
         return request
 
@@ -177,10 +179,8 @@ class CaseOptions(TheatreOptions):
             super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
         )
 
-    def request(self) -> CaseRequest:
-        """What they ask for. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
-        from procedures.cli.case.request import CaseRequest
-
+    def request(self) -> RunRequest:
+        """Return the requested run. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
         if self.config is not None and not self.sim and self.case is None:
             raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
         self.check()
@@ -188,16 +188,18 @@ class CaseOptions(TheatreOptions):
             raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
-        return CaseRequest(
-            answers=self.scripted_operator(),
-            out=self.out,
-            choice=self.choice,
+        procedure = CaseProcedure(
             strategy=self.strategy,
             measure_targets=self.measure_targets,
-            keep_raw=self.keep_raw,
-            speed=self.speed.value,
-            faults=self.faults,
-            config=self.config,
             case=self.case,
             plan=self.plan,
+            keep_raw=self.keep_raw,
+        )
+        return RunRequest(
+            procedure=procedure,
+            config=self.config,
+            choice=self.choice,
+            speed=self.speed.value,
+            faults=self.faults,
+            answers=self.scripted_operator(),
         )

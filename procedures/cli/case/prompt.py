@@ -10,14 +10,14 @@ from typing import TYPE_CHECKING
 
 from procedures.cli.case.alarms import Alarms, awaited, forget_typed
 from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
-from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
+from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
+from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
-from procedures.results.errors import StepRefused
+from procedures.operator.question import OperatorAborted, Question
+from procedures.runs.lifecycle import leave_head_if_agreed
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
@@ -212,11 +212,3 @@ def _unknown(name: str, known: Iterable[str], choices: str) -> str:
     near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
     said = f"there is no command {name!r}" if name else "nothing was typed"
     return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
-
-
-def leave_head_if_agreed(engine: Engine) -> None:
-    """After an abort: the way out and home, when the operator says so; what goes wrong is shown."""
-    try:
-        leave_head(engine)
-    except RonnaError as error:
-        fail_with(error)

@@ -4,38 +4,41 @@ from __future__ import annotations
 
 import contextlib
 import sys
-from collections.abc import Sequence
+from dataclasses import replace
+from functools import partial
+from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_view import done_or_note
 from procedures.cli.case.commands import COMMANDS
+from procedures.cli.case.display import write_lines
 from procedures.cli.case.event_follower import EventFollower
-from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Watcher, opened_case
+from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.pause import pause_on_interrupt
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, run_folder
-from procedures.engine.events import Event
-from procedures.engine.run_lock import held_run
+from procedures.runs.finishing import finalized_run
+from procedures.runs.folders import held_run, run_folder
+from procedures.runs.lifecycle import open_run
+from procedures.runs.request import RunRequest
+from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.messages import say, tell
 from ronna_hw.command_line.terminal import on_terminal
 
 if TYPE_CHECKING:
-    from procedures.cli.console.attaching import ConsoleRequest
-    from procedures.cli.console.pilot import Pilot
+    from procedures.runs.console_link import ConsoleRequest
+    from procedures.runs.order_executor import OrderExecutor
 
 
-def step_through(request: CaseRequest, console: ConsoleRequest | None = None) -> None:
-    """Read commands until `quit` or the end of the input; what goes wrong is shown, and the case is held.
+def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None = None) -> None:
+    """Read commands until `quit` or the end of the input; failures are shown, and the case is held.
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
     """
-    check_request(request)
+    check_case(request)
     with (
-        run_folder(request) as folder,
+        run_folder(request, out) as folder,
         held_run(folder),
-        leaving_report(folder),
+        finalized_run(folder),
         pause_on_interrupt() as interrupts,
     ):
         followers: list[EventFollower] = []
@@ -45,49 +48,48 @@ def step_through(request: CaseRequest, console: ConsoleRequest | None = None) ->
                 follower.catch_up()
 
         piped = None if on_terminal(sys.stdin) else PipedLines()
-        pilot = None if console is None else _pilot(request, piped)
+        executor = None if console is None else _executor(request, piped)
         prompt = Prompt(
             "step> ",
             say,
             asking=interrupts.asking,
             after=catch_up,
-            meanwhile=None if pilot is None else pilot.follow_until_typed,
+            meanwhile=None if executor is None else executor.follow_until_typed,
             piped=piped,
         )
-        watcher = Watcher(
-            room_open=tell, opened=interrupts.attach, asking=interrupts.asking, at_pause=prompt, pilot=pilot
+        observers = replace(
+            terminal_observers(interrupts.asking, interrupts.attach),
+            announce=tell,
+            at_pause=prompt,
+            executor=executor,
         )
         with contextlib.ExitStack() as stack:
-            if pilot is not None and console is not None:
-                from procedures.cli.console.attaching import attached
+            if executor is not None and console is not None:
+                from procedures.runs.console_link import attached
 
-                link = stack.enter_context(attached(pilot, folder, console))
-            engine = stack.enter_context(opened_case(request, folder, watcher))
-            followers.append(EventFollower(engine.events, _say_lines))
+                link = stack.enter_context(attached(executor, folder, console))
+            engine = stack.enter_context(open_run(request, folder, observers))
+            followers.append(EventFollower(engine.events, partial(write_lines, say)))
             followers[0].start()
             if piped is not None:
                 piped.attach(engine)
             say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
-            if pilot is None:
+            if executor is None:
                 prompt.follow(engine)
                 return
-            pilot.attach(engine)
+            executor.attach(engine)
             link.follow(engine.events)
             link.show_looks(engine.setting.workcell)
             prompt.follow(engine)
             if prompt.input_ended:
-                pilot.run_to_end(engine)
+                executor.run_to_end(engine)
 
 
-def _pilot(request: CaseRequest, piped: PipedLines | None) -> Pilot:
-    from procedures.cli.console.desk import Desk
-    from procedures.cli.console.pilot import Pilot
+def _executor(request: RunRequest, piped: PipedLines | None) -> OrderExecutor:
+    from procedures.runs.operator_station import OperatorStation
+    from procedures.runs.order_executor import OrderExecutor
 
-    desk = Desk(waits=request.config is not None)
-    return Pilot(desk, runs=False) if piped is None else Pilot(desk, runs=False, typed=piped.ready)
-
-
-def _say_lines(events: Sequence[Event]) -> None:
-    for event in events:
-        if (line := done_or_note(event)) is not None:
-            say(line)
+    station = OperatorStation(waits=request.config is not None)
+    if piped is None:
+        return OrderExecutor(station, runs=False)
+    return OrderExecutor(station, runs=False, typed=piped.ready)

@@ -17,7 +17,7 @@ from ronna_hw.command_line.viewers_address import (
 )
 
 if TYPE_CHECKING:
-    from procedures.cli.console.attaching import ConsoleRequest
+    from procedures.runs.console_link import ConsoleRequest
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ class ConsoleOptions:
             if self.console_port or self.bind or self.certificate or self.key:
                 raise UsageMistake("--console-port, --bind, --certificate and --key require --console")
             return None
-        from procedures.cli.console.attaching import ConsoleRequest, check_console, check_port
+        from procedures.runs.console_link import ConsoleRequest, check_console, check_port
 
         check_console()
         check_port(self.console_port)

@@ -16,7 +16,7 @@ from procedures.cli.doctor.inspection import inspection
 from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
 from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diagnostics
 from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
-from procedures.engine.theatre_lock import require_free_theatre
+from procedures.runs.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table

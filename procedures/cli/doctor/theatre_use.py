@@ -7,9 +7,9 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.cli.case.left_away import instrument_left, left_away
-from procedures.cli.runs.left_runs import unfinished_on
-from procedures.engine.theatre_lock import last_moved, theatre_user, unwritable_note
+from procedures.runs.reopening import resumable_run
+from procedures.runs.theatre_lock import last_moved, theatre_user, unwritable_note
+from procedures.runs.theatre_note import arm_not_home, instrument_not_out
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.devices.readiness import MESSAGES
 
@@ -25,7 +25,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
     last = last_moved(theatre)
-    if (left := instrument_left(last)) is not None:
+    if (left := instrument_not_out(last)) is not None:
         run, inside = left
         advice = (
             "Touch neither the tool nor the arm, and start no other run: "
@@ -33,7 +33,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         )
         seen = f"run {run.name} is unfinished: {inside}"
         yield Diagnostic(INSTRUMENT, False, seen, advice)
-    if (away := left_away(last, None)) is not None:
+    if (away := arm_not_home(last, None)) is not None:
         ask = "" if left else "A new case asks whether to take where the arm stands as its home."
         yield Diagnostic("home of the arm", False, away, ask)
     if (note := unwritable_note(theatre)) is not None:
@@ -43,7 +43,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """What was found at the devices, with advice that fits what an unfinished run left there."""
-    run, left = unfinished_on(theatre), instrument_left(last_moved(theatre))
+    run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
     return [_advised(one, run, None if left is None else left[1]) for one in found]
 
 

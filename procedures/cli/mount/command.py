@@ -41,10 +41,10 @@ def tracker_frame(
     """
     request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.cli.mount.tracker_frame import KIND
+    from procedures.runs.calibrations import TRACKER_FRAME
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), request)
+    calibrate(TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), request)
 
 
 @app.command("tool-tip")
@@ -72,8 +72,8 @@ def tool_tip(
     finite_ball(ball)
     request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.cli.mount.tool_tip import KIND
+    from procedures.runs.calibrations import TOOL_TIP
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
-    calibrate(KIND, recipe, request)
+    calibrate(TOOL_TIP, recipe, request)

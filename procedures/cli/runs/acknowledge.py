@@ -1,4 +1,4 @@
-"""`ronna-procedure acknowledge`: recovers the devices of a run, or of a theatre, from their faults."""
+"""`ronna-procedure acknowledge`: recover the devices of a run, or of a theatre, from their faults."""
 
 from __future__ import annotations
 
@@ -10,19 +10,18 @@ from typing import TYPE_CHECKING
 
 import typer
 
-from procedures.cli.case.leaving_report import leaving_report
-from procedures.cli.case.opening import Watcher
-from procedures.cli.runs.left_runs import (
-    held_left_run,
-    make_ready,
-    opened_left,
-    request_of,
-    require_free_devices,
-    unfinished_on,
-)
-from procedures.composition.procedure import Resumption
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun
+from procedures.runs.finishing import finalized_run
+from procedures.runs.interrupted_run import Resumption
+from procedures.runs.lifecycle import RunObservers, open_run
+from procedures.runs.reopening import (
+    held_interrupted_run,
+    make_ready,
+    reopened_request,
+    require_free_devices,
+    resumable_run,
+)
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
 from ronna_hw.devices.lifecycle import Lifecycle, require_person
 from ronna_hw.errors import RonnaError
@@ -32,19 +31,23 @@ if TYPE_CHECKING:
 
 
 def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
-    """Those of a run, and write it into its journal. Raises as `home`, and as `acknowledge_theatre`."""
-    request = request_of(folder)
-    with held_left_run(folder, only_leaving=True) as left:
+    """Acknowledge the faults of a run's devices, in its journal.
+
+    Raises the errors of `home` and of `acknowledge_theatre`.
+    """
+    request = reopened_request(folder)
+    with held_interrupted_run(folder, only_leaving=True) as interrupted:
         by = _person(by)
-        if left.parked:
-            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=left.run.path.name)
+        path = interrupted.folder
+        if interrupted.parked:
+            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
             return
         require_free_devices(request)
         if request.config is not None:
-            _require_own_fault(request.config, left.run.path)
-        make_ready(left)
-        path, resumption = left.run.path, Resumption(left, False, only_leaving=True, asks=False)
-        with leaving_report(path), opened_left(request, path, Watcher(), resumption) as engine:
+            _require_own_fault(request.config, path)
+        make_ready(interrupted)
+        resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
+        with finalized_run(path), open_run(request, path, RunObservers(), resumption) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.faults.acknowledge(by),
@@ -55,11 +58,11 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
 
 
 def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
-    """Those of a theatre file.
+    """Acknowledge the faults of a theatre's devices.
 
-    Raises DEV-006, PRO-043, PRO-044, and what a driver raises that cannot be recovered yet.
+    Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
     """
-    from procedures.engine.theatre_lock import held_theatre, require_free_theatre
+    from procedures.runs.theatre_lock import held_theatre, require_free_theatre
     from ronna_hw.theatre import Theatre
 
     by = _person(by)
@@ -81,7 +84,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
     Only its own journal can say that what it localized before the fault is in doubt.
     """
-    if (last := unfinished_on(theatre, run)) is not None:
+    if (last := resumable_run(theatre, run)) is not None:
         raise FaultOfRun(
             f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
             "still valid",
@@ -90,8 +93,10 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
 
 def _person(by: str | None) -> str:
-    """Name of the person acknowledging, else as typed at the terminal: a login is no person's name. Raises
-    DEV-006."""
+    """Return the name of the person acknowledging, typed if not given: a login is no person's name.
+
+    Raises DEV-006.
+    """
     if by is None and on_terminal(sys.stdin) and on_terminal(sys.stderr):
         by = str(typer.prompt("Name of the person acknowledging", err=True))
     return require_person(by or "")
@@ -105,9 +110,9 @@ def _recover_all(
     as_json: bool,
     **about: str,
 ) -> None:
-    """Connect to every device, which moves nothing, and recover those that are in fault, then or configured.
+    """Connect to every device, which moves nothing, and recover faults seen then or once configured.
 
-    What does not answer keeps nothing from being recovered, and is raised in the end.
+    A device that does not respond keeps no other from being recovered; its error is raised at the end.
     """
     problems: dict[str, RonnaError] = {}
     for name, device in devices.items():
@@ -141,7 +146,7 @@ def _show(
     nothing: str = "no device is in fault",
     **about: str,
 ) -> None:
-    """What was recovered, or why there was `nothing` to recover."""
+    """Print the faults that were recovered, or why there was `nothing` to recover."""
     if as_json:
         unreached = {name: str(problem) for name, problem in problems.items()}
         print_json({**about, "acknowledged": done, "unreached": unreached})

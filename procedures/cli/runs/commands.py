@@ -18,7 +18,7 @@ from ronna_hw.text.printable import without_controls
 
 def _run_folder(folder: Path) -> Path:
     """The folder of a run, which it is. Raises CLI-005."""
-    from procedures.cli.runs.folders import require_run
+    from procedures.runs.folders import require_run
 
     require_run(folder)
     return folder
@@ -69,7 +69,7 @@ def home_command(
     along its axis first. The run is unchanged and can be resumed. Exit codes: 0 the arm is home, 8 not
     accepted, others as in `run`.
     """
-    from procedures.cli.runs.home import home
+    from procedures.cli.runs.resume import home
 
     home(run_folder, accept=accept, answers=answers, as_json=as_json)
 
@@ -140,7 +140,7 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
     """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
-    from procedures.cli.runs.report import make_report
+    from procedures.runs.finishing import make_report
     from ronna_hw.command_line.terminal import print_json
 
     path = make_report(run_folder, out)

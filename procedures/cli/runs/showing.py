@@ -5,14 +5,13 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.runs.folders import runs_in
-from procedures.engine.run_lock import holder_of_run
 from procedures.exchange.raw_extent import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.ending import Ending, ending_of, resumes
 from procedures.reporting.files import KEPT_TRUTH, kept_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
+from procedures.runs.folders import holder_of_run, runs_in
 from ronna_hw.command_line.terminal import print_json, print_table, say
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable

@@ -163,7 +163,7 @@ def _signed(name: str, by: str, days: int) -> dict[str, Any]:
 
 
 def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_json: bool) -> None:
-    from procedures.cli.calibrating.files import write_theatre_tables
+    from procedures.runs.calibration_files import write_theatre_tables
 
     write_theatre_tables(config, write, {"tools": {name: record}})
     if as_json:

@@ -10,7 +10,7 @@ from typing import Annotated, ClassVar, Literal, Self
 
 from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
 
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
 
 VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
 MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred

@@ -8,9 +8,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import GO_ON
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Task, Topic
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
 

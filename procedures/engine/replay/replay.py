@@ -13,18 +13,17 @@ from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, ClinicalInput, StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded
-from procedures.engine.left_run import step_key
 from procedures.engine.order import CaseOrder
 from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom
 from procedures.engine.replay.replayed_device import replayed
 from procedures.engine.replay.sections import BEGINS
-from procedures.engine.run_folder import RunFolder
+from procedures.engine.run_folder import RunFolder, step_key
 from procedures.engine.step import StepKey, StepSpec
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.clock import Clock

@@ -7,8 +7,8 @@ from pydantic import Field
 from procedures.calibration import Outline
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.journal.results import StepResult
 from procedures.relocalization.triangulation import check_serial
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import BALL_PICTURE, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp

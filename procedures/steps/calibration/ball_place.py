@@ -14,7 +14,7 @@ from procedures.calibration.errors import NoBall
 from procedures.calibration.pose_set import PlannedLook
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.orientation import tool_orientation
 from ronna_hw.calibration import Numbers3

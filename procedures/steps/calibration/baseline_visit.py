@@ -10,11 +10,11 @@ from procedures.calibration import Baseline, Observation
 from procedures.calibration.errors import NotTheBaseline
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
 from procedures.steps.calibration.over_ball import BALL_PICTURE
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries

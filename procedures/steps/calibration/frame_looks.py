@@ -18,9 +18,9 @@ from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Us
 from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries
 from procedures.strategies.approach import ONE_SIDE

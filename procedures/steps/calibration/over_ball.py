@@ -7,7 +7,7 @@ import numpy as np
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.pose_set import calibration_looks
 from procedures.engine.context import StepContext
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.relocalization.search_pattern import SEARCH_RADIUS_MM
 from procedures.steps.calibration.ball_place import BallPlace

@@ -18,9 +18,9 @@ from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import BallPlace, standing_alone
 from procedures.steps.calibration.over_ball import BALL_PICTURE
 from procedures.steps.clinical.global_localization import GlobalLocalization

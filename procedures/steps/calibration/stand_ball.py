@@ -13,8 +13,8 @@ from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_
 from procedures.calibration.tool_tip.looks import BallLook
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import SPARE, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp

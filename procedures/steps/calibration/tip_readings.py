@@ -16,9 +16,8 @@ from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
 from procedures.engine.hands import IN_DIVOT
 from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Task, Topic
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import ObservedStand
 from procedures.steps.clinical.set_up import CheckedSetUp

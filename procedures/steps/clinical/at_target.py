@@ -16,12 +16,9 @@ from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.guards.room_watch import RoomWatch
-from procedures.operator.errors import GuardUnmet, NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, StepResult
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose, StepResult
+from procedures.operator.question import GuardUnmet, NotConfirmed, Question, Task, Topic
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkStage, begun_work, done_in_words

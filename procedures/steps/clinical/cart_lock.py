@@ -18,14 +18,12 @@ from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import RoomReading
-from procedures.operator.question import YES, Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult, Values
+from procedures.operator.question import YES, Question, Task, Topic
 from procedures.planning.cart.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.planning.errors import PlaceUnfit
 from procedures.registration.shift import shift_of
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead

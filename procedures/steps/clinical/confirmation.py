@@ -15,8 +15,8 @@ from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged, Subject
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.global_localization import GlobalLocalization

@@ -10,12 +10,12 @@ from pydantic import Field
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.journal.results import FramedPose, Numbers6, StepResult, Values
 from procedures.planning.path_check.free_angle import TurnedPaths
 from procedures.planning.path_check.motions import PreviewedMotion, previews_of
 from procedures.planning.path_check.visits import ArmSetting, PathCheck, VisitKind
 from procedures.planning.plan.guide_hold import held_trajectories
 from procedures.planning.sight.stereo_head import StereoSight
-from procedures.results.result import FramedPose, Numbers6, StepResult, Values
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.paths.previews import MotionPreview

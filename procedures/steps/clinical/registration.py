@@ -16,7 +16,9 @@ from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose, StepResult, Values
+from procedures.operator.question import Topic
 from procedures.planning.plan.model import PlannedTrajectory
 from procedures.planning.prediction.instrument_error import (
     DIRECTION,
@@ -35,8 +37,6 @@ from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.shared_residual import UnnoticedPoint
 from procedures.registration.target_prediction import OwnErrors, predict_target_error
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget.arm import arm_errors, unknown_sides_mm2

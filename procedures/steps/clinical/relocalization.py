@@ -22,9 +22,9 @@ from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import Matrix3, Numbers6, StepResult
 from procedures.relocalization.head_watch import check_head
-from procedures.results.errors import GateFailed
-from procedures.results.result import Matrix3, Numbers6, StepResult
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.paths.previews import in_one_line, motions_over_spheres

@@ -6,8 +6,8 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.operator.topic import Topic
-from procedures.results.result import Numbers6, StepResult
+from procedures.journal.results import Numbers6, StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.conditions import inserted_or_just_out

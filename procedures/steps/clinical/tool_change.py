@@ -7,8 +7,8 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.step import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.paths.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tools.exchange import exchange_for

@@ -70,14 +70,13 @@ from drivers.ndi_polaris.tools.shipped import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tracking.bx_reply import decode_bx
 from drivers.ndi_polaris.tracking.tx_reply import decode_tx
 from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
-from procedures.cli.case.answers import read_answers
-from procedures.cli.case.request_file import read_request
-from procedures.cli.case.scene_choice import SceneChoice
 from procedures.engine.events.followed_run import FollowedRun
-from procedures.engine.theatre_note import TheatreNote, read_note
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
+from procedures.runs.answers import read_answers
+from procedures.runs.request import SceneChoice, read_request
+from procedures.runs.theatre_note import TheatreNote, read_note
 from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.byte_sink import Direction

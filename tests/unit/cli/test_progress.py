@@ -2,18 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
 from io import StringIO
-from pathlib import Path
 from types import SimpleNamespace
+from typing import Any
 
 import pytest
 from rich.console import Console
 
-from procedures.cli.calibrating import running
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.request import TheatreRequest
+from procedures.cli.calibrating import calibration
 from ronna_hw.command_line import progress
 
 
@@ -34,29 +30,20 @@ def terminal(monkeypatch: pytest.MonkeyPatch, now: SimpleNamespace) -> StringIO:
 
 
 def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
-    monkeypatch: pytest.MonkeyPatch, terminal: StringIO, now: SimpleNamespace, tmp_path: Path
+    monkeypatch: pytest.MonkeyPatch, terminal: StringIO, now: SimpleNamespace
 ) -> None:
-    at_question: list[str] = []
-
-    @contextmanager
-    def with_a_question(
-        _request: object, _folder: object, _steps: object, watcher: Watcher, **_: object
-    ) -> Iterator[SimpleNamespace]:
-        with watcher.asking():
-            at_question.append(terminal.getvalue())
-            bar(0.2)
-            now.s += 60.0
-            at_question.append(terminal.getvalue())
-        yield SimpleNamespace(run_to=lambda: None)
-
-    monkeypatch.setattr(running, "opened_steps", with_a_question)
+    monkeypatch.setattr(calibration, "terminal_observers", lambda asking, _opened: asking)
     with progress.progress_bar("looking") as bar:
+        asking: Any = calibration.bar_observers(bar)
         now.s += 3.0
         bar(0.1)
-        running.run_steps(TheatreRequest(), tmp_path, (), bar, title="looks")
+        with asking():
+            before = terminal.getvalue()
+            bar(0.2)
+            now.s += 60.0
+            after = terminal.getvalue()
         now.s += 1.0
         bar(0.3)
-    before, after = at_question
     assert "0:00:03" in before
     assert after == before
     assert "0:00:04" in terminal.getvalue()

@@ -11,7 +11,6 @@ from passing_clock import PassingClock
 from plain_steps import only_home_remains
 from recording_cell import GUIDE, RecordingCell, mini_theatre_file
 
-from procedures.composition.guarding import guard
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.engine.order import order_of
@@ -24,9 +23,8 @@ from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.theatre_records import UnchangedRecords
 from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
-from procedures.operator.errors import GuardUnmet
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import GuardUnmet, Question, Topic
+from procedures.runs.engine_setup import add_guards
 from procedures.steps.clinical import global_localization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs
 from procedures.workcell import MountedTool
@@ -56,7 +54,7 @@ def test_a_run_has_the_guards_of_its_kind(
     setting = cell.setting() if clinical else replace(cell.setting(), clinical=None)
     engine = Engine(ORDER, cell.case, setting, cell.journal)
     unwatched = engine.checkpoint.watching
-    guard(engine, tmp_path / "theatre.toml", cell.theatre, only_leaving=only_leaving)
+    add_guards(engine, tmp_path / "theatre.toml", cell.theatre, only_leaving=only_leaving)
     assert (engine.checkpoint.watching is not unwatched) is clinical
     assert [type(one) for one in engine.checkpoint.guards] == expected
 
@@ -71,7 +69,7 @@ def test_a_calibration_renewed_during_a_case_suspends_its_next_motion_until_it_i
     former, began_with = file.read_bytes(), read_theatre_file(file)
     setting = replace(cell.setting(), clinical=None)
     engine = Engine(only_home_remains(), cell.case, setting, cell.journal)
-    guard(engine, file, began_with)
+    add_guards(engine, file, began_with)
     moved = len(cell.arm.motions)
     content = tomllib.loads(former.decode())
     content["calibration"]["tool_tip"]["stated_error_mm"] = 0.07
@@ -93,7 +91,7 @@ def guarded(tmp_path: Path) -> ClinicalCell:
     """With the stereo head found mounted, an arm that may move, and nobody who settles what a guard finds."""
     cell = ClinicalCell(tmp_path)
     cell.clock = PassingClock()
-    guard(cell.engine(ORDER), tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
+    add_guards(cell.engine(ORDER), tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
     cell.arm.state = Lifecycle.ACTIVE
     cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
     cell.operator.refusing = (Topic.GUARD,)
@@ -124,7 +122,7 @@ def test_a_tool_exchanged_while_the_first_motion_is_confirmed_is_not_moved(guard
 def test_a_stop_that_fails_is_shown(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     cell = ClinicalCell(tmp_path)
     engine = cell.engine(ORDER)
-    guard(engine, tmp_path / "theatre.toml", cell.theatre)
+    add_guards(engine, tmp_path / "theatre.toml", cell.theatre)
     reader = engine.events.subscribe()
     monkeypatch.setattr(cell.opened, "stop", lambda: ["the arm may not be at rest"])
     cell.workcell.stop()

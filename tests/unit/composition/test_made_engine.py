@@ -10,12 +10,11 @@ import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingArm, RecordingOperator, RecordingRoom, mini_theatre_file
 
-from procedures.composition.made_engine import People, made_engine
-from procedures.composition.procedure import Procedure, Resumption
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import read_left_run
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import Entry, Journal
+from procedures.runs.engine_setup import EngineInput, build_engine
+from procedures.runs.interrupted_run import Resumption, read_interrupted_run
 
 
 @pytest.fixture
@@ -24,18 +23,19 @@ def stack() -> Iterator[ExitStack]:
         yield stack
 
 
-def resumed(run: Path, order: CaseOrder, stack: ExitStack, left_away: str | None = None) -> Engine:
+def resumed(run: Path, order: CaseOrder, stack: ExitStack, arm_not_home: str | None = None) -> Engine:
     """The engine of a run that was left, in a theatre at whose endpoints nothing is."""
-    return made_engine(
+    return build_engine(
         run,
         mini_theatre_file(run.parent, simulated=True),
-        lambda _theatre: Procedure(order),
-        People(RecordingOperator(), RecordingRoom(RecordingArm("arm"))),
+        lambda _theatre: EngineInput(order),
+        RecordingOperator(),
+        RecordingRoom(RecordingArm("arm")),
         stack,
-        Resumption(read_left_run(run), accepted=True),
+        Resumption(read_interrupted_run(run), accepted=True),
         on_ending=lambda: None,
         opening={},
-        left_away=left_away,
+        arm_not_home=arm_not_home,
     )
 
 
@@ -46,8 +46,8 @@ def test_a_run_that_begins_over_is_warned_of_another_that_left_the_arm_away(
     run = tmp_path / "run"
     run.mkdir()
     Journal(run).close()
-    engine = resumed(run, plain_order(), stack, left_away="run B left the arm away")
-    assert engine.setting.left_away == "run B left the arm away"
+    engine = resumed(run, plain_order(), stack, arm_not_home="run B left the arm away")
+    assert engine.setting.arm_not_home == "run B left the arm away"
 
 
 @pytest.mark.hazard(2)

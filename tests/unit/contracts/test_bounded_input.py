@@ -16,7 +16,6 @@ from bounded_cost import bounded_cost
 
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.rom.description import read_description
-from procedures.cli.case.answers import read_answers
 from procedures.engine.errors import AnswersUnfit, EventsUnreadable
 from procedures.engine.events.followed_run import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
@@ -25,6 +24,7 @@ from procedures.planning.cart.proposed_place import read_place
 from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
 from procedures.planning.plan.file import read_plan
 from procedures.reporting.calibration.result_file import RESULT_FILE, figures_if_readable
+from procedures.runs.answers import read_answers
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError

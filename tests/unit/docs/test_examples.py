@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from data_files import REFERENCE
 
-from procedures.cli.case.answers import read_answers
 from procedures.planning.plan.file import read_plan
+from procedures.runs.answers import read_answers
 
 
 @pytest.mark.parametrize(

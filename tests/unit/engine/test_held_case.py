@@ -5,10 +5,9 @@ from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.operator.question import NotConfirmed, OperatorAborted, Topic
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.last_known import LastKnown

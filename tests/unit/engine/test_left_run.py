@@ -10,12 +10,12 @@ from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RunInUse
-from procedures.engine.left_run import read_left_run
-from procedures.engine.run_lock import held_run
 from procedures.engine.step import Outcome, StepKey
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.runs.folders import held_run
+from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.errors import JournalCorrupt
@@ -174,7 +174,7 @@ def test_the_step_that_had_started_is_known(cell: RecordingCell) -> None:
     order = plain_order("T1", approach=killed)
     with pytest.raises(MemoryError):
         cell.engine(order).run_to()
-    assert read_left_run(cell.folder).begun == StepKey(Approach.kind, "T1")
+    assert read_interrupted_run(cell.folder).begun == StepKey(Approach.kind, "T1")
 
 
 @pytest.mark.hazard(42)

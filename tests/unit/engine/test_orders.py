@@ -6,8 +6,8 @@ import pytest
 
 from procedures.engine.events import Questioned
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.orders import LONGEST_BYTES, Stop, read_order
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
+from procedures.runs.orders import LONGEST_BYTES, Stop, read_order
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 

@@ -25,10 +25,9 @@ from procedures.engine.replay.replayed_device import KEPT
 from procedures.engine.replay.sections import section_follower
 from procedures.engine.run_folder import run_of
 from procedures.engine.step import Outcome
+from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
+from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from procedures.engine.errors import RunInUse
-from procedures.engine.run_lock import held_run
+from procedures.runs.folders import held_run
 
 
 def test_the_error_names_the_process_that_holds_the_run_and_does_not_advise_ending_it(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ from pathlib import Path
 
 import pytest
 
-from procedures.engine import theatre_note
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
-from procedures.engine.theatre_lock import held_theatre, last_moved, require_free_theatre, theatre_user
-from procedures.engine.theatre_note import TheatreNote, read_note
+from procedures.runs import theatre_note
+from procedures.runs.theatre_lock import held_theatre, last_moved, require_free_theatre, theatre_user
+from procedures.runs.theatre_note import TheatreNote, read_note
 
 NOBODY = 65534  # an account without rights
 
@@ -248,7 +248,7 @@ def read_only(monkeypatch: pytest.MonkeyPatch) -> Callable[[], AbstractContextMa
     @contextmanager
     def entered() -> Iterator[None]:
         with monkeypatch.context() as patch:
-            patch.setattr("procedures.engine.theatre_lock.os.open", for_reading)
+            patch.setattr("procedures.runs.theatre_lock.os.open", for_reading)
             yield
 
     return entered

@@ -11,8 +11,8 @@ from bounded_cost import bounded_cost
 from finished_runs import changed_files, gone_home
 from recording_cell import RecordingCell
 
-from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.runs.finishing import seal_run
 from ronna_hw.evidence.inspection import MOST_NAMES, inspected
 from ronna_hw.evidence.named_files import NOT_AS_LEFT
 from ronna_hw.evidence.seal import LARGEST_FILE_BYTES, SEAL_FILE, read_seal, sha256_of

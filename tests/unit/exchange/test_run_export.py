@@ -18,7 +18,7 @@ from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.journal.journal import Entry, Journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical.registration import RegisteredRobot
 from ronna_hw.evidence.errors import RunChanged
 from ronna_hw.evidence.seal import RAW_FOLDER, hashes_at_closing, seal

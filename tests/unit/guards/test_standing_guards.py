@@ -11,16 +11,14 @@ import pytest
 from passing_clock import PassingClock
 from recording_cell import GUIDE, RecordingCell
 
-from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.order import order_of
 from procedures.guards.arm_link import ArmLink
 from procedures.guards.disk_space import DiskSpace
 from procedures.guards.line_of_sight import PATIENCE_S, LineOfSight
 from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.wall_clock import WallClock
-from procedures.operator.errors import GuardUnmet
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import GuardUnmet, Question, Topic
+from procedures.runs.answers import ScriptedOperator
 from procedures.steps.clinical import set_up
 from procedures.workcell import MountedTool
 from ronna_hw.devices.last_known import LastKnown

@@ -4,9 +4,7 @@ from contextlib import contextmanager
 import pytest
 
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.errors import GuardUnmet, OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import GuardUnmet, OperatorAborted, Question, Topic
 
 
 class Disk:

@@ -26,28 +26,26 @@ from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
-from procedures.cli.case import opening
-from procedures.cli.case.commands import why_not_up_to
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.outcome import finished
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.runs import resume
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Outcome, Scope, StepKey
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.operator.topic import Topic
-from procedures.recovery.moved_cart import MovedCart
-from procedures.recovery.surroundings import head_moved_since, surround
+from procedures.journal.results import FramedPose, StepResult
+from procedures.operator.question import Topic
 from procedures.reporting.outcome import Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
 from procedures.reporting.target_table import target_rows
-from procedures.results.result import FramedPose, StepResult
+from procedures.runs import case_outcome, lifecycle
+from procedures.runs.case_outcome import finished
+from procedures.runs.engine_setup import MovedCart
+from procedures.runs.interrupted_run import read_interrupted_run
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.way_out import head_moved_since, surround
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -105,7 +103,7 @@ def test_a_case_is_not_run_up_to_a_step_of_a_target_finished_before_the_move(tmp
     )
     engine.run_to(engine.order.find(f"at_target:{FIRST}"))
     engine.void(StepKey(RegisteredRobot.kind), MOVED)
-    assert why_not_up_to(engine, engine.order.find(f"target:{FIRST}")) == f"{FIRST} is finished"
+    assert engine.course.why_not_up_to(engine.order.find(f"target:{FIRST}")) == f"{FIRST} is finished"
 
 
 def registered_twice(cell: ClinicalCell) -> Engine:
@@ -140,7 +138,7 @@ PREDICTED_MM = {FIRST: 0.4, LAST: 0.8}  # by the fourth and by the eighth record
 
 def test_outcome_and_report_show_each_target_with_the_registration_that_led_there(tmp_path: Path) -> None:
     engine = registered_twice(ClinicalCell(tmp_path))
-    outcome = finished(CaseRequest(out=tmp_path), engine.case, TRAJECTORIES, 0.0, 0.0, Truth())
+    outcome = finished(RunRequest(procedure=CaseProcedure()), engine.case, TRAJECTORIES, 0.0, 0.0, Truth())
     assert {one.id: one.predicted_tre_mm for one in outcome.targets} == PREDICTED_MM
     rows = target_rows(read_for_report(tmp_path), Truth())
     assert {one.target: one.predicted.rms_mm for one in rows} == PREDICTED_MM
@@ -267,10 +265,11 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     engine.run_to()
     assert {engine.status(key) for key in engine.order.sequence} == {"done", "finished"}
     broken_off(cell)
-    monkeypatch.setattr(resume, "order_of_case", lambda *_: engine.order)
-    monkeypatch.setattr(resume, "_as_it_ended", lambda _request, left: left)
-    monkeypatch.setattr(opening, "opened_engine", pytest.fail)
-    ended = resume._go_on(CaseRequest(out=tmp_path), read_left_run(tmp_path), Watcher(), accepted=True)
+    monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: engine.order)
+    monkeypatch.setattr(case_outcome, "outcome_as_recorded", lambda _request, left: left)
+    monkeypatch.setattr(lifecycle, "open_engine", pytest.fail)
+    request, left = RunRequest(procedure=CaseProcedure()), read_interrupted_run(tmp_path)
+    ended = case_outcome.finish_case(request, left, RunObservers(), accepted=True)
     assert ended.run.journal[-1]["outcome"] == "done"  # type: ignore[attr-defined]
 
 

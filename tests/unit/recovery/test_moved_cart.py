@@ -16,13 +16,13 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import read_left_run
 from procedures.engine.step import Scope, StepKey
 from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
-from procedures.operator.topic import Topic
-from procedures.recovery.moved_cart import MOST_MOVES, MovedCart
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
+from procedures.runs.engine_setup import MOST_MOVES, MovedCart
+from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import cart_lock, correspondence, global_localization, relocalization
 from procedures.workcell import MountedTool
@@ -189,7 +189,7 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"out:{FIRST}")
     engine.close("left")
-    case = read_left_run(tmp_path).restored(engine.order)
+    case = read_interrupted_run(tmp_path).restored(engine.order)
     assert [stored.record.identifier for stored in case.standing] == [
         "01-plan",
         f"03-target-{FIRST}",
@@ -219,7 +219,7 @@ def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_
     engine.run_step(engine.order.find(f"target:{FIRST}"))
     assert not engine.case.stands(StepKey("out", FIRST))
     engine.close("left")
-    case = read_left_run(tmp_path).restored(engine.order)
+    case = read_interrupted_run(tmp_path).restored(engine.order)
     assert [one.record for one in case.standing] == [one.record for one in cell.case.standing]
 
 

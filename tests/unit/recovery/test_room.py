@@ -13,8 +13,7 @@ from prepared_results import coarse
 from recording_cell import HOME
 
 from procedures.engine.engine import Engine
-from procedures.recovery.comparison import Comparison
-from procedures.recovery.room import compare_room
+from procedures.runs.comparison import Comparison, compare_room
 from procedures.workcell import MountedTool
 from ronna_hw.devices.readings import TrackerFrame, Validity
 

@@ -29,11 +29,11 @@ from procedures.engine.errors import ToolUnchecked
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.step import Scope
 from procedures.guards.mounted_tool import ToolStillMounted
+from procedures.journal.errors import StepRefused
 from procedures.operator import checkpoint
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.recovery import inputs, recover, taking_up
-from procedures.results.errors import StepRefused
+from procedures.operator.question import Question, Topic
+from procedures.runs import comparison, recovery
+from procedures.runs.recovery import recover
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat, tool_check
 from procedures.steps.clinical.set_up import DeviceIdentity
 from procedures.steps.errors import ToolBesideGauge
@@ -49,8 +49,8 @@ pytestmark = pytest.mark.hazard(47)
 @pytest.fixture(autouse=True)
 def a_room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """Tracker and plan have their own tests."""
-    monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
-    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
+    monkeypatch.setattr(recovery, "compare_room", lambda _engine, _comparison: True)
+    monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan().plan)
     monkeypatch.setattr(at_target, "DWELL_S", 0.0)
 
 

@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps import branches
 from procedures.steps.branch import Branch, Ending
 from procedures.steps.branches import BRANCHES

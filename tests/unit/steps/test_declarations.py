@@ -29,7 +29,7 @@ from procedures.engine.order import Steps
 from procedures.engine.run_folder import typed
 from procedures.engine.step import StepKey, StepSpec
 from procedures.guards.stability import SeenUnchanged
-from procedures.results.result import FramedPose, StepResult
+from procedures.journal.results import FramedPose, StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall
 from procedures.steps.calibration.ball_observation import ObservedBall
 from procedures.steps.calibration.ball_place import BallPlace

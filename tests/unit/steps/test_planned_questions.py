@@ -6,7 +6,7 @@ import pytest
 from clinical_case import ClinicalCell
 
 from procedures.cli.case.commands import COMMANDS
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.planned_questions import planned_questions
 

@@ -37,10 +37,9 @@ from procedures.engine.replay.recorded_answers import read_answers
 from procedures.engine.replay.replay import ReplayInput, replay
 from procedures.engine.replay.sections import section_follower
 from procedures.engine.run_folder import run_of
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from procedures.recovery.comparison import Comparison
-from procedures.recovery.devices import compare_devices
-from procedures.results.errors import StepRefused
+from procedures.runs.comparison import Comparison, compare_devices
 from procedures.steps.clinical import set_up
 from procedures.steps.clinical.set_up import CheckedSetUp
 from ronna_hw.clock import Clock

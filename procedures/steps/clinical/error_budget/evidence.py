@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import TYPE_CHECKING
 
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
 from procedures.registration import TwoWayTable
 
 if TYPE_CHECKING:

@@ -12,10 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
+from procedures.journal.results import Numbers6
 from procedures.planning.plan.guide_hold import held_trajectory
 from procedures.planning.plan.model import PlannedTrajectory
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
-from procedures.results.result import Numbers6
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.strategies.target import refined_target_pose

@@ -6,8 +6,8 @@ from collections.abc import Sequence
 
 from pydantic import Field
 
+from procedures.journal.results import Values
 from procedures.planning.path_check.motions import PreviewedMotion
-from procedures.results.result import Values
 from ronna_hw.arm.clearance.swept_path import Closest
 from ronna_hw.text.counting import counted
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from procedures.results.result import Values
+from procedures.journal.results import Values
 
 
 class LeftOutSphere(Values):

@@ -5,11 +5,9 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.operator.question import NO, YES
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.journal.results import Values
+from procedures.operator.question import NO, YES, Task, Topic
 from procedures.planning.plan.guide_hold import depth_stop_mm
-from procedures.results.result import Values
 from procedures.steps.branches import SETTINGS, WRONG_STOP
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.errors import DepthStopWrong

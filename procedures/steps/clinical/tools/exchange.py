@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 from procedures.engine.context import StepContext
-from procedures.operator.question import YES
-from procedures.operator.topic import Topic
+from procedures.operator.question import YES, Topic
 from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool

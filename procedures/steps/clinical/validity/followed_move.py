@@ -20,10 +20,10 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import RoomReading, RoomWatch
 from procedures.guards.stability import HEAD_NOTICEABLE_MM
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import FramedPose, Values
 from procedures.registration.rigid_move import RigidMove, rigid_move
 from procedures.registration.shift import same_points, shift_of
-from procedures.results.errors import StepRefused
-from procedures.results.result import FramedPose, Values
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization

@@ -7,15 +7,12 @@ from typing import cast
 import pytest
 from recording_cell import mini_theatre_file
 
-from procedures.cli.case.answers import AnsweringOperator, Answers, read_answers
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.who_answers import operator_of
-from procedures.composition.procedure import Resumption
 from procedures.engine.errors import AnswersUnfit
-from procedures.engine.left_run import LeftRun
-from procedures.operator.question import Question, ReadBack
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, ReadBack, Topic
+from procedures.runs.answers import AnsweringOperator, Answers, operator_selection, read_answers
+from procedures.runs.interrupted_run import InterruptedRun, Resumption
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.steps.answer_words import ANSWER_WORDS
 
 APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
@@ -97,8 +94,12 @@ def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: To
 
 @pytest.mark.hazard(36)
 def test_a_pause_on_real_devices_is_answered_where_it_is_asked_without_a_file(tmp_path: Path) -> None:
-    request = CaseRequest(out=tmp_path, config=mini_theatre_file(tmp_path, simulated=False), case=tmp_path)
-    operator = operator_of(request, Watcher(at_pause=Person()), Answers(default="first"))
+    request = RunRequest(
+        procedure=CaseProcedure(case=tmp_path), config=mini_theatre_file(tmp_path, simulated=False)
+    )
+    operator = operator_selection(
+        replace(request, answers=Answers(default="first")), RunObservers(at_pause=Person())
+    )
     assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "person"
 
 
@@ -118,9 +119,12 @@ def test_a_file_for_real_devices_that_answers_for_the_person_is_refused_when_it_
 @pytest.mark.parametrize(("simulated", "answer"), [(True, "yes"), (False, "no")])
 def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool, answer: str) -> None:
     path = mini_theatre_file(tmp_path, simulated=simulated)
-    request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
-    assert operator_of(request, Watcher(), Answers(default="first")).ask(moves) == answer
+    assert (
+        operator_selection(replace(request, answers=Answers(default="first")), RunObservers()).ask(moves)
+        == answer
+    )
 
 
 @pytest.mark.parametrize("by_file", [None, Answers(default="silence"), Answers(answers={"resume": "no"})])
@@ -129,9 +133,11 @@ def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file
     tmp_path: Path, accepted: bool, answers: list[str], by_file: Answers | None
 ) -> None:
     path = mini_theatre_file(tmp_path, simulated=True)
-    left = cast(LeftRun, None)  # not looked at
-    request = CaseRequest(out=tmp_path, config=path, case=tmp_path)
-    operator = operator_of(request, Watcher(), by_file, Resumption(left, accepted))
+    left = cast(InterruptedRun, None)  # not looked at
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
+    operator = operator_selection(
+        replace(request, answers=by_file), RunObservers(), Resumption(left, accepted)
+    )
     findings = Question(Topic.RESUME, "resume the case", "no differences")
     assert [operator.ask(question) for question in (findings, APPROACH)] == answers
 
@@ -141,8 +147,8 @@ def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
-    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: at_terminal)
-    operator = operator_of(CaseRequest(out=tmp_path), Watcher(), None)
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    operator = operator_selection(RunRequest(procedure=CaseProcedure()), RunObservers())
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
 
 
@@ -154,8 +160,12 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
     at_terminal: bool,
     said: str,
 ) -> None:
-    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: at_terminal)
-    operator_of(CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path), Watcher(), None)
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    operator_selection(
+        RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml"),
+        RunObservers(),
+        None,
+    )
     error = capsys.readouterr().err
     assert said in error if said else error == ""
 
@@ -163,8 +173,10 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
 def test_acknowledging_does_not_warn_that_nobody_can_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("procedures.cli.case.who_answers.on_terminal", lambda _stream: False)
-    request = CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=tmp_path)
-    left = cast(LeftRun, None)  # not looked at
-    operator_of(request, Watcher(), None, Resumption(left, accepted=False, only_leaving=True, asks=False))
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: False)
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml")
+    left = cast(InterruptedRun, None)  # not looked at
+    operator_selection(
+        request, RunObservers(), Resumption(left, accepted=False, only_leaving=True, asks=False)
+    )
     assert capsys.readouterr().err == ""

@@ -19,8 +19,8 @@ from procedures.cli.runs.watching import line_of
 from procedures.engine.context import StepContext
 from procedures.engine.events import Event, EventStream, Fault, JournalLine, Refusal
 from procedures.engine.step import Outcome
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
 from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"

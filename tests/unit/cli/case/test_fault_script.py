@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.case.fault_script import check_fault_script, never_began
+from procedures.runs.request_checks import check_fault_script, never_began
 from ronna_hw.command_line.errors import UsageMistake
 
 STEPS = ("registration", "at_target")

@@ -9,16 +9,15 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell, mini_theatre_file
 from user_commands import in_this_process
 
-from procedures.cli.case.leaving_report import leave_report, leaving_report, seal_run
-from procedures.cli.case.opening import Watcher, opened_engine
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
-from procedures.composition.procedure import Procedure, Resumption
-from procedures.engine.left_run import read_left_run
+from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
-from procedures.results.errors import GateFailed
+from procedures.runs.engine_setup import EngineInput
+from procedures.runs.finishing import finalized_run, leave_report, seal_run
+from procedures.runs.interrupted_run import Resumption, read_interrupted_run
+from procedures.runs.lifecycle import RunObservers, open_engine
+from procedures.runs.request import CaseProcedure, RunRequest, write_request
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.named_files import REQUEST_FILE
@@ -30,7 +29,7 @@ def test_a_run_that_ends_in_an_error_or_interrupt_leaves_a_report_and_reraises_i
     tmp_path: Path, problem: BaseException
 ) -> None:
     (tmp_path / JOURNAL_FILE).touch()
-    with pytest.raises(type(problem)) as met, leaving_report(tmp_path):
+    with pytest.raises(type(problem)) as met, finalized_run(tmp_path):
         raise problem
     assert met.value is problem
     text = (tmp_path / "report.html").read_text()
@@ -47,12 +46,12 @@ def test_while_a_run_is_open_its_page_says_so_and_not_how_it_ended_before(tmp_pa
     seal_run(cell.folder)
     assert page is not None
     assert "The operator left" in page.read_text()
-    left = read_left_run(cell.folder)
-    opened = opened_engine(
-        CaseRequest(out=tmp_path, config=theatre),
+    left = read_interrupted_run(cell.folder)
+    opened = open_engine(
+        RunRequest(procedure=CaseProcedure(), config=theatre),
         cell.folder,
-        lambda _theatre: Procedure(plain_order()),
-        Watcher(),
+        lambda _theatre: EngineInput(plain_order()),
+        RunObservers(),
         resumption=Resumption(left, accepted=False, only_leaving=True, asks=False),
     )
     with opened:
@@ -73,7 +72,7 @@ def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
     if moved:
         journal.write(Entry.MOTION, 1.0)
     journal.close()
-    with pytest.raises(KeyboardInterrupt), leaving_report(tmp_path):
+    with pytest.raises(KeyboardInterrupt), finalized_run(tmp_path):
         raise KeyboardInterrupt
     shown = capsys.readouterr().err
     assert said in shown
@@ -84,12 +83,14 @@ def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
 def test_a_run_whose_theatre_has_ended_says_to_start_the_theatre_again_first(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    write_request(CaseRequest(out=tmp_path, config=tmp_path / "theatre" / "theatre.toml"), tmp_path)
+    write_request(
+        RunRequest(procedure=CaseProcedure(), config=tmp_path / "theatre" / "theatre.toml"), tmp_path
+    )
     journal = Journal(tmp_path)
     journal.write(Entry.OPENED, 0.0)
     journal.write(Entry.MOTION, 1.0)
     journal.close()
-    with pytest.raises(ClockUnavailable), leaving_report(tmp_path):
+    with pytest.raises(ClockUnavailable), finalized_run(tmp_path):
         raise ClockUnavailable("cannot open the clock")
     first, _, then = capsys.readouterr().err.partition(
         f"theatre --out {tmp_path / 'theatre'} --continue, then"
@@ -107,7 +108,7 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
 
     (tmp_path / JOURNAL_FILE).touch()
     monkeypatch.setattr(report, "write_report", full)
-    with pytest.raises(GateFailed), leaving_report(tmp_path):
+    with pytest.raises(GateFailed), finalized_run(tmp_path):
         raise GateFailed("too far off")
     shown = capsys.readouterr().err
     assert "the report could not be written: CLI-003: report.html: " in shown

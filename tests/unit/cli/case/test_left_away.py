@@ -10,19 +10,15 @@ import pytest
 from recording_cell import GUIDE, HOME, RecordingCell
 from user_commands import in_this_process
 
-from procedures.cli.case import left_away as left_away_module
-from procedures.cli.case.left_away import left_away
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import write_request
 from procedures.cli.doctor.theatre_use import use_diagnostics
 from procedures.cli.procedure import app
-from procedures.engine import theatre_note
 from procedures.engine.order import order_of
-from procedures.engine.theatre_lock import held_theatre
-from procedures.engine.theatre_note import NOT_KNOWN, TheatreNote
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
+from procedures.operator.question import NotConfirmed, Topic
+from procedures.runs import theatre_note
+from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_note import NOT_KNOWN, TheatreNote, arm_not_home
 from procedures.steps.clinical import set_up
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.errors import EXIT_RECOVERY_NEEDED
@@ -36,7 +32,7 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
     theatre = runs / "theatre.toml"
     theatre.touch()
     if resumable:
-        write_request(CaseRequest(out=runs, config=theatre, case=runs), cell.folder)
+        write_request(RunRequest(procedure=CaseProcedure(case=runs), config=theatre), cell.folder)
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     with held_theatre(theatre, cell.folder):
         for what in whats:
@@ -55,7 +51,7 @@ def warning_of(run: Path) -> str | None:
     """What a session of that run on the theatre is warned of."""
     run.mkdir(exist_ok=True)
     with held_theatre(run.parent / "theatre.toml", run) as last:
-        return left_away(last, run)
+        return arm_not_home(last, run)
 
 
 def test_the_warning_names_the_run_that_left_the_arm_away_and_the_home_command(tmp_path: Path) -> None:
@@ -112,7 +108,7 @@ def test_a_run_in_a_place_hidden_from_this_user_is_named(
         raise PermissionError
 
     monkeypatch.setattr(theatre_note, "read_chain", hidden)
-    monkeypatch.setattr(left_away_module, "read_chain", hidden)
+    monkeypatch.setattr(theatre_note, "read_chain", hidden)
     monkeypatch.setattr(Path, "exists", hidden)
     assert warning(tmp_path) == f"run {away.name} moved the arm last, and its journal cannot be read"
 
@@ -221,7 +217,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     monkeypatch.setattr(theatre_note, "ARMS_FOLDER", tmp_path / "arms")
     theatre = simulated_theatre(tmp_path / "theatre.toml", "a" * 32)
     cell = RecordingCell(tmp_path / "20260101T000000-abcd")
-    write_request(CaseRequest(out=tmp_path, config=theatre, case=tmp_path), cell.folder)
+    write_request(RunRequest(procedure=CaseProcedure(case=tmp_path), config=theatre), cell.folder)
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     cell.arm.mounted = GUIDE
     cell.workcell.check_mounted(MountedTool.GUIDE)
@@ -238,7 +234,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     assert "Touch neither the tool nor the arm" in instrument.advice
     assert f"ronna-procedure home {cell.folder}" in away.seen
     with held_theatre(copy, tmp_path / "new") as last:
-        assert f"ronna-procedure home {cell.folder}" in str(left_away(last, tmp_path / "new"))
+        assert f"ronna-procedure home {cell.folder}" in str(arm_not_home(last, tmp_path / "new"))
     assert not list(use_diagnostics(simulated_theatre(tmp_path / "fresh.toml", "b" * 32)))
 
 
@@ -261,7 +257,7 @@ def test_the_arm_position_becomes_home_only_after_confirmation(tmp_path: Path) -
     cell = RecordingCell(tmp_path)
     cell.operator.refusing = (Topic.RESUME,)
     engine = cell.engine(order_of([set_up.STEP], ()))
-    engine.setting = replace(engine.setting, left_away="run A left the arm away from its home")
+    engine.setting = replace(engine.setting, arm_not_home="run A left the arm away from its home")
     with pytest.raises(NotConfirmed, match="run A left the arm away"):
         engine.run_to()
     assert not cell.workcell.place.is_home
@@ -278,7 +274,7 @@ def test_the_doctor_says_that_a_later_run_could_not_be_warned(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(
-        "procedures.engine.theatre_lock.os.access", lambda path, how: False
+        "procedures.runs.theatre_lock.os.access", lambda path, how: False
     )  # root may write anywhere
     (found,) = use_diagnostics(tmp_path / "theatre.toml")
     assert not found.well

@@ -19,9 +19,8 @@ from procedures.cli.case.prompt import Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.step import Outcome
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Question, Topic
 
 LIMIT_S = 10.0
 

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.scene_choice import SceneChoice
+from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 
 
 def test_a_built_in_scene_uses_the_requested_seed() -> None:
@@ -27,5 +26,5 @@ def test_an_invalid_scene_file_gives_seed_zero(tmp_path: Path, text: str) -> Non
 
 
 def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:
-    assert CaseRequest(out=tmp_path).seed == 0
-    assert CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml").seed is None
+    assert RunRequest(procedure=CaseProcedure()).seed == 0
+    assert RunRequest(procedure=CaseProcedure(), config=tmp_path / "theatre.toml").seed is None

@@ -6,9 +6,9 @@ from pathlib import Path
 
 import pytest
 
-from procedures.cli.case import simulated_case
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.simulated_case import SimulatedCase
+from procedures.runs import simulated_theatre
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.simulated_theatre import SimulatedTheatre
 
 
 def test_the_theatre_ends_when_its_patient_cannot_be_started(
@@ -25,8 +25,8 @@ def test_the_theatre_ends_when_its_patient_cannot_be_started(
     def no_process_left(*_: object) -> None:
         raise OSError(errno.EAGAIN, os.strerror(errno.EAGAIN))
 
-    monkeypatch.setattr(simulated_case, "TheatreProcess", Theatre)
-    monkeypatch.setattr(simulated_case, "_start_phantom", no_process_left)
+    monkeypatch.setattr(simulated_theatre, "TheatreProcess", Theatre)
+    monkeypatch.setattr(simulated_theatre, "_start_phantom", no_process_left)
     with pytest.raises(OSError, match="Resource temporarily unavailable"):
-        SimulatedCase(CaseRequest(out=tmp_path), tmp_path, tmp_path / "phantom")
+        SimulatedTheatre(RunRequest(procedure=CaseProcedure()), tmp_path, tmp_path / "phantom")
     assert ended == ["theatre"]

@@ -14,11 +14,10 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.console import link
-from procedures.cli.console.desk import Desk
 from procedures.cli.console.options import ConsoleOptions
-from procedures.cli.console.seat import LEASE_S
-from procedures.engine.orders import Claim
+from procedures.runs import console_link
+from procedures.runs.operator_station import LEASE_S, OperatorStation
+from procedures.runs.orders import Claim
 from ronna_hw.command_line import messages
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -44,8 +43,8 @@ class Listening:
 def test_a_console_receives_a_heartbeat_before_the_theatre_is_open(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "ChildProcess", Listening)
-    console: Any = link.ConsoleLink(tmp_path, Desk(waits=True), 0, lambda _words: None)
+    monkeypatch.setattr(console_link, "ChildProcess", Listening)
+    console: Any = console_link.ConsoleLink(tmp_path, OperatorStation(waits=True), 0, lambda _words: None)
     try:
         heard = console._child.socket.recv(100)
     finally:
@@ -56,12 +55,12 @@ def test_a_console_receives_a_heartbeat_before_the_theatre_is_open(
 def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(link, "ChildProcess", Listening)
+    monkeypatch.setattr(console_link, "ChildProcess", Listening)
     now_s = [0.0]
-    desk = Desk(waits=True, now_s=lambda: now_s[0])
+    desk = OperatorStation(waits=True, now_s=lambda: now_s[0])
     engine = RecordingCell(tmp_path).engine(plain_order())  # neither asks nor waits
     desk.attach(engine)
-    console: Any = link.ConsoleLink(tmp_path, desk, 0, lambda _words: None)
+    console: Any = console_link.ConsoleLink(tmp_path, desk, 0, lambda _words: None)
     heard = bytearray()
 
     def is_heard(words: bytes) -> bool:
@@ -92,8 +91,8 @@ def test_a_case_waits_until_its_console_serves_or_has_failed(
                 raise ValueError("it says nothing")
             return {}
 
-    monkeypatch.setattr(link, "ChildProcess", Slow)
-    console = link.ConsoleLink(tmp_path, Desk(waits=False), 0, said.append)
+    monkeypatch.setattr(console_link, "ChildProcess", Slow)
+    console = console_link.ConsoleLink(tmp_path, OperatorStation(waits=False), 0, said.append)
     try:
         with ThreadPoolExecutor(1) as beside:
             waiting = beside.submit(console.await_ready)

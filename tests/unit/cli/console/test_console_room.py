@@ -11,15 +11,12 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.console.desk import Desk
-from procedures.cli.console.pilot import Pilot
-from procedures.cli.console.room import ConsoleRoom
 from procedures.engine.engine import Engine
-from procedures.engine.events.shown import shown_digest
-from procedures.engine.orders import read_order
-from procedures.engine.questions import as_shown
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.room import Task
+from procedures.operator.question import Task
+from procedures.runs.operator_station import OperatorStation
+from procedures.runs.order_executor import ConsoleRoom, OrderExecutor
+from procedures.runs.orders import read_order
 
 ANA = "session-ana"
 GAUGE = Task("gauge", "read the gauge", reads=("gap in mm", "turn in mm"))
@@ -49,9 +46,9 @@ class Stand:
     """A case that is operated from the console by Ana, and its room."""
 
     def __init__(self, folder: Path, *, waits: bool = True) -> None:
-        self.desk = Desk(waits=waits)
+        self.desk = OperatorStation(waits=waits)
         self.terminal = Terminal()
-        pilot = Pilot(self.desk, runs=True)
+        pilot = OrderExecutor(self.desk, runs=True)
         self.room = ConsoleRoom(self.terminal, pilot)
         cell = RecordingCell(folder)
         cell.operator = pilot.operator(cell.operator)  # type: ignore[assignment]  # the cell's own is a recorder
@@ -66,11 +63,9 @@ class Stand:
         return self.desk.take(read_order(json.dumps(content)))
 
     def answer(self, answer: str, readings: list[float] | None = None) -> str:
-        eventually(lambda: self.desk._standing is not None)
-        standing = self.desk._standing
-        assert standing is not None
-        number = standing.question.number
-        shown = shown_digest(as_shown(standing.question, number))
+        eventually(lambda: self.desk.open_question is not None)
+        assert self.desk.open_question is not None
+        number, shown = self.desk.open_question
         return self.give("answer", question=number, answer=answer, shown=shown, readings=readings)
 
     def work(self, task: Task) -> list[tuple[float, ...]]:
@@ -121,7 +116,7 @@ def test_the_answer_nobody_ends_the_step(stand: Stand) -> None:
 
 def test_the_terminal_is_asked_when_the_console_ends_meanwhile(stand: Stand) -> None:
     read = stand.work(GAUGE)
-    eventually(lambda: stand.desk._standing is not None)
+    eventually(lambda: stand.desk.open_question is not None)
     stand.desk.leave()
     eventually(lambda: read == [(9.0, 9.0)])
     assert stand.terminal.asked == ["read the gauge", "read the gauge"]

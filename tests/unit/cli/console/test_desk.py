@@ -13,17 +13,15 @@ from recording_cell import RecordingCell
 from waiting import eventually
 
 from procedures.cli.case.commands import COMMANDS
-from procedures.cli.case.operators import ScriptedOperator
-from procedures.cli.console.desk import Desk, Wish
-from procedures.cli.console.pilot import Pilot
-from procedures.cli.console.seat import LEASE_S
 from procedures.engine.events import Seat
 from procedures.engine.events.shown import shown_digest
-from procedures.engine.orders import read_order
 from procedures.engine.questions import as_shown
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import Question, ReadBack, Signature
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, ReadBack, Signature, Topic
+from procedures.runs.answers import ScriptedOperator
+from procedures.runs.operator_station import LEASE_S, OperatorStation, PendingOrder
+from procedures.runs.order_executor import OrderExecutor
+from procedures.runs.orders import Resume, read_order
 
 ANA, BEN = "session-ana", "session-ben"
 
@@ -40,7 +38,7 @@ class Stand:
 
     def __init__(self, folder: Path, *, waits: bool = False) -> None:
         self.clock = Clock()
-        self.desk = Desk(waits=waits, now_s=self.clock)
+        self.desk = OperatorStation(waits=waits, now_s=self.clock)
         self.engine = RecordingCell(folder).engine(plain_order())
         self.desk.attach(self.engine)
         self._count = 0
@@ -54,14 +52,14 @@ class Stand:
         """Ask on a thread of its own; what came of it stands in the list when it is answered."""
         answers: list[str | None] = []
         threading.Thread(target=lambda: answers.append(self.desk.ask(question)), daemon=True).start()
-        eventually(lambda: self.desk._standing is not None)
+        eventually(lambda: self.desk.open_question is not None)
         return answers
 
-    def wish(self, upcoming: str = "image") -> list[Wish | None]:
+    def wish(self, upcoming: str = "image") -> list[PendingOrder | None]:
         """As `ask`, for what is wished between steps."""
-        wishes: list[Wish | None] = []
-        threading.Thread(target=lambda: wishes.append(self.desk.wish(upcoming)), daemon=True).start()
-        eventually(lambda: self.desk._waiting_for == upcoming)
+        wishes: list[PendingOrder | None] = []
+        threading.Thread(target=lambda: wishes.append(self.desk.next_order(upcoming)), daemon=True).start()
+        eventually(lambda: self.desk.waiting_for == upcoming)
         return wishes
 
 
@@ -202,7 +200,7 @@ def test_a_pause_ends_only_by_its_question_and_resume_works_between_steps(stand:
     wishes = stand.wish()
     assert stand.give("resume", upcoming="fit:T1") == "out of date: the next step is now image"
     assert stand.give("resume", upcoming="image") == ""
-    eventually(lambda: wishes == [Wish("end", by="Ana")])
+    eventually(lambda: [(one and type(one.order), one and one.by) for one in wishes] == [(Resume, "Ana")])
 
 
 def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_the_question(
@@ -245,13 +243,13 @@ def test_a_script_does_not_continue_a_case_that_a_person_stopped(
     tmp_path: Path,
 ) -> None:
     stand = Stand(tmp_path)  # nobody is in the seat
-    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
     assert operator.ask(pause) == "continue"
     stand.give("stop", BEN)
     answers: list[str] = []
     threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
-    eventually(lambda: stand.desk._standing is not None)
+    eventually(lambda: stand.desk.open_question is not None)
     given = {"question": 1, "answer": "continue", "shown": shown(pause)}
     assert stand.give("answer", BEN, **given) == "you are not in the operator's seat"
     stand.give("claim", name="Ana")
@@ -264,7 +262,7 @@ def test_a_script_does_not_continue_a_case_that_a_person_stopped(
 @pytest.mark.hazard(32)
 def test_a_console_that_ends_before_its_stop_is_met_leaves_no_script_to_continue(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
-    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)
     stand.desk.leave()
     assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "abort"
@@ -284,12 +282,12 @@ def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(
     tmp_path: Path,
 ) -> None:
     stand = Stand(tmp_path)
-    operator = Pilot(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)
     answers: list[str] = []
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
     threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
-    eventually(lambda: stand.desk._standing is not None)
+    eventually(lambda: stand.desk.open_question is not None)
     stand.desk.leave()
     eventually(lambda: answers == ["abort"])
 

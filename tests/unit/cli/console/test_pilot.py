@@ -14,23 +14,21 @@ from plain_steps import Fit, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
 from waiting import eventually
 
-from procedures.cli.case import outcome
-from procedures.cli.case.opening import Watcher
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.console.attaching import check_console
-from procedures.cli.console.desk import Desk
-from procedures.cli.console.pilot import Pilot
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import ConsoleMissing
-from procedures.engine.orders import read_order
 from procedures.engine.questions import Questions
 from procedures.engine.step import Outcome
+from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.errors import OperatorAborted
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import OperatorAborted, Topic
+from procedures.runs.console_link import check_console
+from procedures.runs.lifecycle import RunObservers, run_to_end
+from procedures.runs.operator_station import OperatorStation
+from procedures.runs.order_executor import OrderExecutor
+from procedures.runs.orders import read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 
@@ -42,15 +40,15 @@ class Operated:
 
     def __init__(self, engine: Engine, *, waits: bool = True, runs: bool = True) -> None:
         self.engine = engine
-        self.pilot = Pilot(Desk(waits=waits), runs=runs)
-        self.pilot.attach(engine)
+        self.executor = OrderExecutor(OperatorStation(waits=waits), runs=runs)
+        self.executor.attach(engine)
         self.ended_by: list[BaseException | None] = []
         self.thread = threading.Thread(target=self._run, daemon=True)
         self._count = 0
 
     def _run(self) -> None:
         try:
-            self.pilot.run_to_end(self.engine)
+            self.executor.run_to_end(self.engine)
             self.ended_by.append(None)
         except BaseException as problem:
             self.ended_by.append(problem)
@@ -58,10 +56,10 @@ class Operated:
     def give(self, kind: str, **more: Any) -> str:
         self._count += 1
         content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
-        return self.pilot.desk.take(read_order(json.dumps(content)))
+        return self.executor.station.take(read_order(json.dumps(content)))
 
     def await_waiting(self) -> None:
-        eventually(lambda: self.pilot.desk._waiting_for is not None)
+        eventually(lambda: self.executor.station.waiting_for is not None)
 
     def stands(self, name: str) -> bool:
         return self.engine.case.stands(self.engine.order.find(name))
@@ -76,7 +74,7 @@ def cell(tmp_path: Path) -> RecordingCell:
 def running(operated: Operated) -> Iterator[Operated]:
     operated.thread.start()
     yield operated
-    operated.pilot.desk.leave()
+    operated.executor.station.leave()
     operated.thread.join(20)
 
 
@@ -118,12 +116,12 @@ def test_run_to_stops_where_its_step_is_left_out(cell: RecordingCell) -> None:
         assert case.give("run_to", upcoming="image", step="approach:T2") == ""
         eventually(lambda: case.stands("fit:T2"))
         case.await_waiting()
-        assert case.pilot.desk._waiting_for == "localization:T3"
+        assert case.executor.station.waiting_for == "localization:T3"
 
 
 def test_a_simulated_case_runs_without_an_operator_in_the_seat(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()), waits=False)
-    case.pilot.run_to_end(case.engine)
+    case.executor.run_to_end(case.engine)
     assert case.engine.machine.state == "finished"
 
 
@@ -132,14 +130,14 @@ def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_wit
 ) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
     case = Operated(cell.engine(plain_order()))
-    case.pilot.desk.leave()
+    case.executor.station.leave()
     case._run()
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert not case.stands("image")
     assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
 
 
-class Dying(Desk):
+class Dying(OperatorStation):
     """A desk whose console ends right before it is looked at."""
 
     def __init__(self, before: str) -> None:
@@ -167,8 +165,8 @@ def test_a_case_pauses_before_its_next_step_whenever_its_console_ends(
 ) -> None:
     cell.operator.refusing = (Topic.PAUSE,)
     case = Operated(cell.engine(plain_order()))
-    case.pilot.desk = Dying(before)
-    case.pilot.attach(case.engine)
+    case.executor.station = Dying(before)
+    case.executor.attach(case.engine)
     case._run()
     assert isinstance(case.ended_by[0], OperatorAborted)
     assert [question.topic for question in cell.operator.asked] == [Topic.PAUSE]
@@ -177,7 +175,7 @@ def test_a_case_pauses_before_its_next_step_whenever_its_console_ends(
 
 def test_a_case_continued_without_its_console_runs_to_its_end(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()))
-    case.pilot.desk.leave()
+    case.executor.station.leave()
     case._run()
     assert case.engine.machine.state == "finished"
 
@@ -250,7 +248,7 @@ def test_an_abort_at_the_console_asks_for_the_way_home_once_also_at_a_terminal(c
     case.give("claim", name="Ana")
     case.give("abort")
     with pytest.raises(OperatorAborted):
-        outcome._run(case.engine, Watcher(held=Prompt("", print), pilot=case.pilot))
+        run_to_end(case.engine, RunObservers(held=Prompt("", print), executor=case.executor))
     assert [question.topic for question in cell.operator.asked].count(Topic.PARK) == 1
     assert cell.entries("home") == [("home", "")]
 
@@ -360,20 +358,20 @@ def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_ste
 @pytest.mark.hazard(32)
 def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()), runs=False)
-    cell.operator = case.pilot.operator(cell.operator)  # type: ignore[assignment]
+    cell.operator = case.executor.operator(cell.operator)  # type: ignore[assignment]
     case.engine.questions = Questions(cell.operator, cell.journal, cell.clock.now_s, case.engine.events)
     with running(case):
         case.await_waiting()
         case.give("claim", name="Ana")
         case.engine.checkpoint.pause()
         assert case.give("next", upcoming="image") == ""
-        eventually(lambda: case.pilot.desk._standing is not None)
+        eventually(lambda: case.executor.station.open_question is not None)
         cell.arm.state = Lifecycle.FAULT
         assert case.give("acknowledge") == ""
         eventually(lambda: "recovered by Ana" in cell.arm.calls)
-        asked = case.pilot.desk._standing
-        assert asked is not None
-        answer = {"question": asked.question.number, "answer": "continue", "shown": asked.shown}
+        assert case.executor.station.open_question is not None
+        number, shown = case.executor.station.open_question
+        answer = {"question": number, "answer": "continue", "shown": shown}
         assert case.give("answer", **answer) == ""
         case.await_waiting()
         assert cell.entries("failed") == [("failed", "image")]  # PRO-001: it is begun again

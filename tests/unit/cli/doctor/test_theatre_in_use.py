@@ -14,13 +14,13 @@ from subprocess import PIPE, Popen
 import pytest
 from user_commands import in_this_process
 
-from procedures.cli.case.request_file import RequestFile
 from procedures.cli.doctor import theatre_use
 from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.theatre_lock import held_theatre
-from procedures.engine.theatre_note import TheatreNote, note_file
 from procedures.journal.journal import Entry, Journal
+from procedures.runs.request import RequestFile
+from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_note import TheatreNote, note_file
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -43,7 +43,7 @@ def theatre(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def run_on(theatre: Path, folder: Path) -> Iterator[int]:
     """A run on this theatre in this folder; yields the number of the process that holds it."""
-    hold = "import sys; from procedures.engine.theatre_lock import held_theatre; from pathlib import Path\n"
+    hold = "import sys; from procedures.runs.theatre_lock import held_theatre; from pathlib import Path\n"
     hold += "with held_theatre(*map(Path, sys.argv[1:])): print('held', flush=True); sys.stdin.read()"
     words = [sys.executable, "-c", hold, str(theatre), str(folder)]
     with Popen(words, stdin=PIPE, stdout=PIPE, text=True) as run:

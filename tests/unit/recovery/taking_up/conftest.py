@@ -8,14 +8,14 @@ import pytest
 from clinical_case import ClinicalCell
 from prepared_results import checked_plan
 
-from procedures.recovery import inputs, taking_up
+from procedures.runs import comparison, recovery
 from procedures.workcell import MountedTool
 
 
 @pytest.fixture(autouse=True)
 def room_as_recorded(monkeypatch: pytest.MonkeyPatch) -> None:
     """The tracker has its own tests; here the comparison with the room finds what was recorded."""
-    monkeypatch.setattr(taking_up, "compare_room", lambda _engine, _comparison: True)
+    monkeypatch.setattr(recovery, "compare_room", lambda _engine, _comparison: True)
 
 
 @pytest.fixture
@@ -25,4 +25,4 @@ def cell(tmp_path: Path) -> ClinicalCell:
 
 @pytest.fixture(autouse=True)
 def plan_as_checked(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan().plan)
+    monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan().plan)

@@ -12,10 +12,10 @@ from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.left_run import LeftRun
-from procedures.engine.theatre_note import NOT_KNOWN
-from procedures.operator.topic import Topic
-from procedures.recovery import bring_home, recover
+from procedures.operator.question import Topic
+from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.recovery import bring_home, recover
+from procedures.runs.theatre_note import NOT_KNOWN
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import LinkTimeout
@@ -110,12 +110,12 @@ B_LEFT = "run B left the arm away from its home; ronna-procedure home B brings i
 @pytest.mark.hazard(2)
 @pytest.mark.parametrize("way", [bring_home, recover])
 def test_an_arm_that_another_run_left_away_is_not_moved_by_this_one(
-    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+    cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object]
 ) -> None:
     again, engine, left = left_after(cell, "tool_change")
     joints_rad = again.arm.joints_rad
     again.arm.joints_rad = (*joints_rad[:5], joints_rad[5] + 0.1)
-    engine.setting = replace(engine.setting, left_away=B_LEFT)
+    engine.setting = replace(engine.setting, arm_not_home=B_LEFT)
     with pytest.raises(RecoveryRefused, match=f"PRO-032.*{B_LEFT}") as refused:
         way(engine, left)
     assert "new run" not in refused.value.advice  # it would take that position for its home
@@ -127,18 +127,18 @@ def test_an_arm_that_was_jogged_home_after_another_run_does_not_keep_this_one_fr
     cell: ClinicalCell,
 ) -> None:
     again, engine, left = left_after(cell, "tool_change")
-    engine.setting = replace(engine.setting, left_away=B_LEFT)
+    engine.setting = replace(engine.setting, arm_not_home=B_LEFT)
     recover(engine, left)
     assert B_LEFT in again.operator.asked[0].value
 
 
 @pytest.mark.parametrize("way", [bring_home, recover])
 def test_where_no_note_says_who_moved_the_arm_last_the_operator_decides(
-    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+    cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object]
 ) -> None:
     again, engine, left = left_after(cell, f"positioning:{FIRST}")
     assert not again.workcell.place.is_home
-    engine.setting = replace(engine.setting, left_away=NOT_KNOWN)
+    engine.setting = replace(engine.setting, arm_not_home=NOT_KNOWN)
     way(engine, left)
     assert NOT_KNOWN in again.operator.asked[0].value
 

@@ -16,13 +16,12 @@ from run_again import broken_off, opened_again
 from procedures.engine import questions
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.left_run import LeftRun
 from procedures.engine.order import order_of
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.recovery import bring_home, recover
-from procedures.results.errors import StepRefused
+from procedures.operator.question import NotConfirmed, Topic
+from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.recovery import bring_home, recover
 from procedures.steps.clinical.at_target import ReachedTarget
 from ronna_hw.arm.angles import radians6
 from ronna_hw.arm.errors import NotClear
@@ -122,7 +121,7 @@ def test_a_guide_whose_journal_lines_were_lost_is_found_by_its_position(
 @pytest.mark.parametrize("way", [recover, bring_home])
 @pytest.mark.parametrize("torn", [False, True])
 def test_an_instrument_whose_journal_line_was_lost_counts_as_inside(
-    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], torn: bool
+    cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object], torn: bool
 ) -> None:
     order = case_order(cell)
     cell.engine(order).run_to(order.find(f"at_target:{FIRST}"))
@@ -143,7 +142,7 @@ def test_an_instrument_whose_journal_line_was_lost_counts_as_inside(
 @pytest.mark.parametrize("way", [recover, bring_home])
 @pytest.mark.parametrize("inside", [True, False])
 def test_a_guide_at_the_gauge_counts_as_holding_the_mandrel_until_confirmed_out(
-    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object], inside: bool
+    cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object], inside: bool
 ) -> None:
     order = case_order(cell)
     cell.engine(order).run_to(order.find("tool_change"))
@@ -196,7 +195,7 @@ def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 @pytest.mark.parametrize("way", [recover, bring_home])
 def test_nothing_moves_after_a_kill_during_the_insertion_while_the_instrument_is_inside(
-    cell: ClinicalCell, way: Callable[[Engine, LeftRun], object]
+    cell: ClinicalCell, way: Callable[[Engine, InterruptedRun], object]
 ) -> None:
     again, engine, left = left_with_an_instrument_inside(cell, case_order(cell))
     again.operator.refusing = (Topic.INSTRUMENT_OUT,)

@@ -15,7 +15,8 @@ from recording_cell import STEREO_HEAD
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.recovery import inputs, recover
+from procedures.runs import comparison
+from procedures.runs.recovery import recover
 
 
 def other_tool(cell: ClinicalCell) -> None:
@@ -98,7 +99,7 @@ def test_an_arm_moved_with_the_guide_in_front_of_an_entry_is_refused(cell: Clini
 @pytest.mark.hazard(1)
 def test_a_changed_plan_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
     again, engine, left = left_after(cell, "tool_change")
-    monkeypatch.setattr(inputs, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
+    monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
     with pytest.raises(RecoveryRefused, match="plan"):
         recover(engine, left)
     assert again.arm.motions == []

@@ -24,7 +24,7 @@ from procedures.engine.step import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.stability import Subject
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat, tool_check
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.confirmation import ConfirmedTarget

@@ -9,7 +9,7 @@ from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.plan.model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch

@@ -14,7 +14,7 @@ from recording_cell import RecordingOperator
 from strategy_arms import Stuck
 
 from procedures.engine.case import Stored
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan

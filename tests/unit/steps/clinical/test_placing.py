@@ -15,11 +15,9 @@ from watched_case import findings
 
 from procedures.engine.step import StepSpec
 from procedures.guards.errors import PatientMoved
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed, StepRefused
+from procedures.operator.question import NotConfirmed, Task, Topic
 from procedures.planning.errors import PlaceUnfit
-from procedures.results.errors import GateFailed, StepRefused
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
 from procedures.steps.clinical import cart_lock, head_clamp
 from procedures.steps.clinical.cart_lock import LockedCart

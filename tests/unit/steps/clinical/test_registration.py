@@ -19,9 +19,8 @@ from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.guards.stability import Subject
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
+from procedures.operator.question import NotConfirmed, Topic
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation

@@ -6,9 +6,8 @@ from prepared_results import checked_plan, checked_set_up, coarse, localized_fid
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored
-from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
+from procedures.operator.question import NotConfirmed, Topic
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
 from procedures.strategies.approach import ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool

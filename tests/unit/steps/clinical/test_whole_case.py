@@ -20,10 +20,10 @@ from prepared_results import (
 from procedures.engine.events import StepState
 from procedures.engine.step import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.topic import Topic
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.planning.path_check.motions import GAUGE, HOME
 from procedures.planning.plan.guide_hold import held_trajectory
-from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
