@@ -10,7 +10,7 @@ from starlette.responses import JSONResponse
 from console.guard import SESSION
 from console.hub import Hub
 from console.sessions import Role
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from procedures.runs.orders import LONGEST_BYTES
 from ronna_hw.bounded_input import parse_json
 

@@ -11,7 +11,7 @@ from console.errors import NothingToShow
 from console.feed.recorded import RecordedCase
 from console.hub import Hub
 from procedures.engine.events import Event
-from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.event_file import FollowedRun
 from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress
 from ronna_hw.errors import RonnaError

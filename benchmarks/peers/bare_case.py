@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from procedures.engine import closing
+from procedures.engine import run_folder
 from procedures.engine.events import event_file, stream
 from procedures.journal import journal
 from procedures.runs import lifecycle
@@ -47,7 +47,7 @@ def keep_nothing() -> None:
         (reading_tape, "ReadingTape", _Tape),
         (taped_device, "taped", lambda device, _tape: device),
         (Theatre, "record_bytes", _ignore),
-        (closing, "hashes_at_closing", lambda _folder: {}),
+        (run_folder, "hashes_at_closing", lambda _folder: {}),
     ):
         patch.object(owner, name, instead).start()
 

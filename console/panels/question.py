@@ -17,7 +17,7 @@ from nicegui import ui
 from console.feed.view import CaseView
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from ronna_hw.text.typed_number import typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held

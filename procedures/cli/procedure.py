@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.case.options import CaseOptions, ConfigOption
-from procedures.cli.console.options import ConsoleOptions
-from procedures.cli.mount.command import app as calibrate_app
+from procedures.cli.calibrating.mount import app as calibrate_app
+from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.option_records import with_option_records
@@ -48,7 +47,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 @app.command("steps")
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
-    from procedures.engine.step import Scope
+    from procedures.engine.order import Scope
     from procedures.steps.catalogue import CLINICAL_STEPS
     from procedures.steps.planned_questions import planned_questions
     from ronna_hw.command_line.terminal import print_json, print_table

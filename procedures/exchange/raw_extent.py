@@ -7,7 +7,7 @@ from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from procedures.engine.replay.sections import BEGINS
+from procedures.engine.replay.recorded_answers import BEGINS
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import Line
 from ronna_hw.evidence.seal import RAW_FOLDER

@@ -15,8 +15,7 @@ from typing import TextIO
 import cv2
 
 from procedures.engine.errors import NotRecorded
-from procedures.engine.replay.recorded_answers import read_in_order
-from procedures.engine.replay.sections import BEGINS
+from procedures.engine.replay.recorded_answers import BEGINS, read_in_order
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_extent import RawExtent, write_extent
 from procedures.journal.journal import JOURNAL_FILE

@@ -12,8 +12,7 @@ from typing import Protocol, TypeVar
 import numpy as np
 from numpy.typing import ArrayLike
 
-from procedures.engine.ancestry import ancestor_of_kind
-from procedures.engine.case import Stored
+from procedures.engine.case import Stored, ancestor_of_kind
 from procedures.engine.run_folder import RunFolder, run_of
 from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from procedures.engine.case_memory import CaseMemory
+from procedures.engine.context import CaseMemory
 from procedures.guards.room_reading import check_now
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch
 from procedures.operator.question import Topic

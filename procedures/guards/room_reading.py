@@ -6,7 +6,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from procedures.engine.case_memory import CaseMemory
+from procedures.engine.context import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_watch import RoomLook, RoomReading, RoomWatch
 from procedures.workcell import Workcell

@@ -7,7 +7,7 @@ import math
 from collections.abc import Callable
 from statistics import median
 
-from procedures.engine.case_memory import CaseMemory
+from procedures.engine.context import CaseMemory
 from procedures.guards.room_watch import RoomWatch
 from procedures.workcell.device_views import TrackerView
 from ronna_hw.devices.lifecycle import Lifecycle

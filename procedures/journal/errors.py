@@ -1,4 +1,4 @@
-"""What the journal refuses."""
+"""Errors of journal and results."""
 
 from __future__ import annotations
 

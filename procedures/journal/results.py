@@ -1,7 +1,7 @@
-"""What a step leaves behind: one frozen, versioned model for each step, kept as JSON.
+"""Results of steps: one frozen, versioned model for each step, kept as JSON.
 
-A step declares its model in its own module. Other steps import the model, ask the context for it, and get it
-typed; that they asked makes it a parent of their own result.
+A step declares its model in its own module. Other steps import the model and ask the context for it; that
+makes it a parent of their own result.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
 
 
 class Values(BaseModel):
-    """Base of results and of their parts: frozen, finite numbers, no unknown fields."""
+    """Base of results and their parts: frozen, finite numbers, no unknown fields."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -35,11 +35,11 @@ class StepResult(Values):
         cls.kind, cls.version = kind, version
 
     def leaves_out(self) -> Mapping[str, str]:
-        """Trajectories that this result leaves out of the case, and why; no later step is done for them."""
+        """Return the trajectories that this result leaves out of the case, and why."""
         return {}
 
     def names_series(self) -> str | None:
-        """DICOM UID of the CT series, of the result that decides on which one the case works."""
+        """Return the DICOM UID of the CT series, for the result that selects it."""
         return None
 
 
@@ -53,7 +53,7 @@ class FramedPose(Values):
 
     @classmethod
     def of(cls, pose: Transform) -> Self:
-        """A transform as plain numbers."""
+        """Return a transform as plain numbers."""
         return cls(
             target=pose.target,
             source=pose.source,
@@ -63,7 +63,7 @@ class FramedPose(Values):
 
     @property
     def transform(self) -> Transform:
-        """The same as a checked transform."""
+        """The pose as a checked transform."""
         return Transform.of(
             self.target,
             self.source,

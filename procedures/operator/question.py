@@ -1,4 +1,4 @@
-"""A question, and the operator who answers it, or the script that stands in for one.
+"""Questions to the operator, tasks for the room's staff, and who answers and acts.
 
 A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
 never continues. Only one of the listed words answers; anything else is asked again.
@@ -19,7 +19,7 @@ from ronna_hw.text.typed_number import without_unit
 
 
 class Topic(StrEnum):
-    """What can be asked in a case; with a trajectory where it belongs to one, such as `approach:T1`."""
+    """Topics of questions; with a trajectory where one belongs to it, such as `approach:T1`."""
 
     PATIENT = "patient"  # that this is the patient and the plan
     RESUME = "resume"  # what was found again after a restart
@@ -85,7 +85,7 @@ FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DU
 
 
 class Evidence(BaseModel):
-    """A table that a question is decided by, as it is shown: text, with its units."""
+    """A table on which a question is decided, as shown: text, with its units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -100,11 +100,11 @@ READ, NOBODY = "read", "nobody"  # to a question for readings
 
 @dataclass(frozen=True)
 class ReadBack:
-    """What a person types after the answer that goes on: nobody who did not look knows it.
+    """A value that a person types after the answer that goes on: only who looked knows it.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
-    `wrong` follows what else was typed; `shown` is where the question has the value, if it does. The `unit`
-    may be typed with it.
+    `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
+    `unit` may be typed with it.
     """
 
     what: str
@@ -114,17 +114,17 @@ class ReadBack:
     unit: str = ""
 
     def fits(self, typed: str) -> bool:
-        """Whether that was typed, whatever its capitals and the space around it."""
+        """Whether the value was typed, ignoring case and surrounding space."""
         return without_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
 def _unrecorded() -> None:
-    """Nobody keeps it."""
+    """Record nothing."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """Who answered at a console, and of what: the digest of what was shown."""
+    """The person who answered at a console, and the digest of what was shown."""
 
     by: str
     session: str
@@ -132,22 +132,21 @@ class Signature:
 
 
 def _unsigned(_signature: Signature) -> None:
-    """Nobody keeps it."""
+    """Keep no signature."""
 
 
 def _unread(_readings: tuple[float, ...]) -> None:
-    """Nobody wants them."""
+    """Keep no readings."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked. The first of `answers` goes on, the last is what silence means.
+    """A question. The first of `answers` goes on, the last is what silence means.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
-    value was read back, and `signed` once before it returns an answer that a named person gave. `number`
-    counts the questions of a run; `evidence` is shown with the value. Where `reads` says what is read off,
-    the answer that goes on comes with that many numbers, each within `plausible_mm`, which `read` is called
-    with.
+    value was read back, and `signed` once before returning an answer that a named person gave. `number`
+    counts the questions of a run; `evidence` is shown with the value. With `reads`, the answer that goes on
+    comes with that many numbers, each within `plausible_mm`, with which `read` is called.
     """
 
     topic: Topic
@@ -167,40 +166,40 @@ class Question:
 
     @property
     def name(self) -> str:
-        """Its stable name, as answer files have it: the topic, and the trajectory if it belongs to one."""
+        """Stable name, for answer files: the topic, and the trajectory if there is one."""
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
 
     @property
     def deliberate(self) -> bool:
-        """Whether the answer that goes on moves the arm, or lets it go by a result: no slip may give it."""
+        """Whether the answer that goes on moves the arm or accepts a result: no slip may give it."""
         return self.topic in DELIBERATE
 
     @property
     def silence(self) -> str:
-        """What no answer in time means."""
+        """The answer that silence means."""
         return self.answers[-1]
 
 
 class Operator(Protocol):
-    """Who decides."""
+    """The person or script who decides."""
 
     def ask(self, question: Question) -> str:
-        """One of the question's answers; the last one also when none came in time."""
+        """Return one of the question's answers; the last one also if none came in time."""
         ...
 
 
 def words(answers: Sequence[str]) -> str:
-    """The answers as a person reads them: `yes or no`; those of several words are quoted."""
+    """Return the answers as a person reads them: `yes or no`; those of several words are quoted."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
 
 
 @dataclass(frozen=True)
 class Task:
-    """What hands are to do, by its name in `ronna_hw.wire.room_tasks`, and what they read off after it.
+    """A task for the room's staff, by its name in `ronna_hw.wire.room_tasks`, and the readings after it.
 
-    `numbers` are what they need for it; `reads` names each reading, such as `depth stop in mm`, and
-    `plausible_mm` is its possible range: something else was mistyped.
+    `numbers` are needed for it; `reads` names each reading, such as `depth stop in mm`, and `plausible_mm` is
+    its possible range.
     """
 
     name: str
@@ -212,7 +211,7 @@ class Task:
 
 
 def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
-    """Why it was mistyped; empty if it may be right."""
+    """Return why a reading must have been mistyped; empty if it may be right."""
     low, high = plausible_mm or (-math.inf, math.inf)
     if low <= reading <= high:
         return ""
@@ -221,7 +220,7 @@ def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
 
 
 class Room(Protocol):
-    """Who acts: whoever changes tools and works on the patient, and wants to know which step is running."""
+    """The room's staff: change tools, work on the patient, and hear which step is running."""
 
     def announce(self, step: str) -> None:
         """Hear which step runs now, such as `at_target:T1`."""
@@ -236,7 +235,7 @@ class Room(Protocol):
         ...
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Do it and read off what is asked for; nothing when nobody does. The step has it confirmed."""
+        """Do the task and return its readings; empty if nobody does. The step has it confirmed."""
         ...
 
 

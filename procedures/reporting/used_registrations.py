@@ -5,8 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
-from procedures.engine.ancestry import parent_of_kind
-from procedures.engine.case import Case, Stored
+from procedures.engine.case import Case, Stored, parent_of_kind
 from procedures.engine.run_folder import typed
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide

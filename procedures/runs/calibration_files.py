@@ -1,7 +1,7 @@
-"""Files that every calibration leaves, and the theatre file with its records.
+"""Files of a calibration: its records, its figures, and a theatre file with the new records.
 
 OUT/<id>/calibration.toml    the new records, to put into the theatre file
-OUT/<id>/result.json         what `--json` prints
+OUT/<id>/result.json         the output of `--json`
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ Place = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
 
 
 def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """The text with these entries of tables, each in the place of the former one or else at the end.
+    """Return the text with these entries of tables, in the place of the former ones or else at the end.
 
-    What comes out is compared with what was meant: of a text in which these tables have no headers of their
-    own the comments are lost.
+    The outcome is compared with the intended content: if these tables have no headers of their own, comments
+    are lost.
     """
     import tomli_w
 
@@ -46,7 +46,7 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _replaced(text: str, new: dict[Place, str]) -> Iterator[str]:
-    """The lines, those of replaced tables left out, with comments that stand before the next header."""
+    """Yield the lines without replaced tables, but with comments in front of the next header."""
     to_write = dict(new)
     leaving_out, remarks = False, list[str]()
     for line in text.splitlines(keepends=True):
@@ -69,7 +69,7 @@ def _replaced(text: str, new: dict[Place, str]) -> Iterator[str]:
 
 
 def _place(line: str) -> Place | None:
-    """Of the table whose header a line is."""
+    """Return the table whose header a line is."""
     if not line.lstrip().startswith("["):
         return None
     try:
@@ -90,14 +90,14 @@ CALIBRATION_FILE = "calibration.toml"
 
 
 def write_records(records: dict[str, Any], folder: Path) -> None:
-    """The new records by the names that the theatre file has for them."""
+    """Write the new records by their names in the theatre file."""
     import tomli_w
 
     write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
 
 
 def require_records(folders: Iterable[Path]) -> None:
-    """Raise CAL-005 for a folder, or file, in which no calibration has left records."""
+    """Raise CAL-005 for a folder or file without calibration records."""
     for folder in folders:
         file = folder / CALIBRATION_FILE if folder.is_dir() else folder
         try:
@@ -115,7 +115,7 @@ def require_records(folders: Iterable[Path]) -> None:
 
 
 def finished_figures(folder: Path) -> RecordFigures:
-    """The figures of a calibration that is finished. Raises CAL-005."""
+    """Return the figures of a finished calibration. Raises CAL-005."""
     try:
         figures = read_figures(folder)
     except (OSError, ValueError) as error:
@@ -126,10 +126,10 @@ def finished_figures(folder: Path) -> RecordFigures:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
-    """The theatre file `source` with new calibration records, as `target`; comments stay.
+    """Write the theatre file `source` with new calibration records as `target`; comments stay.
 
     A record that was not `measured` then but only moved keeps its dates from `source`. Records of tools stay
-    as they are: that a tool's gauge still fits its new tip, a person says.
+    as they are: a person must say that a tool's gauge still fits its new tip.
     """
     former = read_toml(source, BadTheatreFile).get("calibration", {})
     dated = {
@@ -155,7 +155,7 @@ def _dated_as(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
-    """The same with new entries in whichever tables."""
+    """Write the theatre file `source` with new entries in its tables as `target`; comments stay."""
     require_same_folder(source, target)
     content = read_bounded(source, LARGEST_TOML_BYTES)
     toml_of(content, source.name, BadTheatreFile)
@@ -164,7 +164,7 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
 
 
 def require_same_folder(source: Path, target: Path) -> None:
-    """Raise CAL-005 for a theatre file to be written elsewhere than next to the one it is made from."""
+    """Raise CAL-005 if a theatre file is to be written elsewhere than next to its source."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, which its relative paths refer to",

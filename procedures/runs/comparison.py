@@ -1,4 +1,9 @@
-"""Findings of the comparison after a restart: what is as recorded, and what differs."""
+"""Comparison of a resumed run with its records: devices, calibrations, tool, CT, plan, patient, robot base.
+
+It connects and reads; nothing here can move the arm. The tracker measures the room again as a step does at
+rest: the spheres on the head as far as it sees them, and the robot's base by the reference frame on the arm,
+in poses with the orientation in which both were recorded.
+"""
 
 from __future__ import annotations
 
@@ -41,7 +46,7 @@ from ronna_hw.text.counting import counted
 
 @dataclass
 class Comparison:
-    """Findings in plain words. Any difference is refused, whatever the operator answers."""
+    """Findings in plain words. A difference is refused, whatever the operator answers."""
 
     warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
@@ -50,31 +55,31 @@ class Comparison:
 
     @property
     def findings(self) -> list[str]:
-        """All but the differences, as journalled."""
+        """Findings for the journal, without the differences."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
     def same(self, what: str) -> None:
-        """Add something that was compared and is as recorded."""
+        """Add an item that is as recorded."""
         self.unchanged.append(what)
 
     def note(self, text: str) -> None:
-        """Add something the operator should know."""
+        """Add a remark for the operator."""
         self.notes.append(text)
 
     def warn(self, text: str) -> None:
-        """Add something the operator must know before anything else."""
+        """Add a warning, to be read before anything else."""
         self.warnings.append(text)
 
     def differs(self, what: str, recorded: object, found: object) -> None:
-        """Add something that is not as recorded."""
+        """Add an item that is not as recorded."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def refuse(self, text: str) -> None:
-        """Add something else for which the run is not resumed."""
+        """Add another reason not to resume the run."""
         self.differences.append(text)
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
-        """Note it as unchanged, or as different with the fields that differ."""
+        """Add an item as unchanged, or as different with the fields that differ."""
         if recorded == found:
             self.same(what)
         elif recorded is None or found is None:
@@ -88,13 +93,13 @@ class Comparison:
             )
 
     def in_lines(self, order: Sequence[str]) -> str:
-        """Warnings, what will be done in `order`, and the findings; unchanged items on one line."""
+        """Return warnings, the work in `order` and the remarks; unchanged items are only counted."""
         as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
 
 def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
-    """Dotted names of the fields that differ, with both values; for a sequence the number of entries."""
+    """Yield dotted names of differing fields with both values; for sequences, the number of entries."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:
@@ -124,8 +129,8 @@ def compare_devices(
 ) -> None:
     """Connect and configure every device and compare it with the set-up.
 
-    `exchange_begun`: an exchange of tools began and did not end. With `only_leaving`, only the arm is needed
-    and the age of records does not matter. Raises the error of a needed device that does not respond.
+    `exchange_begun` says that a tool exchange began and did not end. With `only_leaving` only the arm is
+    needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
     """
     _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
     if not only_leaving:
@@ -194,7 +199,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Devices, and what depths, clearances and predictions come from: tools, flange, cell and settings."""
+    """Compare the devices, and the sources of depths, clearances and predictions in the theatre file."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in recorded.identities.keys() - setting.workcell.devices.keys():
         comparison.differs(role, _named(recorded.identities[role]), "none")
@@ -235,9 +240,9 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Read them again from their recorded paths; what cannot be read differs.
+    """Read CT, plan and proposed position again from their recorded paths; unreadable ones differ.
 
-    `plan_sha256` is that of the plan that the run was opened with; it applies until the plan was checked.
+    `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
     """
     clinical = engine.setting.clinical
     if clinical is None:
@@ -282,7 +287,7 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
-    """Compare both; False when the tracker sees too little of the head from here. Raises its errors."""
+    """Compare patient and robot base; False if the tracker sees too little of the head. Raises its errors."""
     stored = engine.case.find(GlobalLocalization, None)
     if stored is None:
         what = "patient" if engine.setting.clinical is not None else "stand"

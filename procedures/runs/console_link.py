@@ -1,4 +1,4 @@
-"""The console's process, fed with events and heard for orders; whatever happens to it, the case continues."""
+"""The console's process, fed with events and heard for orders. Whatever happens to it, the case continues."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
 
 
 class ConsoleLink:
-    """One console for one run. Two threads of its own; neither holds up the engine."""
+    """One console for one run, with two threads of its own; neither holds up the engine."""
 
     def __init__(
         self,
@@ -49,7 +49,7 @@ class ConsoleLink:
         say: Callable[[str], None] = tell,
         viewers: ViewersAddress | None = None,
     ) -> None:
-        """Starts the process and does not wait for it; `port` 0 is any free one, `say` says its address."""
+        """Start the process without waiting for it; port 0 is any free one, `say` tells its address."""
         self._station = station
         self._say = say
         self._ending = False
@@ -76,26 +76,26 @@ class ConsoleLink:
         self._start(self._beat_until_followed, "console beats")
 
     def follow(self, events: EventStream) -> None:
-        """Send everything that happens from now on."""
+        """Send all events from now on."""
         self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
 
     def await_ready(self) -> None:
-        """Wait, as long as it may take at most, until the console serves or is known not to.
+        """Wait until the console is ready or has failed.
 
         It starts alongside the theatre; a case that does not wait may be over before anybody can look at it.
         """
         self._answered.wait(READY_S)
 
     def show_looks(self, workcell: Workcell) -> None:
-        """Send what the stereo head sees from now on."""
+        """Send the pictures of the stereo head from now on."""
 
         pictures = LivePictures(self._send, self._over)
         workcell.on_look = pictures.look
         self._start(pictures.send_all, "console pictures")
 
     def close(self) -> None:
-        """The run has ended: let the console say so, and end it. Never raises."""
+        """Let the console say that the run has ended, and end it. Never raises."""
         self._ending = True
         self._followed.set()
         self._over.set()
@@ -138,7 +138,7 @@ class ConsoleLink:
         self._gone()
 
     def _beat_until_followed(self) -> None:
-        """A theatre that is being opened has no events yet; its console hears that this program lives."""
+        """Heartbeats keep the console alive while the theatre opens and there are no events yet."""
         while not self._followed.wait(BEAT_S) and self._send(BEAT):
             pass
 
@@ -177,17 +177,17 @@ HEIGHT_PX = 240
 
 
 class LivePictures:
-    """`look` takes no time: of what comes while one is drawn only the latest is drawn next."""
+    """Draws the latest pair of the stereo head now and then, in a thread of its own; `look` takes no time."""
 
     def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
-        """`send` takes one line, and returns whether more can be sent; `ending` ends the thread."""
+        """`send` takes one line and returns whether more can be sent; `ending` ends the thread."""
         self._send = send
         self._ending = ending
         self._newest: Look | None = None
         self._arrived = threading.Event()
 
     def look(self, seen: Look) -> None:
-        """Take a look in."""
+        """Note the latest pair."""
         self._newest = seen
         self._arrived.set()
 
@@ -202,7 +202,7 @@ class LivePictures:
 
 
 def picture_line(seen: Look) -> str:
-    """As the console reads it."""
+    """Return a pair of pictures as the line that the console reads."""
     from procedures.workcell.stereo_picture import pair_picture
 
     content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
@@ -215,20 +215,20 @@ NEEDED = ("nicegui", "skimage")  # of the extra `console`
 
 @dataclass(frozen=True)
 class ConsoleRequest:
-    """A console at a port of the loopback address; 0 is any free one. `viewers` have an address of theirs."""
+    """A console at a loopback port, 0 for any free one, and the address for viewers at other computers."""
 
     port: int = 0
     viewers: ViewersAddress | None = None
 
 
 def check_console() -> None:
-    """Raise PRO-040 where the console's libraries are not installed."""
+    """Raise PRO-040 if the libraries of the console are not installed."""
     if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
         raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
 
 
 def check_port(port: int) -> None:
-    """Raise CLI-001 for a port that is taken, before anything of the case is opened."""
+    """Raise CLI-001 for a port in use, before anything of the case is opened."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -244,7 +244,7 @@ def check_port(port: int) -> None:
 def attached(
     executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
 ) -> Iterator[ConsoleLink]:
-    """Serve the console of a run while the block runs; `say` says its address."""
+    """Serve the console of a run while the block runs; `say` tells its address."""
     link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
     try:
         yield link
@@ -256,7 +256,7 @@ def attached(
 def with_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest, *, waits: bool
 ) -> Iterator[RunObservers]:
-    """The observers of a case that runs to its end, with a console.
+    """Add a console to the observers of a case that runs to its end.
 
     With `waits`, nothing is done until someone has taken the operator's seat.
     """

@@ -14,8 +14,8 @@ from procedures.engine.context import CaseSetting, this_second
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory, EventStream
 from procedures.engine.events.event_file import EventFile
-from procedures.engine.replay.sections import opening_line, section_follower
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
+from procedures.engine.replay.recorded_answers import opening_line, section_follower
 from procedures.guards import (
     GuideStill,
     TrackerLink,

@@ -36,7 +36,7 @@ def is_run(folder: Path) -> bool:
 
 
 def require_run(folder: Path) -> None:
-    """Raise CLI-005 for a folder that is not that of a run, with the runs that it holds."""
+    """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
     if is_run(folder):
         return
     if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
@@ -48,14 +48,14 @@ def require_run(folder: Path) -> None:
 
 
 def runs_in(folder: Path) -> list[Path]:
-    """The runs of a folder, oldest first. Raises CLI-005 when there is no such folder."""
+    """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
     if not folder.is_dir():
         raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
 
 
 def holder_of_run(folder: Path) -> PortUser | None:
-    """The program that holds a run, if it can be seen; locks nothing."""
+    """Return the program that holds a run, if it can be seen; locks nothing."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         return holder_of_lock(file)

@@ -8,9 +8,8 @@ from pathlib import Path
 
 from procedures.engine.case import Case, Stored
 from procedures.engine.course import Course
-from procedures.engine.order import CaseOrder
+from procedures.engine.order import CaseOrder, StepKey
 from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
-from procedures.engine.step import StepKey
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, history_left_by
 from ronna_hw.evidence.compared_files import Problem

@@ -165,7 +165,7 @@ def open_engine(
         else:
             simulated, room = _start_simulated(request, folder, observers, resumption, phantom, stack)
             file = simulated.theatre.file
-        from procedures.engine.outlook import publish_order
+        from procedures.engine.display_feed import publish_order
         from procedures.runs.engine_setup import build_engine
 
         engine = build_engine(
@@ -256,8 +256,7 @@ def _start_simulated(
 
 def _device_watch(engine: Engine, *, often: bool) -> contextlib.AbstractContextManager[object]:
     """Publish the devices and the arm's body while the block runs; `often` enough to see it move."""
-    from procedures.engine.body_view import BodyView
-    from procedures.engine.device_watch import PERIOD_S, SEEN_MOVING_S, DeviceWatch
+    from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
 
     workcell = engine.setting.workcell
     now_s, period_s = engine.setting.clock.now_s, SEEN_MOVING_S if often else PERIOD_S

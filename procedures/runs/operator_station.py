@@ -1,6 +1,6 @@
-"""Where orders from the console meet the engine: taken by one thread, carried out by the engine's own.
+"""The operator's station at the console: one thread takes orders, the engine's own carries them out.
 
-Only a stop reaches the arm from here; everything else waits until the engine asks for it between steps, at a
+Only a stop reaches the arm from here. Everything else waits until the engine asks for it: between steps, at a
 checkpoint or with a question.
 """
 
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.engine.events import Seat as SeatEvent
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Question, Signature, Topic, misread
@@ -40,7 +40,7 @@ LEASE_S = 10.0  # host time without a sign of life; a page renews each second
 
 
 class Seat:
-    """Who operates. Not safe for threads by itself."""
+    """The operator's seat: one lease, taken under a name, kept by renewing it. Not thread-safe by itself."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
         """`now_s` is the host's time."""
@@ -51,16 +51,16 @@ class Seat:
 
     @property
     def holder(self) -> str:
-        """The name in which the seat is held; empty when it is free, also when its lease has run out."""
+        """Name under which the seat is held; empty when it is free or its lease has run out."""
         return self._name if self._now_s() - self._renewed_s <= LEASE_S else ""
 
     @property
     def lapsed(self) -> bool:
-        """Whether someone was in it and has not renewed."""
+        """Whether the lease of a holder has run out."""
         return bool(self._name) and not self.holder
 
     def claim(self, session: str, name: str) -> str:
-        """Take it; returns why that is refused, or nothing."""
+        """Take the seat; return why that is refused, or nothing."""
         if self.holder and session != self._session:
             return f"the seat is taken by {self.holder}"
         self._session, self._name, self._renewed_s = session, name, self._now_s()
@@ -68,16 +68,16 @@ class Seat:
         return ""
 
     def held_by(self, session: str) -> bool:
-        """Whether that session is the operator's."""
+        """Whether that session holds the seat."""
         return bool(self.holder) and session == self._session
 
     def renew(self, session: str) -> None:
-        """A sign of life; of another session, or too late, it changes nothing."""
+        """Renew the lease of that session's holder; else change nothing."""
         if self.held_by(session):
             self._renewed_s = self._now_s()
 
     def free(self) -> None:
-        """Nobody is in it any more."""
+        """Free the seat."""
         self._session = self._name = ""
 
 
@@ -95,13 +95,13 @@ class PendingOrder:
 
     @property
     def aborts(self) -> bool:
-        """Whether it ends the case."""
+        """Whether the order ends the case."""
         return isinstance(self.order, Abort)
 
 
 @dataclass
 class _OpenQuestion:
-    """The open question."""
+    """The open question, and its answer so far."""
 
     question: Question
     shown: str
@@ -113,10 +113,10 @@ class _OpenQuestion:
 
 
 class OperatorStation:
-    """The operator at the console as the engine sees him. Every method is safe for threads."""
+    """The operator at the console as the engine sees him. Every method is thread-safe."""
 
     def __init__(self, *, waits: bool, now_s: Callable[[], float] = time.monotonic) -> None:
-        """`waits` where nothing is done and nothing answered before somebody has taken the seat."""
+        """With `waits`, nothing is done and nothing answered before somebody has taken the seat."""
         self._changed = threading.Condition()
         self._now_s = now_s
         self._seat = Seat(now_s)
@@ -132,14 +132,14 @@ class OperatorStation:
         self._stopped = False  # and nobody in the seat has answered since
 
     def attach(self, engine: Engine) -> None:
-        """From now on orders are about this engine."""
+        """Direct orders to this engine."""
         with self._changed:
             self._engine = engine
             if name := self._seat.holder:  # taken while the theatre was being opened
                 engine.events.publish(SeatEvent(holder=name))
 
     def leave(self) -> None:
-        """The console is gone: whoever else there is goes on."""
+        """Mark the console as gone: other operators take over."""
         with self._changed:
             self._gone = True
             self._seat.free()
@@ -147,7 +147,7 @@ class OperatorStation:
 
     @property
     def in_charge(self) -> bool:
-        """Whether the case is operated from the console: it lives, and somebody has taken its seat."""
+        """Whether the console lives and somebody has taken its seat, or must."""
         with self._changed:
             return not self._gone and (self._waits or self._seat.ever_taken)
 
@@ -182,8 +182,10 @@ class OperatorStation:
             return self._gone
 
     def changes_of_seat(self) -> list[tuple[str, str, float | None]]:
-        """Session and name of each person who took the seat since this was last asked; no name: it became
-        free. Then the theatre time, None before the theatre was open."""
+        """Return session, name and theatre time of each change of the seat since the last call.
+
+        Without a name the seat became free; the time is None before the theatre was open.
+        """
         with self._changed:
             self._notice_lapse()
             changes = list(self._taken)
@@ -312,7 +314,7 @@ class OperatorStation:
             self._vacate("the operator's page has not responded for 10 s")
 
     def _vacate(self, reason: str) -> None:
-        """The seat is free, and what its holder ordered counts no more, save the end of the case."""
+        """Free the seat and cancel the pending order, except abort."""
         self._seat.free()
         self._vacated += 1
         if self._pending is not None and not self._pending.aborts:
@@ -328,7 +330,7 @@ class OperatorStation:
     # The engine's own thread
 
     def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> str | None:
-        """The answer from the console; silence in time, and None when the console has ended.
+        """Return the answer from the console: silence if the time ran out, None if the console has ended.
 
         `acknowledge` is called, at a pause, with the name of who acknowledges faults.
         """
@@ -370,7 +372,7 @@ class OperatorStation:
                 self._notice_lapse()
 
     def next_order(self, upcoming: str, timeout_s: float | None = None) -> PendingOrder | None:
-        """Wait between steps for what is wished; None when nothing is in time, or the console has ended."""
+        """Wait between steps for an order; None if the time ran out or the console has ended."""
         ends_s = None if timeout_s is None else self._now_s() + timeout_s
         with self._changed:
             self._waiting_for = upcoming
@@ -388,12 +390,12 @@ class OperatorStation:
 
     @property
     def aborting(self) -> bool:
-        """Whether the end of the case was asked for."""
+        """Whether the end of the case was ordered."""
         with self._changed:
             return self._pending is not None and self._pending.aborts
 
     def occupied_since(self, vacated: int) -> bool:
-        """Whether somebody is in the seat, and it has not become free since it had been so that often."""
+        """Whether somebody is in the seat, and it has become free no more often than `vacated` times."""
         with self._changed:
             self._notice_lapse()
             return bool(self._seat.holder) and self._vacated == vacated

@@ -1,4 +1,4 @@
-"""Runs a case as the operator at the console orders it: step by step, up to a step, or to its end."""
+"""Execution of console orders: step by step, up to a step, or to the end of the case."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from procedures.engine.outlook import HOME, comes_next, publish_waiting
+from procedures.engine.display_feed import HOME, comes_next, publish_waiting
 from procedures.operator.question import NOBODY, READ, Operator, OperatorAborted, Question, Room, Task, Topic
 from procedures.runs.operator_station import OperatorStation, PendingOrder
 from procedures.runs.orders import Abort, Acknowledge, Next, Resume, RunTo
@@ -29,9 +29,9 @@ def _typed(timeout_s: float) -> bool:
 
 
 class ConsoleOperator:
-    """Asks at the console while it operates the case, and otherwise whoever would be asked without it.
+    """Asks at the console while it is in charge, else the operator who would be asked without it.
 
-    A script does not answer a person who stopped the arm: that waits for somebody in the seat.
+    A script does not answer after a person stopped the arm: that waits for somebody in the seat.
     """
 
     def __init__(
@@ -43,7 +43,7 @@ class ConsoleOperator:
         self._script_at_pause = script_at_pause
 
     def ask(self, question: Question) -> str:
-        """The answer; of a console that ends meanwhile, that of whoever takes its place."""
+        """Return the answer; if the console ends meanwhile, that of the operator who takes its place."""
         self._executor.note_seat()
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
         if waits:
@@ -62,9 +62,9 @@ class OrderExecutor:
     def __init__(
         self, station: OperatorStation, *, runs: bool, typed: Callable[[float], bool] = _typed
     ) -> None:
-        """`runs` where the case goes on by itself until the operator says otherwise.
+        """With `runs` the case goes on by itself until the operator says otherwise.
 
-        `typed` says whether something can be read from the standard input in that host time.
+        `typed` says whether something can be read from the standard input within that host time.
         """
         self._typed = typed
         self.station = station
@@ -78,11 +78,11 @@ class OrderExecutor:
 
     @property
     def in_charge(self) -> bool:
-        """As `OperatorStation.in_charge`."""
+        """Whether the console operates the case."""
         return self.station.in_charge
 
     def operator(self, otherwise: Operator, *, script_at_pause: bool = False) -> Operator:
-        """Who answers the questions of the case; with `script_at_pause` nobody else is there at a pause."""
+        """Return the operator of the case; with `script_at_pause` no person is there without the console."""
         return ConsoleOperator(self.station, otherwise, self, script_at_pause=script_at_pause)
 
     def staff(self, otherwise: Room) -> Room:
@@ -90,7 +90,10 @@ class OrderExecutor:
         return ConsoleRoom(otherwise, self)
 
     def read(self, task: Task) -> tuple[float, ...] | None:
-        """What the operator at the console reads off; nothing when nobody does, None without a console."""
+        """Return the readings that the operator at the console types; None without a console.
+
+        Empty if nobody reads them off.
+        """
         if self._engine is None or not self.in_charge:
             return None
         read: list[tuple[float, ...]] = []
@@ -109,7 +112,7 @@ class OrderExecutor:
         return read[-1]
 
     def acknowledge(self, by: str) -> None:
-        """Recover the devices that are in fault; what cannot be recovered yet is told."""
+        """Recover the devices that are in fault; tell of those that cannot be recovered yet."""
         if self._engine is None:
             return
         try:
@@ -119,27 +122,27 @@ class OrderExecutor:
             self._tell_fault(self._engine, error)
 
     def attach(self, engine: Engine) -> None:
-        """From now on orders are about this engine."""
+        """Direct orders to this engine."""
         self._engine = engine
         self.station.attach(engine)
 
     def note_seat(self) -> None:
-        """Write into the journal who has taken the seat, or left it, since this was last done."""
+        """Write changes of the seat since the last call into the journal."""
         for session, name, since_s in self.station.changes_of_seat():
             if self._engine is not None:
                 self._engine.seated(session, name, since_s)
 
     def await_operator(self) -> None:
-        """Wait until someone is in the seat of a case that waits for it, or the console has ended."""
+        """Wait until someone is in a seat that must be taken, or the console has ended."""
         self.station.await_seat()
         self.note_seat()
 
     def run_to_end(self, engine: Engine) -> None:
-        """Run the case as ordered, and home. Raises OperatorAborted, and what a step or the way home raises
-        while nobody operates.
+        """Run the case as ordered, and home.
 
-        When the console ends, a case that does not continue by itself is left; one that waits for the
-        operator rests until it is continued without the console.
+        If the console ends, a case that does not continue by itself is left; one that waits for the operator
+        rests until it is continued without the console. Raises OperatorAborted, and the errors of steps and
+        of the way home while nobody operates.
         """
         while (name := comes_next(engine)) is not None:
             self.note_seat()
@@ -156,7 +159,7 @@ class OrderExecutor:
             self._run_step(engine, name)
 
     def follow_until_typed(self, engine: Engine) -> None:
-        """Carry orders out until something is typed on the standard input, or that ends."""
+        """Carry out orders until something is typed on the standard input, or that ends."""
         self._wait(engine)
         while not self._typed(0.0):
             self.note_seat()
@@ -217,7 +220,7 @@ class OrderExecutor:
             self._wait(engine)
 
     def _agreed(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
-        """Whether the case continues by consent; else what has stopped it, or the way on."""
+        """Return whether the case continues by consent, and else the error of the step or of the way on."""
         try:
             return error, engine.goes_on(error)
         except OperatorAborted:  # on the way home that was agreed
@@ -274,26 +277,26 @@ class OrderExecutor:
 
 
 class ConsoleRoom:
-    """Asks at the console while it operates the case; `otherwise` says at the terminal what is to be done."""
+    """Staff at the terminal whose readings are typed at the console while it is in charge."""
 
     def __init__(self, otherwise: Room, executor: OrderExecutor) -> None:
         self._otherwise = otherwise
         self._executor = executor
 
     def announce(self, step: str) -> None:
-        """As whoever is there without it."""
+        """Tell the staff which step is running."""
         self._otherwise.announce(step)
 
     def change_tool(self, number: int, description: str) -> None:
-        """As whoever is there without it; the step has it confirmed at the console."""
+        """Prompt for the tool; the step confirms it at the console."""
         self._otherwise.change_tool(number, description)
 
     def prepare_stand(self, holds: str) -> None:
-        """As `change_tool`."""
+        """Prompt for the stand; the step confirms it at the console."""
         self._otherwise.prepare_stand(holds)
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """As `change_tool`; what is read off is typed at the console, nothing when nobody does."""
+        """Prompt for the task; its readings are typed at the console."""
         if task.reads and self._executor.in_charge:
             self._otherwise.work(replace(task, reads=()))
             if (readings := self._executor.read(task)) is not None:

@@ -1,7 +1,7 @@
-"""What an operator may ask of a running case: the same for a page's buttons, a script and a test.
+"""Orders of an operator to a running case: one vocabulary for a page's buttons, a script and a test.
 
-An order says which session gave it and what that session saw at the time. What it saw is past: nothing is
-done. Only to stop needs nothing. Each order has a nonce of its own and is carried out once.
+An order names its session and what that session saw. If that is out of date, nothing is done; only a stop
+needs nothing. Each order has a nonce of its own and is carried out once.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ JOINERS = "\u200c\u200d"  # parts of names in some scripts
 
 
 def _shown_as_written(name: str) -> str:
-    """A control or format character can make a name read as another person's."""
+    """Refuse control and format characters: they can make a name read as another person's."""
     if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
         raise ValueError("a name has only characters that are shown")
     return name
@@ -35,7 +35,7 @@ Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_
 
 
 class _Order(BaseModel):
-    """One order."""
+    """Base of all orders."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -64,14 +64,14 @@ class Release(_Order):
 
 
 class Next(_Order):
-    """Do the next step."""
+    """Run the next step."""
 
     kind: Literal["next"] = "next"
     upcoming: Short = Field(description="The step that was shown as next.")
 
 
 class RunTo(_Order):
-    """Do the steps up to and including one."""
+    """Run the steps up to and including one."""
 
     kind: Literal["run_to"] = "run_to"
     upcoming: Short = Field(description="The step that was shown as next.")
@@ -85,7 +85,7 @@ class Pause(_Order):
 
 
 class Resume(_Order):
-    """Go on to the end of the case. A pause is no step: its question is answered, with what it showed."""
+    """Run to the end of the case. A pause is ended by the answer to its question instead."""
 
     kind: Literal["resume"] = "resume"
     upcoming: Short = Field(description="The step that was shown as next.")
@@ -131,7 +131,7 @@ _ORDERS: TypeAdapter[AnyOrder] = TypeAdapter(Annotated[AnyOrder, Field(discrimin
 
 
 def read_order(line: bytes | str) -> AnyOrder:
-    """An order of JSON. Raises ValueError for anything else."""
+    """Read an order from JSON. Raises ValueError for anything else."""
     content = line.encode() if isinstance(line, str) else line
     if len(content) > LONGEST_BYTES:
         raise ValueError(f"an order of {len(content)} bytes")
@@ -139,7 +139,7 @@ def read_order(line: bytes | str) -> AnyOrder:
 
 
 class Reply(BaseModel):
-    """What came of an order."""
+    """The reply to an order."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

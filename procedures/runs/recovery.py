@@ -1,8 +1,8 @@
-"""Resumes a run: nothing moves before everything has been read again, compared, and accepted.
+"""Recovery of an interrupted run: everything is read again, compared and accepted before anything moves.
 
-Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home; there the
-tracker has a clear view, and what it could not see before is compared. Then every step without a valid result
-is run, re-planned from the arm's position.
+Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home. There the
+tracker has a clear view, and the rest is compared. Then every step without a valid result is run, re-planned
+from the arm's position.
 """
 
 from __future__ import annotations
@@ -12,9 +12,9 @@ from collections.abc import Sequence
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.hands import IN_DIVOT, IN_GAUGE, taking_out
+from procedures.engine.order import StepKey
+from procedures.engine.questions import IN_DIVOT, IN_GAUGE, taking_out
 from procedures.engine.run_folder import step_key
-from procedures.engine.step import StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
 from procedures.operator.question import YES, Question, Topic
@@ -47,7 +47,7 @@ LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must ha
 def recover(engine: Engine, left: InterruptedRun) -> None:
     """Bring an engine in recovery to where its next step may begin.
 
-    Raises PRO-032 for a difference and unless the operator accepts, and the errors of devices and motions.
+    Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
     comparison = Comparison()
     compare_inputs(engine, comparison, left.plan_sha256)
@@ -75,7 +75,7 @@ def recover(engine: Engine, left: InterruptedRun) -> None:
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
-    """The controller reports a tool's number, but not whether it is the same tool, seated as before."""
+    """Put the checks of the tool in doubt: the controller reports its number, not whether it was touched."""
     for key in engine.order.checks_of_tool:
         engine.case.doubt(key, UNATTENDED)
     for key in engine.course.checks_in_doubt:
@@ -85,10 +85,10 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
 
 
 def bring_home(engine: Engine, left: InterruptedRun) -> bool:
-    """Take the instrument out, bring the arm home, leave the run as it is; returns whether anything moved.
+    """Have the instrument taken out and bring the arm home; return whether anything moved.
 
-    Only the arm is needed, and only what the way home depends on is compared. Raises PRO-001 if the devices
-    were never set up, PRO-032 like `recover`, and the arm's errors.
+    The run stays as it is. Only the arm is needed, and only what the way home depends on is compared. Raises
+    PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
     """
     comparison = Comparison()
     _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
@@ -112,7 +112,7 @@ def _take_up_arm(
     *,
     only_leaving: bool = False,
 ) -> None:
-    """The arm as it was left, every device compared, and the instrument at its tip's position."""
+    """Restore the arm's history, compare every device, and look for an instrument at the guide's position."""
     workcell = engine.setting.workcell
     workcell.take_up(left.arm, set_up.home_rad)
     inside = workcell.place.instrument_may_be_inside
@@ -140,7 +140,7 @@ def _take_up_arm(
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
-    """Another run that left the arm away knows of its instrument and its way home; this journal does not.
+    """Refuse an arm that another run left away: only that run knows its instrument and its way home.
 
     An arm that is at this run's home has been jogged there since.
     """
@@ -155,7 +155,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
-    """Have the operator accept the findings, together with what will be done; raises PRO-032."""
+    """Have the operator accept the findings and what will be done; raises PRO-032."""
     for begun in begun_elsewhere(engine):
         comparison.warn(begun)
     if head_moved_since(engine):
@@ -175,7 +175,7 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
 
 
 def _require_ready(engine: Engine) -> None:
-    """Raise PRO-001 if a device reports that no motion can begin, before asking the operator in vain."""
+    """Raise PRO-001 if a device reports that no motion can begin, before the operator is asked in vain."""
     seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
     held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
     if not held_back:
@@ -191,7 +191,7 @@ def _require_ready(engine: Engine) -> None:
 
 
 def _conclude(engine: Engine, comparison: Comparison, action: str | None = None) -> None:
-    """Record what was found. Raises PRO-032 for a difference: nothing was moved, unless `action` says so."""
+    """Record the findings. Raises PRO-032 for a difference; nothing was moved, unless `action` says so."""
     engine.found(comparison.findings, comparison.differences)
     if comparison.differences:
         by_other = engine.setting.arm_not_home in comparison.differences
@@ -217,7 +217,7 @@ def _exchange_begun(engine: Engine, left: InterruptedRun) -> bool:
 
 
 def _first(engine: Engine) -> tuple[str, ...]:
-    """What moves before any step is run."""
+    """Return the moves that come before any step."""
     workcell = engine.setting.workcell
     first = []
     if (place := engine.instrument_in) is not None:
@@ -243,7 +243,7 @@ def _step_of(record: Record) -> StepKey:
 
 
 def _way_out(engine: Engine) -> bool:
-    """Take the instrument out, the guide back and the arm home; returns whether anything moved."""
+    """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
     engine.have_instrument_out()
     following = engine.upcoming

@@ -1,7 +1,7 @@
-"""One program at a time has the devices of a theatre; a note says for which run, and which one moved the arm.
+"""The lock on the devices of a theatre: one program at a time, for the run that its note names.
 
-Note and theatre file are locked: the note is of the arm, whatever the file is called, and the file is there
-for a user who can neither write nor make the note.
+Note and theatre file are both locked: the note belongs to the arm, whatever the file is called; the file
+serves a user who can neither write nor create the note.
 """
 
 from __future__ import annotations
@@ -29,19 +29,19 @@ WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remov
 
 @dataclass(frozen=True)
 class TheatreUser:
-    """The program that has the devices now, as far as this user may see it."""
+    """The program that has the devices, as far as this user may see it."""
 
     run: Path | None
     holder: PortUser | None
 
     @property
     def seen(self) -> str:
-        """Which run uses the theatre, and its process id."""
+        """Name of the run that uses the theatre, and its process id."""
         number = "" if self.holder is None else f" (pid {self.holder.pid})"
         return f"{'another program' if self.run is None else self.run.name}{number} is using this theatre"
 
     def advice(self, then: str) -> str:
-        """What to do instead of ending it; `then` when it has ended."""
+        """Return advice in place of ending that program; `then` follows when it has ended."""
         alone = "Leave it alone: its arm may be at a patient."
         if self.run is None:
             return f"{alone} {then.capitalize()} when it has ended."
@@ -51,10 +51,10 @@ class TheatreUser:
 
 @contextmanager
 def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
-    """Hold the devices of a theatre file for a run; yields how the runs before it left their arm.
+    """Hold the devices of a theatre file for a run; yield how the runs before it left the arm.
 
-    Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one,
-    unless it is `only_leaving`: nothing keeps an arm over the head.
+    Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
+    With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
     """
     if user := _user_of_own_run(theatre):
         raise _in_use(user)
@@ -93,7 +93,7 @@ def _opened_note(path: Path) -> int | None:
 
 
 def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
-    """None for a file, or a folder, of another user, and for one that is not there."""
+    """Open a file or folder; None if it is another user's or does not exist."""
     try:
         return os.open(path, how | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
     except OSError:
@@ -101,7 +101,7 @@ def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
 
 
 def _lock(file: int, path: Path, *, needed: bool) -> None:
-    """Raise PRO-043 while another program has locked it; another failure counts only if it is `needed`."""
+    """Raise PRO-043 while another program has locked it; other failures count only if it is `needed`."""
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
@@ -123,7 +123,7 @@ def _written(file: int | None, note: TheatreNote) -> bool:
 
 
 def theatre_user(theatre: Path) -> TheatreUser | None:
-    """Who has the devices of a theatre file now, as far as this user may see."""
+    """Return who has the devices of a theatre file now, as far as this user may see."""
     if user := _user_of_own_run(theatre):
         return user
     path = note_file(theatre)
@@ -139,25 +139,25 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
 
 
 def last_moved(theatre: Path) -> TheatreNote:
-    """How the arm of a theatre file was left, whether or not a program has its devices."""
+    """Return how the arm of a theatre file was left, whether or not a program has its devices."""
     return read_note(note_file(theatre)).settled()
 
 
 def unwritable_note(theatre: Path) -> Path | None:
-    """The note that this user may not write, as `held_theatre` needs to; None if it may."""
+    """Return the note that `held_theatre` needs and this user may not write; None if it may."""
     path = note_file(theatre)
     there = next(place for place in (path, *path.parents) if place.exists())
     return None if os.access(there, os.W_OK) else path
 
 
 def last_runs(theatre: Path) -> tuple[Path, ...]:
-    """The last run that moved the arm of a theatre file, and the last that had its devices."""
+    """Return the last run that moved the arm of a theatre file, and the last that had its devices."""
     note = last_moved(theatre)
     return tuple(run for run in (note.moved_before, note.run) if run is not None)
 
 
 def require_free_theatre(theatre: Path) -> None:
-    """Raise PRO-043 while another program has the devices, before anyone is asked to prepare anything."""
+    """Raise PRO-043 while another program has the devices, before anyone prepares anything."""
     if user := theatre_user(theatre):
         raise _in_use(user)
 
@@ -167,13 +167,13 @@ def _in_use(user: TheatreUser) -> TheatreInUse:
 
 
 def _user(path: Path, file: int) -> TheatreUser:
-    """The holder of the lock, and its run if the note is its own."""
+    """Return the holder of the lock, and its run if the note is its own."""
     note, holder = read_note(path), holder_of_lock(file)
     return TheatreUser(note.run if holder is not None and holder.pid == note.pid else None, holder)
 
 
 def _user_of_own_run(theatre: Path) -> TheatreUser | None:
-    """A simulated theatre is made in the folder of its run, and used by that run alone."""
+    """Return the user of a simulated theatre in the folder of its run, which uses it alone."""
     run = theatre.resolve().parent.parent
     if not (run / JOURNAL_FILE).is_file():
         return None
@@ -189,7 +189,7 @@ def _user_of_own_run(theatre: Path) -> TheatreUser | None:
 
 
 def _journal_lines(run: Path) -> int:
-    """How many lines its journal has; 0 if it cannot be read."""
+    """Return the number of lines of a run's journal; 0 if it cannot be read."""
     try:
         return len(read_chain(run / JOURNAL_FILE).lines)
     except (OSError, RonnaError):

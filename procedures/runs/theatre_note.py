@@ -1,8 +1,7 @@
-"""The note of an arm: which run has its devices, and how the last one that moved it left it.
+"""The note of an arm: which run has its devices, and how the last run that moved it left it.
 
-The arm decides which note it is, by the address of its controller: a copy of the theatre file, or one with
-other records, is the same arm. A simulated theatre has an identity instead, as another may have its address
-next.
+The address of the arm's controller selects the note: a copy of the theatre file, or one with other records,
+is the same arm. A simulated theatre has an identity instead, as another one may get its address next.
 """
 
 from __future__ import annotations
@@ -45,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def settled(self) -> TheatreNote:
-        """With what `run` did, from its journal; one that is gone may have done anything."""
+        """Return the note with the end of `run`, from its journal; a run that is gone may have done anything."""
         home = None if self.pid is None or self.run is None else _left_home(self.run, self.lines_before)
         if home is None:
             return self.model_copy(update={"pid": None})
@@ -53,7 +52,7 @@ class TheatreNote(BaseModel):
 
 
 def _left_home(run: Path, lines_before: int) -> bool | None:
-    """Whether a run brought the arm home; None for one that has moved nothing, as far as that is certain.
+    """Whether a run brought the arm home; None if it certainly moved nothing.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.
     """
@@ -70,7 +69,7 @@ def _left_home(run: Path, lines_before: int) -> bool | None:
 
 
 def note_file(theatre: Path) -> Path:
-    """Where the note of a theatre's arm is; next to the theatre file where only that tells arms apart."""
+    """Return the note of a theatre's arm; next to the theatre file if nothing else tells arms apart."""
     theatre = theatre.resolve()
     if controller := _controller(theatre):
         return ARMS_FOLDER / f"{controller}.in-use"
@@ -78,7 +77,7 @@ def note_file(theatre: Path) -> Path:
 
 
 def _controller(theatre: Path) -> str:
-    """The addresses at which a real arm is reached, or the identity of a simulated theatre; else empty."""
+    """Return the addresses of a real arm, or the identity of a simulated theatre; else an empty string."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
@@ -95,9 +94,10 @@ def _controller(theatre: Path) -> str:
 
 
 def read_note(path: Path) -> TheatreNote:
-    """What a note says; one that is not there says nothing.
+    """Read a note; a missing one is empty.
 
-    Nothing is known from one that is damaged, or that an account which does not use the arm can have written.
+    Nothing is known from a note that is damaged, or that an account which does not use the arm may have
+    written.
     """
     try:
         if not _is_trusted(path):
@@ -111,7 +111,7 @@ def read_note(path: Path) -> TheatreNote:
 
 
 def _is_trusted(note: Path) -> bool:
-    """Whether only users of the arm can have written it, or taken it away. Raises OSError if it is not there.
+    """Whether only users of the arm can have written or removed it. Raises OSError if it is not there.
 
     Next to a theatre file, its owner decides: not every file system has rights.
     """
@@ -133,7 +133,7 @@ def _is_ours(found: os.stat_result) -> bool:
 
 
 def is_there(run: Path) -> bool:
-    """Whether its folder is there, or in a place that is hidden from this user."""
+    """Whether the folder of a run exists, or may exist where this user cannot see it."""
     try:
         return run.exists()
     except OSError:
@@ -144,9 +144,10 @@ JOG = "jog it home with the controller's pendant"
 
 
 def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
-    """What the operator of `run`, or of a new one, must know of the last one that moved this theatre's arm.
+    """Return the warning that another run left this theatre's arm away from home, for the operator of `run`.
 
-    None if it brought the arm home, is that run itself, or there is none.
+    None if the last run brought it home, is `run` itself, or does not exist. A new run would take the arm's
+    position for its home; a resumed one would send the arm home by a way of its own.
     """
     if note.unreadable:
         return NOT_KNOWN
@@ -173,7 +174,7 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
 
 
 def instrument_not_out(note: TheatreNote) -> tuple[Path, str] | None:
-    """The last run that moved this theatre's arm, and that an instrument is or may be in, where one is."""
+    """Return the last run that moved this theatre's arm, and where an instrument may still be, if anywhere."""
     last = note.moved_before
     if last is None:
         return None
@@ -185,7 +186,7 @@ def instrument_not_out(note: TheatreNote) -> tuple[Path, str] | None:
 
 
 def _is_same(last: Path, run: Path) -> bool:
-    """Also under a new name, by its journal."""
+    """Whether they are one run, also under a new name, by its journal."""
     if last.resolve() == run.resolve():
         return True
     try:

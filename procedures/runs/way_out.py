@@ -1,4 +1,9 @@
-"""The head's position for the way home after a restart: the valid one, or else the last valid one."""
+"""The way out of an interrupted run: the head to keep clear of, and an instrument that may be in the guide.
+
+The head is where the valid registration has it, or else the last valid one. A lost block of the journal may
+have contained the lines about an instrument. So if the arm carries the guide, its position is compared with
+the axis of every registered trajectory, and its joints with those at the gauge.
+"""
 
 from __future__ import annotations
 
@@ -7,8 +12,8 @@ from dataclasses import dataclass
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
+from procedures.engine.order import StepKey
 from procedures.engine.run_folder import typed
-from procedures.engine.step import StepKey
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.correspondence import Correspondence
@@ -28,7 +33,7 @@ TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from
 
 
 def surround_calibration(engine: Engine) -> None:
-    """Set the arm's surroundings from what the calibration knows so far, before anything moves."""
+    """Set the arm's surroundings from the results of a calibration so far, before anything moves."""
     workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
@@ -45,7 +50,7 @@ def surround_calibration(engine: Engine) -> None:
 
 
 def guide_at_divot(engine: Engine) -> bool:
-    """Whether the arm carries the guide and its tip is where the divot is raised to it."""
+    """Whether the arm carries the guide with its tip where the divot is raised to it."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
         return False
@@ -60,9 +65,9 @@ MOVED_SINCE = (
 
 
 def surround(engine: Engine) -> None:
-    """Set the head's position before anything moves. If it is not known yet, the arm is still home.
+    """Set the arm's surroundings before anything moves; with an unknown head the arm must be home.
 
-    Raises PRO-032 for an arm away from home if no result gives it.
+    Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
     workcell, keys = engine.setting.workcell, engine.order.sequence
     if engine.setting.clinical is None:
@@ -86,7 +91,7 @@ def head_moved_since(engine: Engine) -> bool:
 
 @dataclass(frozen=True)
 class _Led:
-    """The registration that led the guide, or would have led it there."""
+    """The registration by which the guide was led, or would have been."""
 
     key: StepKey  # of the step that positions the guide
     robot_from_ct: Transform
@@ -94,7 +99,7 @@ class _Led:
 
 
 def _led(engine: Engine) -> _Led | None:
-    """For the trajectory that the guide is on, if any: the valid one, else the last valid one."""
+    """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
@@ -119,7 +124,7 @@ AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives th
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
-    """The trajectory whose axis the guide is on, and its travel along it in mm."""
+    """Return the trajectory whose axis the guide is on, and its travel along it in mm."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
@@ -144,7 +149,7 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
 
 
 def guide_in_gauge(engine: Engine) -> bool:
-    """Whether the arm carries the guide and is where the mandrel is put into the gauge."""
+    """Whether the arm carries the guide to where the mandrel is put into the gauge."""
     workcell = engine.setting.workcell
     if workcell.tool is not MountedTool.GUIDE:
         return False

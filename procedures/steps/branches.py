@@ -6,7 +6,7 @@ test reaches every row. No branch moves the arm again unasked.
 
 from __future__ import annotations
 
-from procedures.engine.hands import INSIDE, IS_OUT
+from procedures.engine.questions import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed
 from procedures.operator.checkpoint import GO_ON as CONTINUE

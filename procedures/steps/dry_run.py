@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
 from procedures.planning.path_check.motions import BACK, HOME, LINE, MOVE
 from procedures.steps.clinical.confirmation import ConfirmedTarget
 from procedures.steps.clinical.correspondence import Correspondence

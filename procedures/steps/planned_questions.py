@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic, words
 from procedures.steps.answer_words import ANSWER_WORDS

@@ -28,7 +28,7 @@ from prepared_results import (
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome, StepSpec
+from procedures.engine.order import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.journal.errors import StepRefused

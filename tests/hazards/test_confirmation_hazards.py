@@ -14,9 +14,8 @@ from typing import cast
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.alarms import Alarms
 from procedures.cli.case.commands import AT_PAUSE
-from procedures.cli.case.operators import TerminalOperator, TerminalRoom
+from procedures.cli.case.operators import Alarms, TerminalOperator, TerminalRoom
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream

@@ -16,8 +16,7 @@ from recording_cell import RecordingCell
 from spoiled_slices import every, setting
 
 from procedures.engine.case import Case
-from procedures.engine.order import order_of
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey, order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import only_allowed
 from procedures.exchange.dicom_object import name_patient

@@ -24,7 +24,7 @@ from watched_case import findings
 from procedures.cli.case.commands import COMMANDS
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.journal.errors import StepRefused
 from procedures.operator.question import Topic

@@ -8,9 +8,8 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.asking import WritePrompt, write_prompt
-from procedures.cli.case.event_follower import EventFollower
-from procedures.cli.case.operators import terminal_observers
+from procedures.cli.case.case_view import EventFollower
+from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
 from procedures.engine.events import Event, Progress
 from procedures.reporting.calibration.figures import RecordFigures
 from procedures.runs.calibration_files import finished_figures, require_same_folder

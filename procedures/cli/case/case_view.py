@@ -1,9 +1,11 @@
-"""A case as a person follows it: the outcome of each step, and below it the present state."""
+"""A case as a person follows it: the outcome of each step, and the present state, from its events."""
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from procedures.engine.events import (
     DeviceAge,
     DeviceState,
     Event,
+    EventStream,
     Fault,
     JournalLine,
     Progress,
@@ -22,7 +25,7 @@ from procedures.engine.events import (
     SignalsLost,
     StepState,
 )
-from procedures.engine.events.current_state import LAST_LINES
+from procedures.engine.events.stream import LAST_LINES
 from procedures.engine.machine import HELD
 from ronna_hw.text.printable import printable
 
@@ -186,3 +189,46 @@ def _code(error: str) -> str:
 def _short(line: Mapping[str, object]) -> str:
     about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
     return f"{line.get('sequence')} {line.get('entry')} {about}"
+
+
+ENDING_S = 2.0  # host time to show the last of it
+
+Show = Callable[[Sequence[Event]], None]
+
+
+class EventFollower:
+    """Follows a stream to its end; `show` is never called by two threads at once."""
+
+    def __init__(self, events: EventStream, show: Show) -> None:
+        self._reader = events.subscribe()
+        self._show = show
+        self._showing = threading.RLock()
+        self._thread = threading.Thread(target=self._follow, name="event follower", daemon=True)
+
+    def start(self) -> None:
+        """Begin to follow."""
+        self._thread.start()
+
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """Show what has happened so far, and nothing more while the block runs."""
+        with self._showing:
+            self.catch_up()
+            yield
+
+    def catch_up(self) -> bool:
+        """Show what has happened so far; whether the stream has ended."""
+        with self._showing:
+            batch = self._reader.read(0.0)
+            self._show(batch.events)
+            return batch.ended
+
+    def join(self) -> None:
+        """Wait until the end of the stream is shown."""
+        self._thread.join(ENDING_S)
+
+    def _follow(self) -> None:
+        ended = False
+        while not ended:
+            self._reader.wait()
+            ended = self.catch_up()

@@ -13,7 +13,7 @@ from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.engine.step import StepKey
+    from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
 

@@ -1,4 +1,7 @@
-"""The live picture of a case on a terminal: finished steps scroll by, the present state is below."""
+"""The live picture of a case on a terminal: finished steps scroll by, the present state is below.
+
+A module of its own, because it imports rich.
+"""
 
 from __future__ import annotations
 

@@ -8,9 +8,8 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.alarms import Alarms, awaited, forget_typed
-from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say
+from procedures.cli.case.operators import Alarms, Asking, WritePrompt, awaited, forget_typed, undisturbed
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
@@ -23,7 +22,7 @@ from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.cli.case.piped_lines import PipedLines
+    from procedures.cli.case.stepping import PipedLines
     from procedures.engine.engine import Engine
 
 HELD = (

@@ -10,12 +10,18 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
-from procedures.cli.doctor.camera_serials import advise_on_serials
-from procedures.cli.doctor.computer import computer_diagnostics
-from procedures.cli.doctor.inspection import inspection
-from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
-from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diagnostics
-from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
+from procedures.cli.doctor.inspection import advise_on_serials, inspection
+from procedures.cli.doctor.theatre_checks import (
+    CLOCK,
+    INSTRUMENT,
+    NEEDED,
+    RUN,
+    RUNS,
+    as_left,
+    case_diagnostics,
+    computer_diagnostics,
+    use_diagnostics,
+)
 from procedures.runs.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.logging_options import log_failure
@@ -25,6 +31,31 @@ from ronna_hw.devices.probing import Diagnostic, endpoints_of, refusal
 from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
 from ronna_hw.registry import endpoint_probes, load_probe
+
+CASE = "case"
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """`because` names what was looked at and found wrong, in the order in which it is shown."""
+
+    of: str
+    ready: bool
+    because: tuple[str, ...]
+
+
+def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Verdict]:
+    """Of each device by its table in the theatre file, then of the case, which needs only some of them."""
+    for name, found in devices.items():
+        yield _verdict(name, found)
+    needed = [one for name in NEEDED for one in devices.get(name, ())]
+    yield _verdict(CASE, [*case, *needed])
+
+
+def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
+    because = tuple(f"{one.subject.removeprefix(f'{of}: ')}: {one.seen}" for one in found if not one.well)
+    return Verdict(of, not because, because)
+
 
 STEREO = "stereo"  # the table of the cameras
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty

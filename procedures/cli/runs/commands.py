@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.console.options import ConsoleOptions
+from procedures.cli.case.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.option_records import with_option_records
 from ronna_hw.command_line.terminal import JsonOption
@@ -92,7 +92,7 @@ def acknowledge_command(
     """
     if (run_folder is None) == (config is None):
         raise UsageMistake("name either a run or, with --config, a theatre file")
-    from procedures.cli.runs.acknowledge import acknowledge_run, acknowledge_theatre
+    from procedures.cli.runs.resume import acknowledge_run, acknowledge_theatre
 
     if run_folder is not None:
         acknowledge_run(_run_folder(run_folder), by, as_json=as_json)
@@ -106,7 +106,7 @@ def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None
     Exit codes: 0 intact, 3 something differs, 9 intact as far as can be said: the run was killed and resumed,
     and what had no seal in between could have been changed.
     """
-    from procedures.cli.runs.verify import verify
+    from procedures.cli.runs.evidence import verify
 
     verify(run_folder, as_json=as_json)
 
@@ -175,7 +175,7 @@ def watch_command(
 
     Reads RUN/events.jsonl and changes nothing; any number of viewers may watch.
     """
-    from procedures.cli.runs.watching import watch
+    from procedures.cli.runs.showing import watch
 
     watch(run_folder, as_json=as_json)
 
@@ -188,7 +188,7 @@ def replay_command(
 
     Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed.
     """
-    from procedures.cli.runs.replay import replay_run
+    from procedures.cli.runs.evidence import replay_run
 
     replay_run(run_folder, as_json=as_json)
 
@@ -204,7 +204,7 @@ def bytes_command(
 
     The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
     """
-    from procedures.cli.runs.bytes import print_bytes
+    from procedures.cli.runs.evidence import print_bytes
 
     print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
 

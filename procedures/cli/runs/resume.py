@@ -2,30 +2,40 @@
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Callable, Mapping
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
+import typer
+
 from procedures.cli.case.display import follow, following, show_outcome
-from procedures.engine.errors import RecoveryRefused
+from procedures.engine.device_faults import acknowledged
+from procedures.engine.errors import FaultOfRun, RecoveryRefused
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import finalized_run, sealed_again
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import open_run
+from procedures.runs.lifecycle import RunObservers, open_run
 from procedures.runs.reopening import (
     held_interrupted_run,
     make_ready,
     reopened_request,
     require_free_devices,
+    resumable_run,
 )
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.theatre_lock import last_moved
 from procedures.runs.theatre_note import arm_not_home
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.terminal import print_json, say, tell
+from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
+from ronna_hw.devices.lifecycle import Lifecycle, require_person
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
     from procedures.runs.console_link import ConsoleRequest
+    from procedures.workcell.device_views import DeviceView
 
 
 def resume(
@@ -102,3 +112,128 @@ def _say(
         print_json({"run": interrupted.folder.name, "home": home, "moved": moved})
     else:
         say(words)
+
+
+def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
+    """Acknowledge the faults of a run's devices, in its journal.
+
+    Raises the errors of `home` and of `acknowledge_theatre`.
+    """
+    request = reopened_request(folder)
+    with held_interrupted_run(folder, only_leaving=True) as interrupted:
+        by = _person(by)
+        path = interrupted.folder
+        if interrupted.parked:
+            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
+            return
+        require_free_devices(request)
+        if request.config is not None:
+            _require_own_fault(request.config, path)
+        make_ready(interrupted)
+        resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
+        with finalized_run(path), open_run(request, path, RunObservers(), resumption) as engine:
+            _recover_all(
+                engine.setting.workcell.devices,
+                lambda: engine.faults.acknowledge(by),
+                by,
+                as_json=as_json,
+                run=path.name,
+            )
+
+
+def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
+    """Acknowledge the faults of a theatre's devices.
+
+    Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
+    """
+    from procedures.runs.theatre_lock import held_theatre, require_free_theatre
+    from ronna_hw.theatre import Theatre
+
+    by = _person(by)
+    require_free_theatre(file)
+    _require_own_fault(file, None)
+    with Theatre.from_file(file) as theatre, held_theatre(file, None, only_leaving=True):
+        devices = theatre.devices
+        _recover_all(
+            devices,
+            lambda: dict(acknowledged(devices, lambda name: devices[name].recover(by))),
+            by,
+            as_json=as_json,
+            theatre=theatre.file.theatre,
+        )
+
+
+def _require_own_fault(theatre: Path, run: Path | None) -> None:
+    """Raise PRO-044 if another run that can be resumed had the devices last.
+
+    Only its own journal can say that what it localized before the fault is in doubt.
+    """
+    if (last := resumable_run(theatre, run)) is not None:
+        raise FaultOfRun(
+            f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
+            "still valid",
+            action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
+        )
+
+
+def _person(by: str | None) -> str:
+    """Return the name of the person acknowledging, typed if not given: a login is no person's name.
+
+    Raises DEV-006.
+    """
+    if by is None and on_terminal(sys.stdin) and on_terminal(sys.stderr):
+        by = str(typer.prompt("Name of the person acknowledging", err=True))
+    return require_person(by or "")
+
+
+def _recover_all(
+    devices: Mapping[str, DeviceView],
+    acknowledge: Callable[[], dict[str, str]],
+    by: str,
+    *,
+    as_json: bool,
+    **about: str,
+) -> None:
+    """Connect to every device, which moves nothing, and recover faults seen then or once configured.
+
+    A device that does not respond keeps no other from being recovered; its error is raised at the end.
+    """
+    problems: dict[str, RonnaError] = {}
+    for name, device in devices.items():
+        try:
+            device.connect()
+        except RonnaError as problem:
+            problems[name] = problem
+    done = acknowledge()
+    for name, device in devices.items():
+        if device.observe().state is Lifecycle.CONNECTED:
+            try:
+                device.configure()
+            except RonnaError as problem:
+                if device.observe().state is not Lifecycle.FAULT:
+                    problems[name] = problem
+    done |= acknowledge()
+    _show(done, problems, by, as_json=as_json, **about)
+    *others, last = [None, *problems.values()]
+    for one in others[1:]:
+        tell(str(one))
+    if last is not None:
+        raise last
+
+
+def _show(
+    done: Mapping[str, str],
+    problems: Mapping[str, RonnaError],
+    by: str,
+    *,
+    as_json: bool,
+    nothing: str = "no device is in fault",
+    **about: str,
+) -> None:
+    """Print the faults that were recovered, or why there was `nothing` to recover."""
+    if as_json:
+        unreached = {name: str(problem) for name, problem in problems.items()}
+        print_json({**about, "acknowledged": done, "unreached": unreached})
+    else:
+        rows = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
+        say("\n".join(rows))

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from procedures.cli.tool.purposes import Purpose
+from procedures.cli.tool.records import Purpose
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 

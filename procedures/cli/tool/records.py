@@ -6,13 +6,15 @@ import math
 from collections.abc import Sequence
 from datetime import datetime
 from difflib import get_close_matches
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.tool.gauge_readings import read_gauge
+import numpy as np
+
 from procedures.workcell.errors import NoToolRecord
 from procedures.workcell.tool_records import GUIDE, ToolRecords
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import read_bounded, read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import (
@@ -25,7 +27,63 @@ from ronna_hw.config import (
 )
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
-from ronna_hw.tool_record import WITH_TIP, ToolRecord
+from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, WITH_TIP, Gauge, ToolRecord
+
+DIALS = ("X", "Y", "Z", "UPPER_X", "UPPER_Y")
+LARGEST_BYTES = 100_000
+# Six standard deviations of an arm's arrival, a changer's seat and a dial together: farther is misread.
+APART_MM = 0.1
+
+
+def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
+    """Their mean and spread, as fields of the gauge. Raises CLI-001 for too few, or what no dial shows."""
+    lines = read_bounded(path, LARGEST_BYTES).decode("utf-8-sig", "replace").splitlines()
+    read = [_numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()]
+    if len(read) < GAUGE_APPROACHES:
+        raise UsageMistake(
+            f"--gauge-mm: {path.name} has {len(read)} approaches",
+            expected=f"at least {GAUGE_APPROACHES}, in {GAUGE_MOUNTINGS} mountings",
+            action="One line for each approach: the five dials in mm.",
+        )
+    lowest_mm, highest_mm = gauge.plausible_mm
+    middle = np.median([numbers for _, numbers in read], axis=0).tolist()
+    for where, numbers in read:
+        for dial, reading_mm, usual_mm in zip(DIALS, numbers, middle, strict=True):
+            if not lowest_mm <= reading_mm <= highest_mm:
+                raise UsageMistake(
+                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
+                    action="Read the dials again; if their travel differs, set `travel_mm` of the gauge.",
+                )
+            if abs(reading_mm - usual_mm) > APART_MM:
+                raise UsageMistake(
+                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    expected=f"within {APART_MM:g} mm of the others, whose median is {usual_mm:g}",
+                    action="Seat tool and mandrel anew, and read all approaches again.",
+                )
+    values = np.array([numbers for _, numbers in read])
+    x, y, z, upper_x, upper_y = values.mean(axis=0).round(6).tolist()
+    return {
+        "reading_mm": [x, y, z],
+        "upper_reading_mm": [upper_x, upper_y],
+        "approaches": len(values),
+        "spread_mm": round(float(np.sqrt(values.var(axis=0, ddof=1).mean())), 6),
+    }
+
+
+def _numbers(where: str, line: str) -> tuple[str, list[float]]:
+    """One line, with its place for messages. A number that is not finite is outside every dial's travel."""
+    try:
+        numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(DIALS):
+        raise UsageMistake(
+            f"--gauge-mm: {where}: {line.strip()[:40]!r}",
+            expected=f"five numbers, {' '.join(DIALS)}",
+            action="Write them with decimal points, and spaces between them.",
+        )
+    return where, numbers
 
 
 def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
@@ -152,3 +210,14 @@ def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[st
         "expires": f"{record.expires:%Y-%m-%d}",
         "valid": record.created <= now <= record.expires and record.flange == flange,
     }
+
+
+class Purpose(StrEnum):
+    """As `ronna_hw.tool_record.ToolPurpose`."""
+
+    STEREO_HEAD = "stereo_head"
+    NEEDLE_GUIDE = "needle_guide"
+    DRILL_GUIDE = "drill_guide"
+    DRILL = "drill"
+    GRIPPER = "gripper"
+    POINTER = "pointer"

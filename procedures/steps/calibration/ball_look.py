@@ -6,7 +6,7 @@ from pydantic import Field
 
 from procedures.calibration import Outline
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.calibration.ball_place import BallPlace

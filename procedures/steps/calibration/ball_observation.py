@@ -12,7 +12,7 @@ from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_variants
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.over_ball import SPARE, bring_over_ball

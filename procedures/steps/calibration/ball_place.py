@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.errors import NoBall
 from procedures.calibration.pose_set import PlannedLook
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.orientation import tool_orientation

@@ -9,7 +9,7 @@ from pydantic import Field
 from procedures.calibration import Baseline, Observation
 from procedures.calibration.errors import NotTheBaseline
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic

@@ -17,7 +17,7 @@ from procedures.calibration.tracker_frame.hand_eye import LEAST_LOOKS
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use, uses_of
 from procedures.calibration.tracker_frame.poses import TILT_RAD, frame_poses
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic

@@ -17,7 +17,7 @@ from procedures.calibration.arm.pose_choice import most_telling
 from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, centred_looks, in_short_order
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView

@@ -12,7 +12,7 @@ from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import PlannedLook, in_short_order, turned_about
 from procedures.calibration.tool_tip.looks import BallLook
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import BallPlace

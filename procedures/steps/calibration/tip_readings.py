@@ -14,8 +14,8 @@ from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLoo
 from procedures.calibration.tool_tip.record import DIALS_TRAVEL_MM, require_plausible
 from procedures.calibration.tool_tip.tip import tips_of
 from procedures.engine.context import StepContext
-from procedures.engine.hands import IN_DIVOT
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.questions import IN_DIVOT
 from procedures.journal.results import StepResult
 from procedures.operator.question import Task, Topic
 from procedures.steps.calibration.ball_place import BallPlace

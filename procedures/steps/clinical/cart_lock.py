@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.guards.room_reading import room_reading
 from procedures.guards.room_watch import RoomReading

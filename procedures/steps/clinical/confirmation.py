@@ -10,7 +10,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomLook, RoomWatch

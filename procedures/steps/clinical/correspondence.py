@@ -8,7 +8,7 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, StepResult, Values
 from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus

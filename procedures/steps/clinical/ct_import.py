@@ -7,7 +7,7 @@ import hashlib
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import dicom_files
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume

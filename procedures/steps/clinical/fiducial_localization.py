@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Candidate, Marker
 from procedures.imaging.pictures import marker_pictures

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import Topic

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult

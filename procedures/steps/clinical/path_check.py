@@ -9,7 +9,7 @@ from pydantic import Field
 
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, Numbers6, StepResult, Values
 from procedures.planning.path_check.free_angle import TurnedPaths
 from procedures.planning.path_check.motions import PreviewedMotion, previews_of

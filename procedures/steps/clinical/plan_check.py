@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.patient_identity import patient_identifier
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed

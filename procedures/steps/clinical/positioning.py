@@ -8,7 +8,7 @@ from contextlib import contextmanager, suppress
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_still import guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from procedures.calibration.arm_sources import arm_error_mm
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult, Values

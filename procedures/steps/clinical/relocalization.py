@@ -20,7 +20,7 @@ from pydantic import Field, model_validator
 
 from procedures.calibration.arm_sources import ErrorSizes
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import Matrix3, Numbers6, StepResult

@@ -6,7 +6,7 @@ from pydantic import Field
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import Numbers6, StepResult, Values
 from procedures.operator.question import Topic
 from procedures.relocalization.triangulation import check_serial

@@ -11,7 +11,7 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult
 from procedures.operator.question import Topic
 from procedures.relocalization.errors import Saturated

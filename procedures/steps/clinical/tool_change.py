@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic

@@ -14,8 +14,8 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.hands import IN_GAUGE
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.questions import IN_GAUGE
 from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM
 from procedures.journal.results import Numbers6, StepResult
 from procedures.operator.question import NO, YES, Task, Topic

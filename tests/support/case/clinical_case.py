@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from procedures.engine.case import Stored
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import order_of
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec, order_of
 from procedures.journal.results import StepResult
 from procedures.operator.question import Question, Topic
 from procedures.relocalization import StereoPoint

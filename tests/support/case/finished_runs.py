@@ -5,9 +5,9 @@ from pathlib import Path
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 
-from procedures.engine.closing import close_run
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.journal.results import StepResult
 from procedures.runs.finishing import seal_run

@@ -21,8 +21,7 @@ from prepared_results import (
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.step import Scope, StepSpec
+from procedures.engine.order import CaseOrder, Scope, StepSpec, order_of
 from procedures.journal.results import StepResult
 from procedures.operator.question import Question, Topic
 from procedures.runs.interrupted_run import InterruptedRun

@@ -70,7 +70,7 @@ from drivers.ndi_polaris.tools.shipped import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tracking.bx_reply import decode_bx
 from drivers.ndi_polaris.tracking.tx_reply import decode_tx
 from drivers.ndi_polaris.unit.measuring_volume import parse_volumes
-from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan

@@ -22,8 +22,8 @@ from drivers.ndi_polaris.line.command_link import CommandLink
 from drivers.ndi_polaris.tools.port_handles import list_handles, request_handle
 from drivers.ndi_polaris.unit.identity import read_identity
 from drivers.ndi_polaris.unit.user_parameters import read_parameter, whole_number
-from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
-from procedures.cli.tool.gauge_readings import DIALS, read_gauge
+from procedures.cli.case.stepping import LONGEST_LINE, READ_AHEAD, lines_from
+from procedures.cli.tool.records import DIALS, read_gauge
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.control_port import ControlPortClient
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge

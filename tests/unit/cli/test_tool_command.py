@@ -19,7 +19,7 @@ from user_commands import in_this_process, one_error
 from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
-from procedures.cli.tool.purposes import Purpose
+from procedures.cli.tool.records import Purpose
 from procedures.runs.calibration_files import write_theatre
 from procedures.workcell.errors import ForeignTool
 from procedures.workcell.tool_records import ToolRecords

@@ -17,7 +17,7 @@ from bounded_cost import bounded_cost
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.rom.description import read_description
 from procedures.engine.errors import AnswersUnfit, EventsUnreadable
-from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.cart.proposed_place import read_place

@@ -16,9 +16,8 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.engine.case import Case
 from procedures.engine.context import StepContext
-from procedures.engine.order import order_of
+from procedures.engine.order import Outcome, Scope, StepKey, StepSpec, order_of
 from procedures.engine.run_folder import read_run
-from procedures.engine.step import Outcome, Scope, StepKey, StepSpec
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.question import NotConfirmed, Topic

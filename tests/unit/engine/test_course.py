@@ -9,7 +9,7 @@ from plain_steps import Fit, Held, Image, plain_order
 
 from procedures.engine.case import Case
 from procedures.engine.course import Course
-from procedures.engine.step import Phase
+from procedures.engine.order import Phase
 from procedures.journal.results import StepResult
 
 REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")

@@ -6,7 +6,7 @@ from typing import Any
 from recording_cell import HOME, RecordingArm
 from waiting import eventually
 
-from procedures.engine.device_watch import DeviceWatch
+from procedures.engine.display_feed import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle

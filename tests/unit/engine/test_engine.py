@@ -11,7 +11,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import Questioned
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
 from procedures.journal.results import StepResult

@@ -7,7 +7,7 @@ from recording_cell import RecordingCell
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.results import StepResult
 
 

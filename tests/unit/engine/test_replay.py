@@ -17,14 +17,11 @@ from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTh
 from drivers.kuka_rsi.errors import MotionStopped
 from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import NotRecorded
-from procedures.engine.order import CaseOrder
-from procedures.engine.replay.comparison import ReplayedRecord, Verdict
-from procedures.engine.replay.recorded_answers import read_answers, read_in_order
-from procedures.engine.replay.replay import ReplayInput, replay
-from procedures.engine.replay.replayed_device import KEPT
-from procedures.engine.replay.sections import section_follower
+from procedures.engine.order import CaseOrder, Outcome
+from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
+from procedures.engine.replay.recorded_people import KEPT
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
-from procedures.engine.step import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic

@@ -12,7 +12,7 @@ from recording_cell import RecordingCell
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.journal import Entry, Journal
 from procedures.journal.results import StepResult
 from procedures.runs.engine_setup import theatre_inputs

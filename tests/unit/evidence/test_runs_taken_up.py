@@ -9,7 +9,7 @@ from finished_runs import changed_files, gone_home, sealed, without_last_lines
 from user_commands import in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.closing import close_run
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
 from procedures.runs.finishing import make_report
 from procedures.runs.interrupted_run import read_interrupted_run

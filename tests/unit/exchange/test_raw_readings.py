@@ -15,7 +15,7 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
-from procedures.engine.replay.sections import section_follower
+from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_extent import EXTENT_FILE, missing_in_raw
 from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw

@@ -14,7 +14,7 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import StepResult

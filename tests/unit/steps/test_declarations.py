@@ -25,9 +25,8 @@ from procedures.calibration import Baseline, Observation, ObservationSet, Outlin
 from procedures.calibration.arm.looks import ArmLooks, SphereLook
 from procedures.calibration.tool_tip.looks import BallLook, DivotReading, TipLooks
 from procedures.calibration.tracker_frame.looks import FrameLook, FrameLooks, Use
-from procedures.engine.order import Steps
+from procedures.engine.order import StepKey, Steps, StepSpec
 from procedures.engine.run_folder import typed
-from procedures.engine.step import StepKey, StepSpec
 from procedures.guards.stability import SeenUnchanged
 from procedures.journal.results import FramedPose, StepResult
 from procedures.steps.calibration.ball_look import LookedAtBall

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from user_commands import in_this_process, one_error
 
-from procedures.engine.closing import close_run
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.runs.simulated_theatre import truth_of
 from ronna_hw.errors import EXIT_FAILED

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.journal.results import StepResult

@@ -11,7 +11,7 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import OperatorAborted, Question, Topic

@@ -17,7 +17,7 @@ from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from procedures.operator.question import NotConfirmed, Topic

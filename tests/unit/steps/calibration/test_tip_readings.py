@@ -11,7 +11,7 @@ from recording_cell import GUIDE, RecordingOperator
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
 from procedures.calibration.tool_tip.looks import TipLooks
 from procedures.calibration.tool_tip.record import calibrate_tip
-from procedures.engine.hands import IN_DIVOT
+from procedures.engine.questions import IN_DIVOT
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.question import NotConfirmed, Topic
 from procedures.relocalization.errors import SphereNotInView

@@ -20,7 +20,7 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope
+from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.stability import Subject
 from procedures.journal.journal import JOURNAL_FILE, read_journal

@@ -13,7 +13,7 @@ from clinical_case import ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
 from prepared_results import SERIES, checked_plan, checked_set_up, clamped_head, localized_fiducials
 from watched_case import findings
 
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.question import NotConfirmed, Task, Topic

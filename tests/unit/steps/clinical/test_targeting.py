@@ -30,7 +30,7 @@ from prepared_results import (
 from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope
+from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.question import NotConfirmed, Question, Topic

@@ -18,7 +18,7 @@ from prepared_results import (
 )
 
 from procedures.engine.events import StepState
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic

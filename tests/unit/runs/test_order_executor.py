@@ -18,8 +18,8 @@ from procedures.cli.case.prompt import Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import ConsoleMissing
+from procedures.engine.order import Outcome
 from procedures.engine.questions import Questions
-from procedures.engine.step import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import StepResult

@@ -10,7 +10,7 @@ import pytest
 from recording_cell import GUIDE, HOME, RecordingCell
 from user_commands import in_this_process
 
-from procedures.cli.doctor.theatre_use import use_diagnostics
+from procedures.cli.doctor.theatre_checks import use_diagnostics
 from procedures.cli.procedure import app
 from procedures.engine.order import order_of
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal

@@ -10,7 +10,7 @@ from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RunInUse
-from procedures.engine.step import Outcome, StepKey
+from procedures.engine.order import Outcome, StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.journal.results import StepResult

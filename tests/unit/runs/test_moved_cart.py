@@ -16,7 +16,7 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope, StepKey
+from procedures.engine.order import Scope, StepKey
 from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult

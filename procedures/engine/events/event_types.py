@@ -6,9 +6,11 @@ never a question or a fault.
 
 from __future__ import annotations
 
+import hashlib
+import json
 from typing import Annotated, ClassVar, Literal, Self
 
-from pydantic import BaseModel, ConfigDict, Field, JsonValue, model_validator
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, JsonValue, model_validator
 
 from procedures.operator.question import Evidence
 
@@ -21,7 +23,7 @@ Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 
 
 class _Happening(BaseModel):
-    """One thing that happened."""
+    """Base of all kinds of events."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     signal: ClassVar[bool] = False
@@ -51,7 +53,7 @@ class StepState(_Happening):
 
 
 class Progress(_Happening):
-    """How far the running step is."""
+    """Progress of the running step."""
 
     signal: ClassVar[bool] = True
     kind: Literal["progress"] = "progress"
@@ -130,8 +132,7 @@ class Waiting(_Happening):
 
 
 class DeviceFact(BaseModel):
-    """What a device reports of itself, such as its operating mode, and whether a case can continue with
-    it."""
+    """A fact that a device reports, such as its operating mode, and whether a case can continue with it."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -152,7 +153,7 @@ class DeviceState(_Happening):
 
 
 class MeasuringVolume(_Happening):
-    """Where a tracker measures: rectangles across its axis, from near to far, in its own frame."""
+    """A tracker's measuring volume: rectangles across its axis, from near to far, in its own frame."""
 
     kind: Literal["volume"] = "volume"
     device: str
@@ -205,7 +206,7 @@ class Pose(_Happening):
 
 
 class Body(BaseModel):
-    """A capsule that motions are checked against; of a moving one the ends come with each pose."""
+    """A capsule that motions are checked against; the ends of a moving one come with each pose."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -216,7 +217,7 @@ class Body(BaseModel):
 
 
 class CameraView(BaseModel):
-    """What a camera of the mounted tool sees, in the frame of the tool."""
+    """The view of a camera of the mounted tool, in the frame of the tool."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -225,7 +226,7 @@ class CameraView(BaseModel):
 
 
 class Bodies(_Happening):
-    """What is checked against what before and while the arm moves, since its surroundings were last told."""
+    """The bodies that are checked against each other before and while the arm moves."""
 
     kind: Literal["bodies"] = "bodies"
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
@@ -262,7 +263,7 @@ class LinkHealth(_Happening):
 
 
 class Advisory(_Happening):
-    """Something the operator should know that stops nothing."""
+    """A finding for the operator that stops nothing."""
 
     kind: Literal["finding"] = "finding"
     text: str
@@ -277,7 +278,7 @@ class Refusal(_Happening):
 
 
 class Fault(_Happening):
-    """An error, as it was shown."""
+    """An error as it was shown."""
 
     kind: Literal["fault"] = "fault"
     code: str
@@ -293,7 +294,7 @@ class SignalsLost(_Happening):
 
 
 class JournalLine(_Happening):
-    """A line of the journal, as it was written."""
+    """A line of the journal as it was written."""
 
     kind: Literal["journal"] = "journal"
     line: dict[str, JsonValue]
@@ -321,3 +322,32 @@ Happening = Annotated[
     | JournalLine,
     Field(discriminator="kind"),
 ]
+
+
+class Event(BaseModel):
+    """One event with its number and its time, as readers receive it and the file of the run stores it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    version: int = VERSION
+    number: int = Field(description="Counts all events of a run from 1.")
+    host_time: AwareDatetime
+    theatre_time_s: float
+    what: Happening
+
+    @property
+    def subject(self) -> str:
+        """Kind and subject: of signals with the same one only the latest matters."""
+        return f"{self.what.kind} {self.what.about}"
+
+
+def shown_digest(question: Questioned) -> str:
+    """Return the SHA-256, in hexadecimal, of everything of a question that is decided on.
+
+    An answer quotes it, so that nobody confirms what was not shown.
+    """
+    content = question.model_dump(
+        mode="json",
+        include={"question", "topic", "subject", "value", "answers", "evidence", "read_back", "reads"},
+    )
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()

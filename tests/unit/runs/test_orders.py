@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from procedures.engine.events import Questioned
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from procedures.operator.question import Evidence
 from procedures.runs.orders import LONGEST_BYTES, Stop, read_order
 

@@ -14,7 +14,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.console.options import ConsoleOptions
+from procedures.cli.case.options import ConsoleOptions
 from procedures.runs import console_link
 from procedures.runs.operator_station import LEASE_S, OperatorStation
 from procedures.runs.orders import Claim

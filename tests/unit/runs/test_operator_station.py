@@ -14,7 +14,7 @@ from waiting import eventually
 
 from procedures.cli.case.commands import COMMANDS
 from procedures.engine.events import Seat
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.question import Question, ReadBack, Signature, Topic

@@ -26,8 +26,7 @@ from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
 from procedures.engine.errors import ToolUnchecked
-from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.step import Scope
+from procedures.engine.order import CaseOrder, Scope, order_of
 from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.journal.errors import StepRefused
 from procedures.operator import checkpoint
