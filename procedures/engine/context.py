@@ -186,7 +186,7 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault after which the operator must say whether a result is kept, or None; see `result`."""
+        """Return the fault after which the operator decides whether a result is kept, or None; see `result`."""
         return self._case.doubt_of(self._asked_for(model).record)
 
     def keep(self, model: type[R]) -> None:
@@ -319,7 +319,7 @@ class StepContext:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have the room's staff do a task, and record the readings; raises PRO-002 if nobody reads them off."""
+        """Have the room's staff do a task, and record the readings; raises PRO-002 without them."""
         return self._support.have_done(task)
 
     def have_instrument_out(self) -> None:

@@ -1,4 +1,4 @@
-"""Device faults: reported by their present state, recovered once a person acknowledged them. Moves nothing."""
+"""Device faults: reported by their present state, recovered once a person acknowledged them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""State of a case as events for displays: its order, the upcoming step, devices, and the bodies of the arm."""
+"""The state of a case as events for displays: its order, the upcoming step, devices, the arm's bodies."""
 
 from __future__ import annotations
 

@@ -44,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def settled(self) -> TheatreNote:
-        """Return the note with the end of `run`, from its journal; a run that is gone may have done anything."""
+        """Return the note with the end of `run`, from its journal; one that is gone may have done anything."""
         home = None if self.pid is None or self.run is None else _left_home(self.run, self.lines_before)
         if home is None:
             return self.model_copy(update={"pid": None})
@@ -174,7 +174,7 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
 
 
 def instrument_not_out(note: TheatreNote) -> tuple[Path, str] | None:
-    """Return the last run that moved this theatre's arm, and where an instrument may still be, if anywhere."""
+    """Return the last run that moved this theatre's arm, and where an instrument may be, if anywhere."""
     last = note.moved_before
     if last is None:
         return None

@@ -1,1 +1,1 @@
-"""Replay: a run computed again from its recorded answers and compared with its records; no device is touched."""
+"""Replay: a run computed again from its recorded answers, without devices, and compared with its records."""

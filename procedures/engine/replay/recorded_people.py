@@ -45,7 +45,7 @@ class RecordedOperator:
         return False
 
     def ask(self, question: Question) -> str:
-        """Return the recorded answer to the next question of that name. Raises PRO-024 if it was not asked."""
+        """Return the recorded answer to the next question of that name. Raises PRO-024 without one."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
@@ -56,7 +56,7 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Staff of a replay, who repeat their readings; the controller's inputs are recorded, so no tool changes."""
+    """Staff of a replay, who repeat their readings; the controller's recorded inputs name the tools."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []

@@ -64,7 +64,7 @@ class _Difference:
 
 
 def compared(step: str, recorded: Record, again: Record) -> ReplayedRecord:
-    """Compare payloads: equal if every field is, bit for bit; rounded within another processor's arithmetic."""
+    """Compare payloads: equal if every bit is, rounded within another processor's arithmetic."""
     found = list(_differences(recorded.payload, again.payload, ""))
     true = [one for one in found if not one.rounding]
     verdict = Verdict.DIFFERENT if true else Verdict.ROUNDED if found else Verdict.EQUAL
