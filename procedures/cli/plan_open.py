@@ -1,4 +1,4 @@
-"""`ronna-plan open`."""
+"""`ronna-plan open` and `ronna-plan new`."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the planning commands are given: the arm of a theatre file, the CT and the markers in it."""
+"""Inputs of planning commands: the arm of a theatre file, the CT and its markers; positions for markers."""
 
 from __future__ import annotations
 
@@ -61,7 +61,7 @@ SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of th
 def theatre_of(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> TheatreArm | None:
-    """The arm of a theatre file with the head at the given pose; None when no option asks for it."""
+    """Return the arm of a theatre file with the head at the given pose; None if no option asks for it."""
     require_theatre_options(config, robot_from_ct, home_deg, strategy)
     if config is None or robot_from_ct is None:
         return None
@@ -74,7 +74,7 @@ def theatre_of(
 def require_theatre_options(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> None:
-    """Raises CLI-001 and STR-002 for conflicting or invalid options."""
+    """Raise CLI-001 and STR-002 for conflicting or invalid options."""
     from procedures.strategies.catalogue import strategy_named
 
     strategy_named(strategy)
@@ -106,13 +106,13 @@ def require_theatre_options(
 
 
 def require_one_head(series_dir: Path | None, scene: Path | None) -> None:
-    """Raises CLI-001 unless the head comes from exactly one of both."""
+    """Raise CLI-001 unless the head has exactly one source."""
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
 
 
 def read_volume(series_dir: Path) -> Volume:
-    """The series, with a progress bar."""
+    """Read the series, with a progress bar."""
     from procedures.imaging import read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -122,7 +122,7 @@ def read_volume(series_dir: Path) -> Volume:
 def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
-    """The series, the centres of its markers, and what they say of the scan or why they could not be had."""
+    """Return the series, its marker centres, and their remarks on the scan or why there are none."""
     from procedures.imaging import localize, read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -150,7 +150,10 @@ def propose(
     *,
     as_json: bool,
 ) -> None:
-    """Raises PLAN-001 to PLAN-003, PLAN-014, PLAN-016, PLAN-021 and what reading a series raises."""
+    """Propose marker positions.
+
+    Raises PLAN-001 to PLAN-003, PLAN-014, PLAN-016, PLAN-021, and errors of reading the series.
+    """
     picture = out.with_suffix(".png")
     require_one_head(series_dir, scene)
     require_new(out, picture)
@@ -186,7 +189,7 @@ def propose(
 
 
 def print_markers(title: str, markers: Sequence[TemplateMarker]) -> None:
-    """Where each marker goes, and the direction of its post."""
+    """Print the position of each marker, and the direction of its post."""
     terminal.print_table(
         title,
         ["marker", "centre LPS mm", "post"],

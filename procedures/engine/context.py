@@ -186,7 +186,7 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault after which the operator decides whether a result is kept, or None; see `result`."""
+        """Return the fault that has the operator asked whether a result is kept, or None; see `result`."""
         return self._case.doubt_of(self._asked_for(model).record)
 
     def keep(self, model: type[R]) -> None:

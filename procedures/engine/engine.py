@@ -285,7 +285,7 @@ class Engine:
             self.course.latest = None
 
     def abort(self) -> None:
-        """End the case between steps on the operator's order; moves nothing. Raises PRO-001 if it has ended."""
+        """End the case between steps as ordered; moves nothing. Raises PRO-001 if it has ended."""
         if self.machine.ended:
             raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave with quit.")
         self.machine.abort()

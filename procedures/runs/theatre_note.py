@@ -44,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def settled(self) -> TheatreNote:
-        """Return the note with the end of `run`, from its journal; one that is gone may have done anything."""
+        """Return the note with the end of `run`, by its journal; one that is gone may have done anything."""
         home = None if self.pid is None or self.run is None else _left_home(self.run, self.lines_before)
         if home is None:
             return self.model_copy(update={"pid": None})

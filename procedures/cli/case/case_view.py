@@ -40,7 +40,7 @@ FAILED = ("✗", "red")
 
 @dataclass(frozen=True)
 class Entry:
-    """One line for what a person wants to read afterwards."""
+    """One line that a person reads afterwards."""
 
     mark: str
     style: str
@@ -48,9 +48,9 @@ class Entry:
 
 
 def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
-    """What came of a step, and findings; None for the rest.
+    """Return the line for the outcome of a step, or for a finding; None for other events.
 
-    Without `errors`, which are told beside it, of what a step failed with only the code.
+    Without `errors`, which are shown beside it, a failed step is shown with its code only.
     """
     match event.what:
         case StepState(state="begun"):
@@ -69,7 +69,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
 
 
 def done_or_note(event: Event) -> str | None:
-    """One plain line: a step done, a result that no longer holds, a finding; None for the rest."""
+    """Return a plain line for a step done, a voided result or a finding; None for other events."""
     match event.what:
         case StepState(step=step, state="done", summary=summary):
             return f"done {step}: {summary}"
@@ -82,12 +82,12 @@ def done_or_note(event: Event) -> str | None:
 
 
 def in_words(case: CaseState) -> str:
-    """A state and its reason; why a case is held, the step that failed has said."""
+    """Return a state and its reason; the failed step has already given the reason of a held case."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
 def lost_in_words(lost: SignalsLost) -> str:
-    """How much a follower did not get."""
+    """Return how many signals a follower missed."""
     return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
 
@@ -106,7 +106,7 @@ class CaseView:
         self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step, and what was wrong with it
 
     def take_in(self, event: Event) -> None:
-        """Let an event change what is shown."""
+        """Update the view by an event."""
         match event.what:
             case CaseState() as case:
                 self.state = in_words(case)
@@ -153,13 +153,13 @@ class CaseView:
         return shown
 
     def _settle(self, step: str) -> None:
-        """What was wrong with a step is past: it is done again."""
+        """Drop errors of a step that is done again."""
         left = [one for one in self._errors if one[0] != step]
         self._errors.clear()
         self._errors.extend(left)
 
     def _settle_fault(self, device: str, fault: str) -> None:
-        """A fault is over, and so is what was refused because of it."""
+        """Drop a fault that is over, and the refusals that it caused."""
         over = (f"the {device} is in fault", f"{_code(fault)}: ")
         left = [one for one in self._errors if not any(words in one[1] for words in over)]
         self._errors.clear()
@@ -182,7 +182,7 @@ class CaseView:
 
 
 def _code(error: str) -> str:
-    """Of an error as it is told, with its code first."""
+    """Return the code of an error in words."""
     return error.partition(": ")[0]
 
 
@@ -197,7 +197,7 @@ Show = Callable[[Sequence[Event]], None]
 
 
 class EventFollower:
-    """Follows a stream to its end; `show` is never called by two threads at once."""
+    """Follows a stream in a thread of its own; `show` is never called by two threads at once."""
 
     def __init__(self, events: EventStream, show: Show) -> None:
         self._reader = events.subscribe()
@@ -217,7 +217,7 @@ class EventFollower:
             yield
 
     def catch_up(self) -> bool:
-        """Show what has happened so far; whether the stream has ended."""
+        """Show all events so far; return whether the stream has ended."""
         with self._showing:
             batch = self._reader.read(0.0)
             self._show(batch.events)

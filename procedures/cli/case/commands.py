@@ -1,4 +1,4 @@
-"""The commands of an operator for a case run by hand, one per line."""
+"""Commands for a case run by hand, one per line."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ Say = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Command:
-    """One command: what follows its name, what it does, and its work."""
+    """One command: its argument, its purpose, and its work."""
 
     argument: str
     does: str

@@ -1,4 +1,9 @@
-"""The display of a case while it runs, and of its outcome."""
+"""The display of a case while it runs and of its outcome, and Ctrl-C.
+
+Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
+points are between steps and before each motion. While a question is open, the second one ends everything.
+Without a terminal nothing is changed: one signal ends the command.
+"""
 
 from __future__ import annotations
 
@@ -40,7 +45,7 @@ AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
 
 
 class Interrupts:
-    """What Ctrl-C asks of an engine."""
+    """The effect of Ctrl-C on an engine."""
 
     def __init__(self) -> None:
         self._engine: Engine | None = None
@@ -49,15 +54,14 @@ class Interrupts:
         self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
-        """From now on Ctrl-C is about this engine; before, it ends the command."""
+        """Direct Ctrl-C to this engine; before, it ends the command."""
         self._engine = engine
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[WritePrompt]:
-        """While a question is open, nothing moves: Ctrl-C twice ends the command, once shows the prompt
-        again.
+        """Let Ctrl-C show the prompt again while a question is open, and end the command the second time.
 
-        A terminal throws away what it has not yet shown when Ctrl-C is typed.
+        Nothing moves meanwhile. A terminal throws away what it has not yet shown when Ctrl-C is typed.
         """
         self._at_question, self._prompt = 0, ""
         try:
@@ -70,7 +74,7 @@ class Interrupts:
         write_prompt(prompt)
 
     def interrupt(self) -> None:
-        """One Ctrl-C more; raises KeyboardInterrupt when it is to end the command."""
+        """Count one Ctrl-C; raises KeyboardInterrupt when it is to end the command."""
         engine = self._engine
         if engine is None or self._at_question:
             raise KeyboardInterrupt
@@ -90,7 +94,7 @@ class Interrupts:
 
 @contextlib.contextmanager
 def pause_on_interrupt() -> Iterator[Interrupts]:
-    """Let Ctrl-C ask for a pause while the block runs, where a person sits at a terminal."""
+    """Let Ctrl-C ask for a pause while the block runs, if a person sits at a terminal."""
     interrupts = Interrupts()
     if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
         yield interrupts

@@ -28,24 +28,27 @@ MEANS = "Whatever you answer, no motion and no step begins before the fault is a
 
 
 class Alarms:
-    """The devices in fault, as they were last seen: asks none of them anything."""
+    """Devices in fault, as last seen, for a person at a question or prompt. Asks no device.
+
+    An answer may rely on an arm that moves.
+    """
 
     def __init__(self, means: str = MEANS) -> None:
-        """`means` follows what is in fault."""
+        """`means` follows the description of a fault."""
         self._means = means
         self._engine: Engine | None = None
         self._reported: set[str] = set()  # roles, at this question
 
     def attach(self, engine: Engine) -> None:
-        """From now on the devices of this engine are looked at; before, none."""
+        """Watch the devices of this engine."""
         self._engine = engine
 
     def begin(self) -> None:
-        """A question opens: what is in fault already is shown with it."""
+        """Open a question: present faults are shown with it."""
         self._reported = set()
 
     def new(self) -> list[str]:
-        """One line for each device in fault of which this question's reader does not know yet."""
+        """Return one line for each device in fault that this question has not shown yet."""
         faults = self._faults()
         lines = [f"{what}. {self._means}" for role, what in faults.items() if role not in self._reported]
         self._reported = set(faults)  # one that comes again is shown again
@@ -53,7 +56,7 @@ class Alarms:
 
     @property
     def note(self) -> str:
-        """For the prompt, such as ` (the arm is in fault)`; empty while no device is."""
+        """Addition to the prompt, such as ` (the arm is in fault)`; empty without a fault."""
         roles = " and ".join(f"the {role}" for role in sorted(self._reported))
         return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
 
@@ -62,15 +65,15 @@ class Alarms:
 
 
 def forget_typed() -> None:
-    """What was typed at the terminal and not read yet is lost."""
+    """Discard input that was typed at the terminal and not read yet."""
     with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str]]:
-    """Wait at a terminal for a line, the end of time or an alarm: whether there is a line, and what to tell.
+    """Wait at a terminal for a line, the end of time or an alarm; return whether there is a line, and alarms.
 
-    What was typed before an alarm is lost: it was typed without knowing of it.
+    Input typed before an alarm is discarded: it was typed without knowing of it.
     """
     while True:
         left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
@@ -93,7 +96,7 @@ def write_prompt(prompt: str) -> None:
 
 
 def undisturbed() -> AbstractContextManager[WritePrompt]:
-    """Where nothing else writes."""
+    """Return a prompt for a terminal to which nothing else writes."""
     return nullcontext(write_prompt)
 
 
@@ -134,9 +137,9 @@ class TerminalOperator:
         self._alarms = Alarms() if alarms is None else alarms
 
     def ask(self, question: Question) -> str:
-        """Write the value and wait for one of the answers, typed whole; anything else is asked again.
+        """Show the value and wait for one of the answers, typed whole; other input is asked again.
 
-        The answer that goes on counts only with what is to be read back, in the same time.
+        The answer that goes on counts only with the value to be read back, within the same time.
         """
         if not sys.stdin.isatty():
             return question.silence
@@ -170,7 +173,7 @@ class TerminalOperator:
 
 
 class TerminalRoom:
-    """The hands of the person at the terminal."""
+    """The person at the terminal as staff of the room."""
 
     def __init__(
         self,
@@ -185,29 +188,29 @@ class TerminalRoom:
         self._simulated = simulated
 
     def announce(self, step: str) -> None:
-        """Nothing to do: the person sees the progress."""
+        """Do nothing: the person sees the progress."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Say what to mount; that it is done is confirmed, and recorded, by the step."""
+        """Prompt for the tool; the step confirms and records it."""
         with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             self._hint(f"mount {number}")
 
     def prepare_stand(self, holds: str) -> None:
-        """Say what to put on the calibration stand; that it is done is confirmed by the step."""
+        """Prompt for the calibration stand; the step confirms it."""
         with self._asking():
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
 
     def _hint(self, command: str) -> None:
-        """In a simulated room things are done by commands."""
+        """Name the command that does this in a simulated room."""
         if self._simulated:
             control = "" if os.environ.get(CONTROL) else " --control 'ENDPOINT FROM READY'"
             sys.stderr.write(f"In the simulated room: ronna-sim {command}{control}\n")
         sys.stderr.flush()
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Say what to do, and have typed what is read off; nothing without a terminal."""
+        """Prompt for the task and its readings; empty without a terminal."""
         with self._asking() as write:
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
@@ -218,7 +221,7 @@ class TerminalRoom:
 
 
 def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """What is typed for each reading; several are shown back before they count. Nothing when nobody reads."""
+    """Return the typed readings; several are shown back before they count. Empty if nobody reads."""
     while True:
         readings: list[float] = []
         for what in task.reads:
@@ -241,9 +244,9 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
 def _typed_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
-    """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends.
+    """Return a plausible number; others are asked again. None if nobody reads it or the terminal ends.
 
-    `ahead` takes one of several lines that were pasted; after one that is refused, the others are lost.
+    `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
     while (typed := _typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
         ahead = False
@@ -258,7 +261,7 @@ def _typed_number(
 
 
 def _one_number(plausible: tuple[float, float] | None) -> str:
-    """What is to be typed, by an example that is possible."""
+    """Return the form of a reading, with a possible example."""
     low, high = plausible or (0.0, SMALL_MM)
     example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
     return f"one number in mm, such as {example:g} or {example:g} mm, or {NOBODY_READS!r} to end the step."
@@ -269,17 +272,17 @@ def _say(line: str) -> None:
 
 
 def _emphasized(question: Question) -> str:
-    """The value; on a terminal, the part to be read back is in bold."""
+    """Return the value; on a terminal, the part to be read back is in bold."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
 def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False) -> str:
-    """What is typed, without the space around it; a blank line is asked again.
+    """Return typed input without surrounding space; a blank line is asked again.
 
-    Empty when it is out of time or the terminal is gone. What was typed before it was asked for, or before a
-    device was reported in fault, is lost, unless it may be typed `ahead`.
+    Empty if time is out or the terminal is gone. Input typed before the question, or before a device was
+    reported in fault, is discarded, unless it may be typed `ahead`.
     """
     news = alarms.new()
     if news or not ahead:

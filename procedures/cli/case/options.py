@@ -1,4 +1,4 @@
-"""The options of a case, and of the theatre that a case or a calibration is run in."""
+"""Options of a case, of the theatre of a case or calibration, and of the console."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ class TheatreOptions:
 
     @property
     def choice(self) -> SceneChoice:
-        """What a simulated theatre is drawn from."""
+        """The choices from which a simulated theatre is drawn."""
         return SceneChoice(
             self.scene,
             self.seed,
@@ -87,7 +87,7 @@ class TheatreOptions:
         )
 
     def scripted_operator(self) -> Answers | None:
-        """Whoever answers by a file. Raises PRO-026, CFG-001."""
+        """Read the file of answers, if any. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
         from procedures.runs.answers import read_answers
@@ -107,7 +107,7 @@ class TheatreOptions:
         return request
 
     def check(self) -> None:
-        """Raise CLI-001 unless they name one theatre, and nothing that it does not have."""
+        """Raise CLI-001 unless the options name one theatre, and nothing that it does not have."""
         if self.sim and self.config is not None:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
@@ -125,7 +125,7 @@ class TheatreOptions:
             self.choice.check()
 
     def _given(self, names: Sequence[str]) -> str:
-        """Those of the options that are not as they are by default, as they are typed."""
+        """Return the options that differ from the default, as they are typed."""
         changed = (
             one.name for one in fields(self) if one.name in names and getattr(self, one.name) != one.default
         )
@@ -134,7 +134,7 @@ class TheatreOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(TheatreOptions):
-    """A case: `run` does it at a stretch, `step` by hand."""
+    """Options of a case: `run` runs all of it, `step` by hand."""
 
     case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
     plan: Annotated[
@@ -177,7 +177,7 @@ class CaseOptions(TheatreOptions):
 
     @property
     def choice(self) -> SceneChoice:
-        """What the theatre and the phantom are drawn from."""
+        """The choices from which theatre and phantom are drawn."""
         return replace(
             super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
         )
@@ -224,7 +224,7 @@ class ConsoleOptions:
     key: KeyOption = None
 
     def request(self) -> ConsoleRequest | None:
-        """What they ask for. Raises PRO-040 where the console is not installed, CLI-001 for a slip."""
+        """Return the requested console. Raises PRO-040 if it is not installed, CLI-001 for a mistake."""
         if not self.console:
             if self.console_port or self.bind or self.certificate or self.key:
                 raise UsageMistake("--console-port, --bind, --certificate and --key require --console")

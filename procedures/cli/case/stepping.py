@@ -39,7 +39,7 @@ TOO_LONG = f"line-of-more-than-{LONGEST_LINE}-bytes"  # in place of a longer lin
 
 
 class PipedLines:
-    """Standard input that is no terminal. Nothing but `stop` overtakes the commands before it."""
+    """Lines of a script, read ahead so that `stop` overtakes the commands before it; nothing else does."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -47,16 +47,16 @@ class PipedLines:
         self._idle = True  # the case waits for a command, or nothing was read yet
 
     def attach(self, engine: Engine) -> None:
-        """Begin to read: from now on `stop` is about this engine."""
+        """Begin to read, with `stop` for this engine."""
         threading.Thread(target=self._read, args=(engine,), name="standard input", daemon=True).start()
 
     def ready(self, timeout_s: float) -> bool:
-        """Whether a line, or the end, can be read in time."""
+        """Whether a line, or the end, can be read within that host time."""
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._lines), timeout_s)
 
     def readline(self) -> str:
-        """The next line; empty at the end, as often as it is asked for."""
+        """Return the next line; empty at the end, however often it is asked for."""
         with self._changed:
             self._idle = True
             self._changed.wait_for(lambda: bool(self._lines))
@@ -79,7 +79,10 @@ class PipedLines:
 
 
 def lines_from(descriptor: int) -> Iterator[str]:
-    """Not by `sys.stdin`: a thread that waits in it holds a lock that the end of the program needs."""
+    """Yield lines of a descriptor.
+
+    Not by `sys.stdin`: a thread that waits in it holds a lock that the end of the program needs.
+    """
     line = bytearray()
     while chunk := os.read(descriptor, LONGEST_LINE):
         *ends, rest = chunk.split(b"\n")

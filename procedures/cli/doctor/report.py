@@ -1,4 +1,4 @@
-"""Runs the checks of the computer and the probes of the drivers, and shows what they found."""
+"""Checks of the computer and probes of the drivers: run, judged and shown."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ CASE = "case"
 
 @dataclass(frozen=True)
 class Verdict:
-    """`because` names what was looked at and found wrong, in the order in which it is shown."""
+    """A verdict; `because` names the failed checks in the order in which they are shown."""
 
     of: str
     ready: bool
@@ -45,7 +45,7 @@ class Verdict:
 
 
 def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Verdict]:
-    """Of each device by its table in the theatre file, then of the case, which needs only some of them."""
+    """Return a verdict for each device table of the theatre file, then for the case."""
     for name, found in devices.items():
         yield _verdict(name, found)
     needed = [one for name in NEEDED for one in devices.get(name, ())]
@@ -65,7 +65,7 @@ Look = Callable[[Progress], Sequence[Diagnostic]]
 
 @dataclass(frozen=True)
 class Report:
-    """What was found on the computer, in the theatre file and its records, and at the devices."""
+    """Findings on the computer, in the theatre file and its records, and at the devices."""
 
     computer: tuple[Diagnostic, ...]
     devices: tuple[Diagnostic, ...]
@@ -75,12 +75,12 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Everything, in the order in which it is shown: first what nobody may miss."""
+        """All diagnostics in the order in which they are shown: first what nobody may miss."""
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
-        """The documents of one section."""
+        """Return the documents of one section."""
         return [f.document for f in self.devices if f.section == name and f.document is not None]
 
 
@@ -141,7 +141,7 @@ def show(report: Report, *, as_json: bool) -> None:
 
 
 def show_findings(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics, and the verdicts where there are any."""
+    """Print the diagnostics, and the verdicts if there are any."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -172,7 +172,7 @@ def show_findings(report: Report, *, as_json: bool) -> None:
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
-    """What is in the way; of the case only the checks, whose findings stand above."""
+    """Return the obstacles; for the case only the checks, whose findings stand above."""
     if verdict.of != CASE:
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
@@ -180,7 +180,7 @@ def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
 
 
 def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Look]]:
-    """One look for each probe that is asked for, with all its endpoints."""
+    """Return one look for each requested probe, with all its endpoints."""
     if not endpoints:
         return
     probes = endpoint_probes()
@@ -200,7 +200,7 @@ def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Lo
 
 
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
-    """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
+    """Return the findings of the driver's probe. A failed probe is a diagnostic too: the others follow."""
     try:
         found = load_probe(config.driver)(name, config, progress, inspection(name, theatre))
     except Exception as problem:  # a driver of another package may raise anything

@@ -1,4 +1,4 @@
-"""What a case needs of its theatre file and of this computer, before any device is asked."""
+"""Checks of theatre file, its use and this computer, before any device is asked."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
 
 
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
-    """Everything that keeps a case in a folder of `out` from beginning with any devices and records."""
+    """Return all obstacles to a case in a folder of `out`, whatever its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
     yield from _judged("theatre file", kind, lambda: require_one_kind(theatre))
     yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
@@ -73,7 +73,7 @@ TOOL = "mounted tool"
 
 
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
-    """What of it keeps a new case from beginning; one with the subject `RUN` while it is in use."""
+    """Return obstacles to a new case from the use of a theatre; the subject is `RUN` while it is in use."""
     if (user := theatre_user(theatre)) is not None:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
@@ -96,7 +96,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
 
 
 def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
-    """What was found at the devices, with advice that fits what an unfinished run left there."""
+    """Return findings at the devices with advice that fits an unfinished run there."""
     run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
     return [_advised(one, run, None if left is None else left[1]) for one in found]
 
@@ -117,7 +117,7 @@ RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras a
 
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
-    """All checks that need no device."""
+    """Return all checks that need no device."""
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
     yield _packages()
     yield _receive_buffer()

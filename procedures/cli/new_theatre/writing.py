@@ -1,4 +1,4 @@
-"""The text of a new theatre file: what was found, every option of its driver, what is still missing."""
+"""The text of a new theatre file: devices found, every option of their drivers, and what is still missing."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ NO_RECORDS = (
 
 @dataclass(frozen=True)
 class Draft:
-    """Everything that goes into the file."""
+    """The content of a new theatre file."""
 
     name: str
     found: Sequence[Found]
@@ -48,7 +48,7 @@ class Draft:
 
 
 def theatre_text(draft: Draft) -> str:
-    """The file, as TOML with comments."""
+    """Return the file as TOML with comments."""
     lines = [*_comment(HEAD), "", "schema = 1", _line("theatre", draft.name)]
     if draft.banner:
         lines.append(_line("banner", draft.banner))
@@ -108,7 +108,7 @@ def _of_tables(value: object) -> bool:
 
 
 def _missing_records() -> Iterator[str]:
-    """What must be entered by hand before the first calibration, key by key."""
+    """Return what must be entered by hand before the first calibration, key by key."""
     makers = ", ".join(f"[calibration.{name}] by {command}" for name, command in MADE_BY_COMMAND.items())
     yield from _comment(f"{NO_RECORDS}{makers}.")
     for name, table in Calibrations.model_fields.items():
@@ -124,7 +124,7 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _line(key: str, value: Any) -> str:
-    """`key = value`, as long as it is; an empty table stays on the line."""
+    """Return `key = value`, however long; an empty table stays on the line."""
     if value == {}:
         return f"{key} = {{}}"
     return _toml({key: _plain(value)}).strip()
@@ -148,7 +148,7 @@ ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
 class _Definition(BaseModel, extra="allow", strict=True):
-    """One tool of a tracker, whatever else its driver knows of it."""
+    """One tool of a tracker, without further settings of its driver."""
 
     rom: str = ""
 
@@ -162,21 +162,21 @@ class _Tracker(BaseModel, strict=True):
 
 
 class _TheatrePart(BaseModel, strict=True):
-    """What is read of another theatre file besides its records."""
+    """The parts of another theatre file that are read besides its records."""
 
     tracker: _Tracker = _Tracker()
 
 
 @dataclass(frozen=True)
 class TakenOver:
-    """`flange`, the tables that belong to mount and cell, and the tools that the tracker is to see."""
+    """The `flange`, the tables of mount and cell, and the tools that the tracker is to see."""
 
     tables: Mapping[str, Any]
     tools: Sequence[Mapping[str, Any]]
 
 
 def read_records(source: Path) -> TakenOver:
-    """From a theatre file or a part of one.
+    """Read a theatre file or a part of one.
 
     Raises CFG-001 for a file that cannot be read, has mistakes, or has none of the tables.
     """
@@ -204,14 +204,14 @@ def read_records(source: Path) -> TakenOver:
 
 
 def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tuple[Found, ...]:
-    """The tracker with the tool definitions of another theatre file, if that names some."""
+    """Return the tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
     return tuple(_changed(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
-    """With options such as `stereo.exposure_us=1500`, values as TOML has them. Raises CLI-001."""
+    """Return devices with options such as `stereo.exposure_us=1500`, values as TOML. Raises CLI-001."""
     changed = list(found)
     for text in given:
         place, equals, value = text.partition("=")
@@ -231,7 +231,7 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
 
 
 def _require_fitting(text: str, found: Found) -> None:
-    """Raise CLI-001 where the driver would not take its options with this one."""
+    """Raise CLI-001 if the driver would not take its options with this one."""
     options = found.proposal.options
     chosen = {option.key: option.value for option in options if option.chosen}
     for model in {option.model for option in options if option.model is not None}:
@@ -249,7 +249,7 @@ def _named(found: Found, table: str) -> bool:
 
 
 def _where(rom: str, folder: Path) -> str:
-    """A definition beside the other file, by its whole path; one that comes with the driver, by its name."""
+    """Return the path of a definition beside the other file; the name of one of the driver."""
     beside = folder / rom
     return str(beside) if beside.is_file() else rom
 
@@ -263,7 +263,7 @@ def _changed(found: Found, values: Mapping[str, Any]) -> Found:
 
 
 def _value(text: str) -> Any:
-    """A value of TOML, or else the text itself."""
+    """Return a value of TOML, or else the text itself."""
     try:
         return parse_toml(f"value = {text}")["value"]
     except ValueError:

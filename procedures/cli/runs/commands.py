@@ -1,4 +1,4 @@
-"""The commands about runs, as the command line has them. Their work is imported when they are called."""
+"""Commands on runs, for the command line. Their work is imported when they are called."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.text.printable import without_controls
 
 
 def _run_folder(folder: Path) -> Path:
-    """The folder of a run, which it is. Raises CLI-005."""
+    """Return the folder if it is that of a run. Raises CLI-005."""
     from procedures.runs.folders import require_run
 
     require_run(folder)
@@ -249,6 +249,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def add_commands(app: typer.Typer) -> None:
-    """Give an application these commands."""
+    """Add these commands to an application."""
     for name, command in COMMANDS.items():
         app.command(name)(command)

@@ -1,4 +1,4 @@
-"""`ronna-procedure verify RUN`: every file that is not as the run left it."""
+"""`ronna-procedure verify`, `replay` and `bytes`: changed files, recomputed results, link traffic."""
 
 from __future__ import annotations
 
@@ -40,9 +40,9 @@ from ronna_hw.text.printable import printable
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Print what is changed, missing or added; ends with exit code 3 when anything is.
+    """Print changed, missing and added files; exits with 3 if there are any.
 
-    It ends with 9 when nothing is, but files lay unsealed after a kill: a change then would not show.
+    Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
     """
     found = inspected(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
@@ -89,8 +89,9 @@ CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
 
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
-    """Replay a run and print a verdict for each record. Raises PRO-024, and PRO-025 unless all are equal or
-    rounded.
+    """Replay a run and print a verdict for each record.
+
+    Raises PRO-024, and PRO-025 for records that are not confirmed.
     """
     # Of readings that were edited a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
@@ -131,7 +132,7 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
 
 
 def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
-    """With what the set-up recorded in place of what the theatre file says today."""
+    """Put the recorded set-up in the place of today's theatre file."""
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return given
@@ -166,7 +167,7 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 def print_bytes(
     run_folder: Path, link: str | None, from_s: float | None, to_s: float | None, *, as_json: bool
 ) -> None:
-    """Print the window by time, and before it what is not as the run left it.
+    """Print a window of the traffic by time, after the files that are not as the run left them.
 
     Raises CLI-005 without bytes, CLI-001 for a wrong link or window.
     """
@@ -209,7 +210,10 @@ def _as_json(line: LinkLine) -> str:
 
 
 def _as_dump(line: LinkLine) -> str:
-    """Lines with # are comments, I and O the directions; the text behind the bytes is for people."""
+    """Return lines for text2pcap: # begins comments, I and O give directions.
+
+    The text after the bytes is for people.
+    """
     head = f"# {printable(line.link)}, theatre {line.theatre_time_s:.6f} s"
     if line.direction is None:
         return f"{head}: {printable(', '.join(f'{name} {value}' for name, value in line.note.items()))}\n"

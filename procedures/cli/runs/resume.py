@@ -1,4 +1,4 @@
-"""`ronna-procedure resume RUN` continues an interrupted run; `home RUN` only brings its arm home."""
+"""`ronna-procedure resume`, `home` and `acknowledge`: an interrupted run, its arm, its faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ronna-procedure list`, `show` and `lineage`: what runs there are, and what one did and came to."""
+"""`ronna-procedure list`, `show`, `lineage` and `watch`: runs, their results and their course."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from ronna_hw.text.printable import printable
 def list_runs(folder: Path, *, as_json: bool) -> None:
     """Print the runs of a folder, oldest first.
 
-    Only what the rows come from is compared; an error from a changed file is omitted.
+    Only the sources of the rows are compared; an error from a changed file is omitted.
     """
     rows = [_listed(run) for run in runs_in(folder)]
     if as_json:
@@ -110,7 +110,7 @@ def _largest(row: dict[str, Any]) -> str:
 
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
-    """A run in plain data: what `list` and `show` print."""
+    """Return a run as plain data, for `list` and `show`."""
     run = reading.run
     ending = ending_of(run.journal)
     running = holder_of_run(reading.folder) if ending.word == "killed" else None
@@ -145,9 +145,9 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
 
 
 def watch(run: Path, *, as_json: bool) -> None:
-    """Show what holds, then what happens, until the run has ended. Raises CLI-005, PRO-018.
+    """Show the present state, then each event, until the run has ended. Raises CLI-005, PRO-018.
 
-    Of a run that is over, first what is not as it left it.
+    For a run that is over, files that are not as it left them are named first.
     """
     followed = FollowedRun(run)
     if followed.over:
@@ -179,7 +179,7 @@ def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> Non
 
 
 def line_of(event: Event) -> str | None:
-    """What a person reads of an event; None for what only changes the picture."""
+    """Return the line of an event for a person; None for one that only changes the picture."""
     line = _line(event)
     return line and printable(line)
 

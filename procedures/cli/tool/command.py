@@ -150,7 +150,7 @@ def _require_another_file(config: Path, write: Path) -> None:
 
 
 def _signed(name: str, by: str, days: int) -> dict[str, Any]:
-    """What all dated records have. Raises DEV-006 for no name."""
+    """Return identity, dates and maker of a record. Raises DEV-006 without a name."""
     from ronna_hw.devices.lifecycle import require_person
 
     made = datetime.now(UTC).replace(microsecond=0)
