@@ -17,17 +17,8 @@ from procedures.engine.events import EventStream, Progress
 from procedures.engine.order import StepKey, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import (
-    YES,
-    Evidence,
-    NotConfirmed,
-    Operator,
-    Question,
-    ReadBack,
-    Room,
-    Task,
-    Topic,
-)
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import YES, Evidence, Operator, Question, ReadBack, Room, Task, Topic
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings

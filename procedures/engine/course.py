@@ -8,7 +8,7 @@ from procedures.journal.results import StepResult
 from ronna_hw.records import Record
 
 
-class Course:
+class CaseProgress:
     """The steps of a case, its results, and the latest step, unless something came between."""
 
     def __init__(self, order: CaseOrder, case: Case, latest: StepKey | None = None) -> None:

@@ -7,7 +7,7 @@ from contextlib import contextmanager
 from copy import copy
 from typing import TYPE_CHECKING
 
-from procedures.engine.course import Course
+from procedures.engine.course import CaseProgress
 from procedures.engine.order import StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
@@ -95,7 +95,7 @@ class DeviceFaults:
 
     def __init__(
         self,
-        course: Course,
+        course: CaseProgress,
         workcell: Workcell,
         journal: Journal,
         clock: Clock,

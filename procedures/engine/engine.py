@@ -10,7 +10,7 @@ from contextlib import contextmanager, suppress
 
 from procedures.engine.case import Case, Stored
 from procedures.engine.context import CaseSetting, StepContext
-from procedures.engine.course import Course, unusable_inputs
+from procedures.engine.course import CaseProgress, unusable_inputs
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
@@ -22,7 +22,8 @@ from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal, JournalValue
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import OperatorAborted, Question, Task
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question, Task
 from procedures.workcell.errors import WrongTool
 from procedures.workcell.parking import park, withdraw
 from ronna_hw.errors import RonnaError
@@ -59,7 +60,7 @@ class Engine:
         """
         self.order = order
         self.case = case
-        self.course = Course(order, case, latest)
+        self.course = CaseProgress(order, case, latest)
         self.setting = setting
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
@@ -78,7 +79,7 @@ class Engine:
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when nothing remains: see `Course.upcoming`."""
+        """The step that comes next, or None when nothing remains: see `CaseProgress.upcoming`."""
         return self.course.upcoming
 
     @property
@@ -87,7 +88,7 @@ class Engine:
         return self.setting.workcell.place.instrument_may_be_inside
 
     def status(self, key: StepKey) -> str:
-        """Return the status of a step; see `Course.status`."""
+        """Return the status of a step; see `CaseProgress.status`."""
         return self.course.status(key)
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:

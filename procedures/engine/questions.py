@@ -10,7 +10,8 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.journal.journal import Entry, Journal
-from procedures.operator.question import NotConfirmed, Operator, Question, Signature, Task, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Operator, Question, Signature, Task, Topic
 from ronna_hw.wire.room_tasks import OUT
 
 if TYPE_CHECKING:

@@ -12,7 +12,8 @@ from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
 
-from procedures.operator.question import GuardUnmet, OperatorAborted, Question, Topic
+from procedures.operator.errors import GuardUnmet, OperatorAborted
+from procedures.operator.question import Question, Topic
 from ronna_hw.clock import Clock
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart

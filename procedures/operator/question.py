@@ -14,7 +14,6 @@ from typing import Protocol
 
 from pydantic import BaseModel, ConfigDict
 
-from ronna_hw.errors import EXIT_ABORTED, RefusedError, RonnaError
 from ronna_hw.text.typed_number import without_unit
 
 
@@ -237,29 +236,3 @@ class Room(Protocol):
     def work(self, task: Task) -> tuple[float, ...]:
         """Do the task and return its readings; empty if nobody does. The step has it confirmed."""
         ...
-
-
-class NotConfirmed(RonnaError):
-    """The operator answered no, or did not answer in time, which counts as no."""
-
-    code = "PRO-002"
-    action = (
-        "Nothing was done. Repeat the step when the operator can confirm: questions need a terminal, "
-        "--console or --answers."
-    )
-    exit_code = EXIT_ABORTED
-
-
-class OperatorAborted(RonnaError):
-    """The operator ended the procedure."""
-
-    code = "PRO-004"
-    action = "The arm is at rest. Start a new run when ready."
-    exit_code = EXIT_ABORTED
-
-
-class GuardUnmet(RefusedError):
-    """A guard suspended the running step, and its condition was not restored."""
-
-    code = "PRO-017"
-    action = "Restore the condition it names, then repeat the step."

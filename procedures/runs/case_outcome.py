@@ -47,14 +47,14 @@ def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
     """Finish an interrupted case; one of which only the last line is missing needs no theatre."""
-    from procedures.engine.course import Course
+    from procedures.engine.course import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_complete
 
     folder = interrupted.folder
     if not interrupted.untouched:
         order = order_of_case(request.case, folder)
-        if Course(order, interrupted.restored(order)).over and not interrupted.arm.place.is_out:
+        if CaseProgress(order, interrupted.restored(order)).over and not interrupted.arm.place.is_out:
             closed = close_complete(interrupted, clinical_input(request.case, folder))
             return outcome_as_recorded(request, closed)
     return run_case(request, folder, observers, Resumption(interrupted, accepted))

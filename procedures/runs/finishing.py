@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.folders import forget_if_empty, forget_if_refused, held_run
-from procedures.runs.request import CaseProcedure, read_request
+from procedures.runs.request import CaseProcedure
+from procedures.runs.request_file import read_request
 from procedures.runs.simulated_theatre import truth_if_any
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
@@ -203,7 +204,7 @@ class Finalized:
 
 
 @contextlib.contextmanager
-def finalized_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
+def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
     """Leave report and seal of the run in `folder` at the end of the block, however that ends."""
     final = Finalized()
     try:

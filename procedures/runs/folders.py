@@ -14,7 +14,8 @@ from pathlib import Path
 from procedures.engine.errors import CommandRefused, RunInUse, TheatreNotNoted
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.request import CaseProcedure, Measurement, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, Measurement, RunRequest
+from procedures.runs.request_file import write_request
 from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.new_files import require_folder

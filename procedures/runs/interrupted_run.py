@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.course import Course
+from procedures.engine.course import CaseProgress
 from procedures.engine.order import CaseOrder, StepKey
 from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
@@ -111,7 +111,7 @@ class InterruptedRun:
     def restored(self, order: CaseOrder) -> Case:
         """Return the case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
         case = Case(self.folder, self.run.name)
-        course = Course(order, case)
+        course = CaseProgress(order, case)
         records = iter(self.run.records)
         for line in self.run.journal:
             if line["entry"] == Entry.RESULT:

@@ -18,10 +18,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Protocol
 
 from procedures.journal.errors import StepRefused
-from procedures.operator.question import Operator, OperatorAborted, Room, Task
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Operator, Room, Task
 from procedures.runs.answers import SilentOperator, operator_selection
 from procedures.runs.finishing import begin_report
-from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest, request_hash
+from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
+from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError

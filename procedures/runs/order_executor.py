@@ -9,7 +9,8 @@ from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from procedures.engine.display_feed import HOME, comes_next, publish_waiting
-from procedures.operator.question import NOBODY, READ, Operator, OperatorAborted, Question, Room, Task, Topic
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import NOBODY, READ, Operator, Question, Room, Task, Topic
 from procedures.runs.operator_station import OperatorStation, PendingOrder
 from procedures.runs.orders import Abort, Acknowledge, Next, Resume, RunTo
 from ronna_hw.command_line.messages import fail_with, tell

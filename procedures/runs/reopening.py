@@ -15,7 +15,8 @@ from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalVal
 from procedures.reporting.files import KEPT_TRUTH, forget_unconfirmed_truth
 from procedures.runs.folders import held_run
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
-from procedures.runs.request import RunRequest, read_request
+from procedures.runs.request import RunRequest
+from procedures.runs.request_file import read_request
 from procedures.runs.theatre_lock import last_runs, require_free_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell

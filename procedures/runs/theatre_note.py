@@ -14,7 +14,7 @@ from pathlib import Path
 from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.request import read_request
+from procedures.runs.request_file import read_request
 from procedures.workcell.arm_history import arm_history, history_left_by
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file

@@ -11,7 +11,8 @@ from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed
 from procedures.operator.checkpoint import GO_ON as CONTINUE
 from procedures.operator.checkpoint import LEAVE, WAIT
-from procedures.operator.question import NO, YES, GuardUnmet, NotConfirmed, OperatorAborted, Topic
+from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
+from procedures.operator.question import NO, YES, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.path_check.alternatives import BY_ACCURACY
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch

@@ -13,7 +13,8 @@ from collections.abc import Callable, Iterator, Sequence
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import YES, NotConfirmed, Question, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_log import ArmLog
 from procedures.workcell.cell_motion import CellMotion, MotionName
 from procedures.workcell.motion_facts import in_a_question, motion_facts

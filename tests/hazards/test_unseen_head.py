@@ -17,7 +17,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
 from procedures.guards import sight_guard
 from procedures.guards.errors import PatientMoved
-from procedures.operator.question import GuardUnmet, Question, Topic
+from procedures.operator.errors import GuardUnmet
+from procedures.operator.question import Question, Topic
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import DeviceError
 

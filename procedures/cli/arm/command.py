@@ -69,7 +69,7 @@ def check(
     from procedures.reporting.calibration.arm import ArmCheckFigures
     from procedures.reporting.calibration.result_file import write_figures
     from procedures.runs.calibrations import ARM
-    from procedures.runs.finishing import finalized_run
+    from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -91,7 +91,7 @@ def check(
     request = replace(theatre, procedure=measurement)
     folder = new_run_folder(request, asked.out, "check")
     try:
-        with finalized_run(folder, with_truth=False):
+        with finalize_run(folder, with_truth=False):
             run_with_bar(request, folder, ARM.activity, conclude)
     finally:
         for figures in found:

@@ -24,7 +24,7 @@ from procedures.runs.calibrations import (
     kind_of,
     leave_files,
 )
-from procedures.runs.finishing import finalized_run, sealed_again
+from procedures.runs.finishing import finalize_run, sealed_again
 from procedures.runs.folders import held_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import RunObservers, run_steps
@@ -76,7 +76,7 @@ def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, asked: Calib
             terminal.tell(NOT_COMPARED)
     else:
         folder = new_run_folder(request, asked.out, kind.name)
-        with held_run(folder), finalized_run(folder, with_truth=False):
+        with held_run(folder), finalize_run(folder, with_truth=False):
             _measure(kind, request, folder)
     show(finished_figures(folder), folder, written=asked.write, as_json=asked.as_json)
 
@@ -99,7 +99,7 @@ def resume_calibration(
         if not complete:
             require_free_devices(request)
         make_ready(interrupted)
-        with finalized_run(folder, with_truth=False):
+        with finalize_run(folder, with_truth=False):
             if complete:
                 finish_calibration(kind, request, interrupted)
             else:

@@ -8,7 +8,8 @@ from typing import TYPE_CHECKING
 
 from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import ABORT, GO_ON
-from procedures.operator.question import YES, NotConfirmed, OperatorAborted, Question, Topic
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.question import YES, Question, Topic
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:

@@ -24,7 +24,7 @@ from procedures.cli.case.operators import WritePrompt, terminal_observers, write
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.events import Event
 from procedures.runs.case_outcome import run_case, unfinished
-from procedures.runs.finishing import Finalized, finalized_run
+from procedures.runs.finishing import Finalized, finalize_run
 from procedures.runs.folders import held_run, run_folder
 from procedures.runs.lifecycle import RunObservers
 from procedures.runs.request import RunRequest
@@ -234,7 +234,7 @@ def follow(
     final = Finalized()
     try:
         with (
-            finalized_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
+            finalize_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
             following(quiet=as_json) as shown,
             _operated(shown, folder, console, waits=waits) as observers,
         ):

@@ -15,7 +15,8 @@ from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
 from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import OperatorAborted, Question
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question
 from procedures.runs.lifecycle import leave_head_if_agreed
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import fail_with, on_terminal

@@ -19,7 +19,7 @@ from procedures.cli.case.commands import COMMANDS
 from procedures.cli.case.display import pause_on_interrupt, write_lines
 from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.prompt import Prompt
-from procedures.runs.finishing import finalized_run
+from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import held_run, run_folder
 from procedures.runs.lifecycle import open_run
 from procedures.runs.request import RunRequest
@@ -108,7 +108,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
     with (
         run_folder(request, out) as folder,
         held_run(folder),
-        finalized_run(folder),
+        finalize_run(folder),
         pause_on_interrupt() as interrupts,
     ):
         followers: list[EventFollower] = []

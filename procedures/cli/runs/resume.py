@@ -15,7 +15,7 @@ from procedures.cli.case.display import follow, following, show_outcome
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun, RecoveryRefused
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
-from procedures.runs.finishing import finalized_run, sealed_again
+from procedures.runs.finishing import finalize_run, sealed_again
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import RunObservers, open_run
 from procedures.runs.reopening import (
@@ -86,7 +86,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             return
         require_free_devices(request)
         make_ready(interrupted)
-        with finalized_run(interrupted.folder), following(quiet=as_json) as observers:
+        with finalize_run(interrupted.folder), following(quiet=as_json) as observers:
             from procedures.runs.recovery import bring_home
 
             resumption = Resumption(interrupted, accept, only_leaving=True)
@@ -131,7 +131,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
             _require_own_fault(request.config, path)
         make_ready(interrupted)
         resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
-        with finalized_run(path), open_run(request, path, RunObservers(), resumption) as engine:
+        with finalize_run(path), open_run(request, path, RunObservers(), resumption) as engine:
             _recover_all(
                 engine.setting.workcell.devices,
                 lambda: engine.faults.acknowledge(by),

@@ -100,7 +100,7 @@ def check(
     from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.reporting.calibration.result_file import write_figures
     from procedures.runs.calibrations import head_check_figures
-    from procedures.runs.finishing import finalized_run
+    from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.baseline_visit import VisitedBaseline
@@ -124,7 +124,7 @@ def check(
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     folder = new_run_folder(request, asked.out, "check")
-    with finalized_run(folder, with_truth=False):
+    with finalize_run(folder, with_truth=False):
         try:
             run_with_bar(request, folder, "measuring the ball", conclude)
         finally:
@@ -157,7 +157,7 @@ def measure(
     """
     theatre = asked.theatre()
     from procedures.cli.calibrating.calibration import run_with_bar
-    from procedures.runs.finishing import finalized_run
+    from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.procedures import head_look, look_where_it_stands
@@ -167,7 +167,7 @@ def measure(
     measurement = Measurement(steps=steps, title="A measurement of the stereo head")
     request = replace(theatre, procedure=measurement)
     folder = new_run_folder(request, asked.out, "measure")
-    with finalized_run(folder, with_truth=False):
+    with finalize_run(folder, with_truth=False):
         engine = run_with_bar(request, folder, "measuring with the stereo head")
         seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"

@@ -18,7 +18,8 @@ from procedures.guards.guide_still import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
-from procedures.operator.question import GuardUnmet, NotConfirmed, Question, Task, Topic
+from procedures.operator.errors import GuardUnmet, NotConfirmed
+from procedures.operator.question import Question, Task, Topic
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.tools.begun_work import STAGES, BegunWork, WorkStage, begun_work, done_in_words

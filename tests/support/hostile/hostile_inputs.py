@@ -75,7 +75,8 @@ from procedures.imaging import read_series
 from procedures.imaging.pick_files import read_picks
 from procedures.planning.plan.file import read_plan
 from procedures.runs.answers import read_answers
-from procedures.runs.request import SceneChoice, read_request
+from procedures.runs.request import SceneChoice
+from procedures.runs.request_file import read_request
 from procedures.runs.theatre_note import TheatreNote, read_note
 from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file

@@ -14,7 +14,7 @@ from waiting import HANG_LIMIT_S
 
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.runs.request import read_request
+from procedures.runs.request_file import read_request
 
 MOVING = "relocalization:T1"
 

@@ -10,7 +10,8 @@ from recording_cell import RecordingCell
 
 from procedures.journal.journal import Entry
 from procedures.runs.finishing import seal_run
-from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 
 
 @pytest.fixture

@@ -20,7 +20,8 @@ from procedures.engine.order import Outcome, Scope, StepKey, StepSpec, order_of
 from procedures.engine.run_folder import read_run
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import Record

@@ -15,7 +15,8 @@ from procedures.engine.order import Outcome
 from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
 from procedures.journal.results import StepResult
-from procedures.operator.question import NotConfirmed, Question, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Question, Topic
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import BadRecord, read_record
 

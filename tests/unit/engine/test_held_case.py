@@ -7,7 +7,8 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 from procedures.engine.engine import Engine
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import NotConfirmed, OperatorAborted, Topic
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.question import Topic
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.devices.last_known import LastKnown

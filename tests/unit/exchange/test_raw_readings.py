@@ -21,7 +21,8 @@ from procedures.exchange.raw_extent import EXTENT_FILE, missing_in_raw
 from procedures.exchange.raw_readings import TABLES, raw_readings, write_raw
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.finishing import seal_run
-from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,

@@ -17,7 +17,8 @@ from procedures.guards.disk_space import DiskSpace
 from procedures.guards.line_of_sight import PATIENCE_S, LineOfSight
 from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.wall_clock import WallClock
-from procedures.operator.question import GuardUnmet, Question, Topic
+from procedures.operator.errors import GuardUnmet
+from procedures.operator.question import Question, Topic
 from procedures.runs.answers import ScriptedOperator
 from procedures.steps.clinical import set_up
 from procedures.workcell import MountedTool

@@ -4,7 +4,8 @@ from contextlib import contextmanager
 import pytest
 
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import GuardUnmet, OperatorAborted, Question, Topic
+from procedures.operator.errors import GuardUnmet, OperatorAborted
+from procedures.operator.question import Question, Topic
 
 
 class Disk:

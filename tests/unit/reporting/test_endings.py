@@ -18,7 +18,7 @@ from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.journal.results import StepResult
-from procedures.operator.question import OperatorAborted
+from procedures.operator.errors import OperatorAborted
 from procedures.reporting.ending import ending_of, resumes
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report

@@ -14,9 +14,11 @@ from procedures.cli.doctor.theatre_checks import use_diagnostics
 from procedures.cli.procedure import app
 from procedures.engine.order import order_of
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.runs import theatre_note
-from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import held_theatre
 from procedures.runs.theatre_note import NOT_KNOWN, TheatreNote, arm_not_home
 from procedures.steps.clinical import set_up

@@ -14,10 +14,11 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
 from procedures.runs.engine_setup import EngineInput
-from procedures.runs.finishing import finalized_run, leave_report, seal_run
+from procedures.runs.finishing import finalize_run, leave_report, seal_run
 from procedures.runs.interrupted_run import Resumption, read_interrupted_run
 from procedures.runs.lifecycle import RunObservers, open_engine
-from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.named_files import REQUEST_FILE
@@ -29,7 +30,7 @@ def test_a_run_that_ends_in_an_error_or_interrupt_leaves_a_report_and_reraises_i
     tmp_path: Path, problem: BaseException
 ) -> None:
     (tmp_path / JOURNAL_FILE).touch()
-    with pytest.raises(type(problem)) as met, finalized_run(tmp_path):
+    with pytest.raises(type(problem)) as met, finalize_run(tmp_path):
         raise problem
     assert met.value is problem
     text = (tmp_path / "report.html").read_text()
@@ -72,7 +73,7 @@ def test_an_interrupt_prints_where_the_arm_is_and_how_to_resume(
     if moved:
         journal.write(Entry.MOTION, 1.0)
     journal.close()
-    with pytest.raises(KeyboardInterrupt), finalized_run(tmp_path):
+    with pytest.raises(KeyboardInterrupt), finalize_run(tmp_path):
         raise KeyboardInterrupt
     shown = capsys.readouterr().err
     assert said in shown
@@ -90,7 +91,7 @@ def test_a_run_whose_theatre_has_ended_says_to_start_the_theatre_again_first(
     journal.write(Entry.OPENED, 0.0)
     journal.write(Entry.MOTION, 1.0)
     journal.close()
-    with pytest.raises(ClockUnavailable), finalized_run(tmp_path):
+    with pytest.raises(ClockUnavailable), finalize_run(tmp_path):
         raise ClockUnavailable("cannot open the clock")
     first, _, then = capsys.readouterr().err.partition(
         f"theatre --out {tmp_path / 'theatre'} --continue, then"
@@ -108,7 +109,7 @@ def test_a_failure_to_write_the_report_does_not_mask_the_original_error(
 
     (tmp_path / JOURNAL_FILE).touch()
     monkeypatch.setattr(report, "write_report", full)
-    with pytest.raises(GateFailed), finalized_run(tmp_path):
+    with pytest.raises(GateFailed), finalize_run(tmp_path):
         raise GateFailed("too far off")
     shown = capsys.readouterr().err
     assert "the report could not be written: CLI-003: report.html: " in shown

@@ -23,7 +23,8 @@ from procedures.guards.mounted_tool import ToolStillMounted
 from procedures.guards.theatre_records import UnchangedRecords
 from procedures.guards.tracker_link import TrackerLink
 from procedures.guards.wall_clock import WallClock
-from procedures.operator.question import GuardUnmet, Question, Topic
+from procedures.operator.errors import GuardUnmet
+from procedures.operator.question import Question, Topic
 from procedures.runs.engine_setup import add_guards
 from procedures.steps.clinical import global_localization
 from procedures.steps.clinical.validity.inputs import UnchangedInputs

@@ -23,7 +23,8 @@ from procedures.engine.questions import Questions
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import StepResult
-from procedures.operator.question import OperatorAborted, Topic
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Topic
 from procedures.runs.console_link import check_console
 from procedures.runs.lifecycle import RunObservers, run_to_end
 from procedures.runs.operator_station import OperatorStation

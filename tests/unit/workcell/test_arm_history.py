@@ -9,7 +9,8 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import NotConfirmed, OperatorAborted, Topic
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.question import Topic
 from procedures.strategies.orientation import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history

@@ -8,7 +8,8 @@ from plain_steps import plain_order
 from recording_cell import RecordingArm, RecordingCell, RecordingOperator
 
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle

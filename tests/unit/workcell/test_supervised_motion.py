@@ -8,7 +8,8 @@ from plain_steps import plain_order
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.engine.engine import Engine
-from procedures.operator.question import NotConfirmed, OperatorAborted, Question, Topic
+from procedures.operator.errors import NotConfirmed, OperatorAborted
+from procedures.operator.question import Question, Topic
 from procedures.workcell import MountedTool
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import JointVector

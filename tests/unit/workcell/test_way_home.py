@@ -4,7 +4,7 @@ import pytest
 
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
-from procedures.operator.question import OperatorAborted
+from procedures.operator.errors import OperatorAborted
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.arm_view import AT_PLACE_RAD, stands_at
 from procedures.workcell.way_home import WayHome

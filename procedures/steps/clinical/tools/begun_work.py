@@ -7,7 +7,8 @@ from dataclasses import dataclass, field
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.steps.branches import FINISHED, HOLD, WORK_BEGUN, from_stage
 from procedures.steps.clinical.tools.depth_stop import DepthStop, set_depth_stop
 from procedures.steps.errors import ReadingTooOld

@@ -14,7 +14,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
-from procedures.operator.question import OperatorAborted, Question, Topic
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Question, Topic
 from procedures.runs.lifecycle import RunObservers, run_to_end
 from ronna_hw.devices.last_known import LastKnown
 from ronna_hw.devices.lifecycle import Lifecycle

@@ -18,7 +18,7 @@ from procedures.cli.doctor import theatre_checks
 from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import Entry, Journal
-from procedures.runs.request import RequestFile
+from procedures.runs.request_file import RequestFile
 from procedures.runs.theatre_lock import held_theatre
 from procedures.runs.theatre_note import TheatreNote, note_file
 from ronna_hw.devices.probing import Diagnostic

@@ -16,7 +16,8 @@ from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journa
 from procedures.runs.engine_setup import EngineInput
 from procedures.runs.interrupted_run import Resumption, read_interrupted_run
 from procedures.runs.lifecycle import RunObservers, open_engine
-from procedures.runs.request import CaseProcedure, RunRequest, write_request
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import held_theatre
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle

@@ -27,7 +27,8 @@ from procedures.runs.case import clinical_input
 from procedures.runs.finishing import make_report, seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.runs.reopening import close_complete, make_ready
-from procedures.runs.request import REQUEST_FILE, CaseProcedure
+from procedures.runs.request import CaseProcedure
+from procedures.runs.request_file import REQUEST_FILE
 from ronna_hw.devices.byte_sink import Direction
 from ronna_hw.errors import (
     EXIT_REFUSED,

@@ -17,18 +17,12 @@ from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
 from procedures.engine.errors import BadRequestFile, OtherProgram
-from procedures.operator.question import OperatorAborted
+from procedures.operator.errors import OperatorAborted
 from procedures.runs.answers import Answers
 from procedures.runs.folders import held_run, new_run_folder
 from procedures.runs.reopening import reopened_request
-from procedures.runs.request import (
-    REQUEST_FILE,
-    CalibrationProcedure,
-    CaseProcedure,
-    RunRequest,
-    SceneChoice,
-    read_request,
-)
+from procedures.runs.request import CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
+from procedures.runs.request_file import REQUEST_FILE, read_request
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.errors import (
     EXIT_FAILED,

@@ -19,7 +19,8 @@ from procedures.engine.errors import RecoveryRefused
 from procedures.engine.order import order_of
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import bring_home, recover
 from procedures.steps.clinical.at_target import ReachedTarget

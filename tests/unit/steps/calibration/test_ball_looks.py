@@ -20,7 +20,8 @@ from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, che
 from procedures.engine.order import StepSpec
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
 from procedures.steps.calibration.ball_look import LookedAtBall, look_step
 from procedures.steps.calibration.ball_observation import (

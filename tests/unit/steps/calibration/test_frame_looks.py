@@ -13,7 +13,8 @@ from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.tracker_frame.looks import FrameLooks, Use
 from procedures.calibration.tracker_frame.record import calibrate_frame
 from procedures.journal.errors import GateFailed, StepRefused
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.steps.calibration import frame_looks
 from procedures.steps.calibration.frame_looks import turning_step
 from procedures.workcell import MountedTool, tracker_look

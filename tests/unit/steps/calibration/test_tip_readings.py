@@ -13,7 +13,8 @@ from procedures.calibration.tool_tip.looks import TipLooks
 from procedures.calibration.tool_tip.record import calibrate_tip
 from procedures.engine.questions import IN_DIVOT
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.stand_ball import stand_place_step, stand_step

@@ -16,7 +16,8 @@ from watched_case import findings
 from procedures.engine.order import StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
-from procedures.operator.question import NotConfirmed, Task, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Task, Topic
 from procedures.planning.errors import PlaceUnfit
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
 from procedures.steps.clinical import cart_lock, head_clamp

@@ -20,7 +20,8 @@ from recording_cell import RecordingOperator, theatre_of
 from procedures.engine.case import Stored
 from procedures.guards.stability import Subject
 from procedures.journal.errors import GateFailed
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.steps.clinical.registration import STEP, RegisteredRobot
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.nos import NeutralOrientation

@@ -16,7 +16,8 @@ from prepared_results import (
 from recording_cell import RecordingOperator
 
 from procedures.engine.order import order_of
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.registration import RegisteredRobot

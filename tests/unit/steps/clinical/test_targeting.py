@@ -33,7 +33,8 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
-from procedures.operator.question import NotConfirmed, Question, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Question, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.sight import tracker as tracker_sight
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat

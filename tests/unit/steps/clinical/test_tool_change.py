@@ -7,7 +7,8 @@ from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored
 from procedures.journal.errors import StepRefused
-from procedures.operator.question import NotConfirmed, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Topic
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
 from procedures.strategies.approach import ONE_SIDE, before_arriving
 from procedures.workcell import MountedTool

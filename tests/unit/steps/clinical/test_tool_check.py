@@ -15,7 +15,8 @@ from recording_cell import RecordingOperator
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import NotConfirmed, Task, Topic
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Task, Topic
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge

@@ -26,7 +26,8 @@ from procedures.guards import GuideStill, patient_watch
 from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_still import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import GuardUnmet, NotConfirmed, Question, Topic
+from procedures.operator.errors import GuardUnmet, NotConfirmed
+from procedures.operator.question import Question, Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.tools.depth_stop import STOP_LIMIT_MM

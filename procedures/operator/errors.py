@@ -1,0 +1,31 @@
+"""Errors of questions, checkpoints and guards."""
+
+from __future__ import annotations
+
+from ronna_hw.errors import EXIT_ABORTED, RefusedError, RonnaError
+
+
+class NotConfirmed(RonnaError):
+    """The operator answered no, or did not answer in time, which counts as no."""
+
+    code = "PRO-002"
+    action = (
+        "Nothing was done. Repeat the step when the operator can confirm: questions need a terminal, "
+        "--console or --answers."
+    )
+    exit_code = EXIT_ABORTED
+
+
+class OperatorAborted(RonnaError):
+    """The operator ended the procedure."""
+
+    code = "PRO-004"
+    action = "The arm is at rest. Start a new run when ready."
+    exit_code = EXIT_ABORTED
+
+
+class GuardUnmet(RefusedError):
+    """A guard suspended the running step, and its condition was not restored."""
+
+    code = "PRO-017"
+    action = "Restore the condition it names, then repeat the step."
