@@ -20,6 +20,8 @@ from procedures.journal.results import StepResult
 from ronna_hw.evidence.named_files import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
 
+R = TypeVar("R", bound=StepResult)
+
 
 def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
     """Return identifiers of valid results with an ancestor that is not valid any more, in order.
@@ -52,9 +54,6 @@ def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -
 
 def _parents(record: Record, records: Mapping[str, Record]) -> Iterator[Record]:
     return (records[name] for name in record.parents if name in records)
-
-
-R = TypeVar("R", bound=StepResult)
 
 
 @dataclass(frozen=True)

@@ -32,6 +32,8 @@ if TYPE_CHECKING:
     from ronna_hw.collision_config import CollisionConfig
 
 T = TypeVar("T")
+R = TypeVar("R", bound=StepResult)
+D = TypeVar("D")
 
 
 class CaseMemory:
@@ -55,10 +57,6 @@ class CaseMemory:
     def clear(self) -> None:
         """Drop everything, as after a restart."""
         self._kept.clear()
-
-
-R = TypeVar("R", bound=StepResult)
-D = TypeVar("D")
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,12 @@ if TYPE_CHECKING:
     from procedures.workcell import Workcell
 
 HOME = "home"  # comes when every step is done and the arm, or an instrument, is still out
+BEYOND = 1.15  # times the distance of the tool's origin, where both cameras look, so that it lies inside
+DECIMALS = 1  # of a millimetre
+ROTATION_DECIMALS = 5
+LINK_EVERY = 20  # looks from one report of the link to the next
+PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
+SEEN_MOVING_S = 0.05  # where an arm is drawn
 
 
 def publish_order(engine: Engine) -> None:
@@ -83,10 +89,6 @@ def comes_next(engine: Engine) -> str | None:
     return HOME if engine.course.over and not engine.over else None
 
 
-BEYOND = 1.15  # times the distance of the tool's origin, where both cameras look, so that it lies inside
-DECIMALS = 1  # of a millimetre
-
-
 def camera_views(head: StereoHeadCalibration) -> tuple[CameraView, ...]:
     """Return centre and corners of each camera's picture, mm in the tool frame, without distortion."""
     return (_view("left", head.left), _view("right", head.right))
@@ -102,10 +104,6 @@ def _view(name: str, camera: CameraCalibration) -> CameraView:
     corners = tool_from_camera.apply(depth_mm * np.column_stack([slopes, np.ones(len(slopes))]))
     points = np.vstack([centre, corners]).round(DECIMALS)
     return CameraView(name=name, points_mm=tuple(points.ravel().tolist()))
-
-
-ROTATION_DECIMALS = 5
-LINK_EVERY = 20  # looks from one report of the link to the next
 
 
 class BodyView:
@@ -200,10 +198,6 @@ def _fixed(name: str, capsule: Capsule, is_head: bool) -> Body:
 
 def _rounded(*points: tuple[float, float, float]) -> tuple[float, ...]:
     return tuple(round(value, DECIMALS) for point in points for value in point)
-
-
-PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
-SEEN_MOVING_S = 0.05  # where an arm is drawn
 
 
 class DeviceWatch:

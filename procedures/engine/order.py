@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from procedures.engine.context import StepContext
 
 R_co = TypeVar("R_co", bound=StepResult, covariant=True)
+MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 class Phase(StrEnum):
@@ -103,7 +104,6 @@ class StepSpec(Generic[R_co]):
 
 
 Steps = Sequence[StepSpec[StepResult]]
-MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 @dataclass(frozen=True)

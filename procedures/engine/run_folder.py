@@ -26,6 +26,8 @@ from ronna_hw.records import BadRecord, OtherVersion, Record
 from ronna_hw.wire.room_tasks import INSERT
 
 R = TypeVar("R", bound=StepResult)
+_log = logger(part="engine")
+SUPERSEDED = "superseded"
 
 
 @dataclass(frozen=True)
@@ -117,9 +119,6 @@ def typed(record: Record, model: type[R]) -> R:
         raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
 
 
-_log = logger(part="engine")
-
-
 class Recorder(Protocol):
     """Writes files of the run alongside the engine."""
 
@@ -159,9 +158,6 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     files = {name: sha256 for name, sha256 in hashes.items() if name not in inputs_there}
     found: dict[str, JournalValue] = {"files": files}
     return found | ({"inputs": inputs_there} if inputs_there else {})
-
-
-SUPERSEDED = "superseded"
 
 
 def lineage_text(run: RunFolder) -> str:

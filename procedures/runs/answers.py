@@ -36,6 +36,15 @@ if TYPE_CHECKING:
 
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
 ALL_TOPICS = frozenset(Topic)
+NOBODY_ANSWERS = (
+    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
+    "with --console, or with --answers FILE"
+)
+NO_PERSON = (
+    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
+    "run at a terminal or with --console"
+)
+Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
 class Answers(BaseModel):
@@ -156,19 +165,6 @@ class AnsweringOperator:
         if word is not None:
             return word
         return question.silence if self._answers.default == "silence" else self._otherwise.ask(question)
-
-
-NOBODY_ANSWERS = (
-    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
-    "with --console, or with --answers FILE"
-)
-NO_PERSON = (
-    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
-    "run at a terminal or with --console"
-)
-
-
-Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
 
 
 def _first_of(rules: Iterable[Rule]) -> Operator:

@@ -22,6 +22,7 @@ from ronna_hw.config import BadTheatreFile, Calibrations
 from ronna_hw.records import write_whole
 
 Place = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
+CALIBRATION_FILE = "calibration.toml"
 
 
 def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
@@ -84,9 +85,6 @@ def _place(line: str) -> Place | None:
             ((name, inner),) = inner.items()
             place.append(name)
     return tuple(place)
-
-
-CALIBRATION_FILE = "calibration.toml"
 
 
 def write_records(records: dict[str, Any], folder: Path) -> None:

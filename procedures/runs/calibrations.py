@@ -52,6 +52,7 @@ from ronna_hw.records import write_whole
 
 Looks = TypeVar("Looks", bound=Measurements)
 Result = TypeVar("Result")
+MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
 
 
 @dataclass(frozen=True)
@@ -328,9 +329,6 @@ TRACKER_FRAME = CalibrationKind(
     records=frame_records,
     figures=frame_figures,
 )
-
-
-MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
 
 
 def tip_records(result: TipResult) -> dict[str, Any]:

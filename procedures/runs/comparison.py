@@ -43,6 +43,8 @@ from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.errors import RonnaError
 from ronna_hw.text.counting import counted
 
+FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
+
 
 @dataclass
 class Comparison:
@@ -114,9 +116,6 @@ def _in_short(value: object) -> object:
     if value and isinstance(value, tuple) and all(isinstance(one, int | float) for one in value):
         return value
     return counted(len(value), "entry", "entries") if isinstance(value, list | tuple | dict) else value
-
-
-FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
 
 
 def compare_devices(

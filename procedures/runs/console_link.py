@@ -36,6 +36,10 @@ STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
 BEAT_S = 0.25  # host time between two signs of life when nothing happens
 BEAT = '{"beat":1}'
 BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
+BETWEEN_S = 0.5  # host time from one picture to the next: drawing takes some ten milliseconds
+HEIGHT_PX = 240
+LOOPBACK = "127.0.0.1"
+NEEDED = ("nicegui", "skimage")  # of the extra `console`
 
 
 class ConsoleLink:
@@ -172,10 +176,6 @@ class ConsoleLink:
                 self._say("the console has ended; this terminal operates the case")
 
 
-BETWEEN_S = 0.5  # host time from one picture to the next: drawing takes some ten milliseconds
-HEIGHT_PX = 240
-
-
 class LivePictures:
     """Draws the latest pair of the stereo head now and then, in a thread of its own; `look` takes no time."""
 
@@ -207,10 +207,6 @@ def picture_line(seen: Look) -> str:
 
     content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
     return f'{{"pair":"{content}"}}'
-
-
-LOOPBACK = "127.0.0.1"
-NEEDED = ("nicegui", "skimage")  # of the extra `console`
 
 
 @dataclass(frozen=True)

@@ -40,6 +40,7 @@ UNFINISHED = """<!DOCTYPE html><html lang="en"><meta charset="utf-8">
 <p>This run has not left its report: it is still running, or it was killed, or the disk was full.
 To write the report: <code>ronna-procedure report {folder}</code></p></html>
 """
+NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 
 
 def error_of(problem: BaseException) -> RunError | None:
@@ -228,9 +229,6 @@ def sealed_again(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
     yield close_again(interrupted)
     leave_report(interrupted.folder, name_it=False)
     seal_run(interrupted.folder)
-
-
-NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 
 
 def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:

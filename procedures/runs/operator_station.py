@@ -37,6 +37,8 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 LEASE_S = 10.0  # host time without a sign of life; a page renews each second
+LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
+NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
 
 
 class Seat:
@@ -79,10 +81,6 @@ class Seat:
     def free(self) -> None:
         """Free the seat."""
         self._session = self._name = ""
-
-
-LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
-NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
 
 
 @dataclass(frozen=True)

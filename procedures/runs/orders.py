@@ -16,10 +16,10 @@ from ronna_hw.bounded_input import check_json
 LONGEST_BYTES = 65_536  # of one order
 MOST_READINGS = 8  # with one answer
 Short = Annotated[str, Field(max_length=200)]
-
-
 HIDDEN = ("Cc", "Cf", "Cs", "Zl", "Zp")  # categories of Unicode
 JOINERS = "\u200c\u200d"  # parts of names in some scripts
+Finite = Annotated[float, Field(allow_inf_nan=False)]
+Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 
 
 def _shown_as_written(name: str) -> str:
@@ -30,8 +30,6 @@ def _shown_as_written(name: str) -> str:
 
 
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_shown_as_written)]
-Finite = Annotated[float, Field(allow_inf_nan=False)]
-Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 
 
 class _Order(BaseModel):

@@ -24,11 +24,11 @@ from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.theatre_kind import on_this_computer
 
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
-
 NOT_KNOWN = (
     "the note about the last run on this arm cannot be read, or accounts that do not use the arm may have "
     "written it: that run may have left the arm away from its home"
 )
+JOG = "jog it home with the controller's pendant"
 
 
 class TheatreNote(BaseModel):
@@ -138,9 +138,6 @@ def is_there(run: Path) -> bool:
         return run.exists()
     except OSError:
         return True
-
-
-JOG = "jog it home with the controller's pendant"
 
 
 def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:

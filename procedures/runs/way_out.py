@@ -30,6 +30,12 @@ from procedures.workcell.errors import TipOffAxis
 from ronna_hw.frames import Transform
 
 TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from its stated position
+MOVED_SINCE = (
+    "something has moved since the guide was positioned: on its way out it keeps clear of the head's "
+    "former position"
+)
+AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
+AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
 def surround_calibration(engine: Engine) -> None:
@@ -56,12 +62,6 @@ def guide_at_divot(engine: Engine) -> bool:
         return False
     away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
     return away_mm < HOVER_MM - TIP_KNOWN_MM
-
-
-MOVED_SINCE = (
-    "something has moved since the guide was positioned: on its way out it keeps clear of the head's "
-    "former position"
-)
 
 
 def surround(engine: Engine) -> None:
@@ -117,10 +117,6 @@ def _led(engine: Engine) -> _Led | None:
                 former = typed(record, RegisteredRobot)
                 return _Led(key, former.robot_from_ct.transform, holds=False)
     return None
-
-
-AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
-AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:

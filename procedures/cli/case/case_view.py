@@ -36,6 +36,8 @@ LAST_ERRORS = 2
 ACKNOWLEDGED = "acknowledged"  # an entry of the journal
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")
+ENDING_S = 2.0  # host time to show the last of it
+Show = Callable[[Sequence[Event]], None]
 
 
 @dataclass(frozen=True)
@@ -189,11 +191,6 @@ def _code(error: str) -> str:
 def _short(line: Mapping[str, object]) -> str:
     about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
     return f"{line.get('sequence')} {line.get('entry')} {about}"
-
-
-ENDING_S = 2.0  # host time to show the last of it
-
-Show = Callable[[Sequence[Event]], None]
 
 
 class EventFollower:

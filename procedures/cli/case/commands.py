@@ -17,6 +17,8 @@ if TYPE_CHECKING:
     from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
+LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
+AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}
 
 
 @dataclass(frozen=True)
@@ -201,5 +203,3 @@ COMMANDS: dict[str, Command] = {
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),
 }
-LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
-AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}

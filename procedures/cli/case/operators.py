@@ -25,6 +25,13 @@ if TYPE_CHECKING:
 
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
 MEANS = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
+WritePrompt = Callable[[str], None]  # a prompt
+Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question stands
+AGAIN = "again"
+CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
+UNIT = "mm"  # of every reading; it may be typed with the number
+SMALL_MM = 0.01  # as a dial shows it
+MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
 
 
 class Alarms:
@@ -85,10 +92,6 @@ def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str
             return bool(ready), news
 
 
-WritePrompt = Callable[[str], None]  # a prompt
-Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question stands
-
-
 def write_prompt(prompt: str) -> None:
     """Write a prompt."""
     sys.stderr.write(prompt)
@@ -98,14 +101,6 @@ def write_prompt(prompt: str) -> None:
 def undisturbed() -> AbstractContextManager[WritePrompt]:
     """Return a prompt for a terminal to which nothing else writes."""
     return nullcontext(write_prompt)
-
-
-AGAIN = "again"
-CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
-UNIT = "mm"  # of every reading; it may be typed with the number
-SMALL_MM = 0.01  # as a dial shows it
-
-MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
 
 
 def terminal_observers(

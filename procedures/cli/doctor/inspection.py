@@ -30,6 +30,13 @@ from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 
 SIDES = ("left", "right")
+FRAMES_LOOKED_AT = 30  # half a second of tracking
+PAIRS_LOOKED_AT = 50  # a hundred pictures
+LEAST_SPHERES = 3  # for a registration
+OF_THIS_ARM = (
+    "Controller and record do not both name a serial number: that [calibration.arm] is of this very arm, not "
+    "of another of its model, was not checked. ronna-arm check measures whether it fits."
+)
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
@@ -111,15 +118,6 @@ def _differ_by_a_typing_error(one: str, other: str) -> bool:
         return len(wrong) == 1 or (last - first == 2 and one[first:last] == other[first:last][::-1])
     shorter, longer = sorted((one, other), key=len)
     return any(longer[:place] + longer[place + 1 :] == shorter for place in range(len(longer)))
-
-
-FRAMES_LOOKED_AT = 30  # half a second of tracking
-PAIRS_LOOKED_AT = 50  # a hundred pictures
-LEAST_SPHERES = 3  # for a registration
-OF_THIS_ARM = (
-    "Controller and record do not both name a serial number: that [calibration.arm] is of this very arm, not "
-    "of another of its model, was not checked. ronna-arm check measures whether it fits."
-)
 
 
 def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], Iterator[Diagnostic]]:

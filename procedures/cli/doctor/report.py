@@ -33,6 +33,9 @@ from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
 from ronna_hw.registry import endpoint_probes, load_probe
 
 CASE = "case"
+STEREO = "stereo"  # the table of the cameras
+SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
+Look = Callable[[Progress], Sequence[Diagnostic]]
 
 
 @dataclass(frozen=True)
@@ -55,12 +58,6 @@ def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnost
 def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
     because = tuple(f"{one.subject.removeprefix(f'{of}: ')}: {one.seen}" for one in found if not one.well)
     return Verdict(of, not because, because)
-
-
-STEREO = "stereo"  # the table of the cameras
-SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
-
-Look = Callable[[Progress], Sequence[Diagnostic]]
 
 
 @dataclass(frozen=True)

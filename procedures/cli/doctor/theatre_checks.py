@@ -26,6 +26,11 @@ CASE_OPEN_FILES = 96  # as a case requires
 CLOCK = "clock of the theatre"
 RUNS = Path("runs")  # where a case is written by default
 NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
+RUN = "run"  # subject of a theatre that is in use
+INSTRUMENT = "instrument"  # subject of one that a run left in the head; shown before everything else
+TOOL = "mounted tool"
+LIMITS_FILE = "/etc/security/limits.d/ronna-hw.conf"
+RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
@@ -67,11 +72,6 @@ def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator
         yield Diagnostic(subject, True, found)
 
 
-RUN = "run"  # subject of a theatre that is in use
-INSTRUMENT = "instrument"  # subject of one that a run left in the head; shown before everything else
-TOOL = "mounted tool"
-
-
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
     """Return obstacles to a new case from the use of a theatre; the subject is `RUN` while it is in use."""
     if (user := theatre_user(theatre)) is not None:
@@ -110,10 +110,6 @@ def _advised(one: Diagnostic, run: Path | None, inside: str | None) -> Diagnosti
         name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
         return replace(one, advice=f"Remove its cause; then {name}.")
     return one
-
-
-LIMITS_FILE = "/etc/security/limits.d/ronna-hw.conf"
-RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
 def computer_diagnostics() -> Iterator[Diagnostic]:

@@ -23,7 +23,6 @@ from ronna_hw.text.counting import counted
 WIDTH = 110
 TABLE_NAMES = {"robot": "robot.master"}  # the name under which the procedure uses an arm
 TAKEN_OVER = ("calibration", "tools", "cell", "procedure")  # with `flange`, from another file
-
 HEAD = (
     "Theatre file, created by ronna-procedure new-theatre. Lines that begin with # are comments: an "
     "option in one shows its default. All keys: docs/reference/theatre-file.md; `ronna-procedure "
@@ -34,6 +33,9 @@ NO_RECORDS = (
     "No case and no calibration starts without these records. Enter each from the drawing of your "
     "mount, created and expiring on the date of the drawing, then measure: "
 )
+TOOLS = "tools"  # option of a tracker: definitions of what it is to see
+# Only in a simulated theatre may records last longer than a year: judged when the devices are known.
+ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
 @dataclass(frozen=True)
@@ -140,11 +142,6 @@ def _toml(content: Mapping[str, Any]) -> str:
     import tomli_w
 
     return tomli_w.dumps(content)
-
-
-TOOLS = "tools"  # option of a tracker: definitions of what it is to see
-# Only in a simulated theatre may records last longer than a year: judged when the devices are known.
-ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
 class _Definition(BaseModel, extra="allow", strict=True):

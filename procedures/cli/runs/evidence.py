@@ -38,6 +38,10 @@ from ronna_hw.recording.reading_tape import READINGS_FILE
 from ronna_hw.text.counting import counted
 from ronna_hw.text.printable import printable
 
+CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
+ROW_BYTES = 16
+MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
+
 
 def verify(folder: Path, *, as_json: bool) -> None:
     """Print changed, missing and added files; exits with 3 if there are any.
@@ -83,9 +87,6 @@ def verify(folder: Path, *, as_json: bool) -> None:
         raise SystemExit(EXIT_REFUSED)
     if not_vouched_for:
         raise SystemExit(EXIT_UNCONFIRMED)
-
-
-CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
 
 
 def replay_run(run_folder: Path, *, as_json: bool) -> None:
@@ -158,10 +159,6 @@ def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Pat
 
 def _row(one: ReplayedRecord) -> tuple[str, str, str]:
     return one.record, one.verdict, "; ".join(one.why)
-
-
-ROW_BYTES = 16
-MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
 
 
 def print_bytes(

@@ -30,8 +30,9 @@ SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, 
 LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
 LOCK_TRIES, LOCK_AGAIN_S = 20, 0.01  # host time between two tries
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
-
 _log = logger(part="events")
+MOST_VALUES_OF_JOURNAL = 1_000_000  # in its lines together: nothing else is nested freely; a case has 13,000
+LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
 class EventFile:
@@ -164,10 +165,6 @@ def _lock(file: int) -> None:
 
 def _line(event: Event) -> bytes:
     return event.model_dump_json().encode() + b"\n"
-
-
-MOST_VALUES_OF_JOURNAL = 1_000_000  # in its lines together: nothing else is nested freely; a case has 13,000
-LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
 class FollowedRun:

@@ -30,6 +30,7 @@ from ronna_hw.recording.reading_coding import GetPixels, as_recorded
 from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 
 Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]
+BEGINS = (Entry.INTENT, Entry.HOME)
 
 
 class _Strict(BaseModel):
@@ -246,9 +247,6 @@ def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
 
 def _value(kind: object, plain: object, get: GetPixels) -> object:
     return None if kind is None else as_recorded(kind, plain, get)
-
-
-BEGINS = (Entry.INTENT, Entry.HOME)
 
 
 def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:

@@ -20,6 +20,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.recording.device_calls import ANSWERS, LOOKS, PROPERTIES, answers_of
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
+KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
+KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
+READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 
 
 class RecordedOperator:
@@ -99,11 +102,6 @@ class RecordedClock:
 
     def sleep(self, duration_s: float) -> None:
         """Return at once."""
-
-
-KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
-KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
-READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 
 
 def replayed(device: Device, answers: RecordedAnswers) -> Device:

@@ -36,6 +36,7 @@ MOST_DIFFERENCES = 5  # that are named
 # Measured on five cases recorded on one kind and computed again on another: up to 5e-6 mm and 7e-9 rad.
 ROUNDING = {"_mm": 1e-5, "_rad": 1e-7, "_wxyz": 1e-7}
 ROUNDING_SHARE = 1e-3  # of any other number; a covariance in those cases: 1e-4
+ShowRecord = Callable[[int, int], None]  # records done, of how many
 
 
 class Verdict(StrEnum):
@@ -98,9 +99,6 @@ def _rounded(field: str, was: float, now: float) -> bool:
 def _short(value: object) -> str:
     text = repr(value)
     return text if len(text) <= 40 else f"{text[:37]}..."
-
-
-ShowRecord = Callable[[int, int], None]  # records done, of how many
 
 
 @dataclass(frozen=True)
