@@ -23,39 +23,6 @@ from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_reco
 R = TypeVar("R", bound=StepResult)
 
 
-def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
-    """Return identifiers of valid results with an ancestor that is not valid any more, in order.
-
-    They belong to trajectories that were finished before something moved.
-    """
-    records = tuple(standing)
-    stands = {record.identifier for record in records}
-    past: set[str] = set()
-    for record in records:
-        if any(parent not in stands or parent in past for parent in record.parents):
-            past.add(record.identifier)
-    return frozenset(past)
-
-
-def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return the parent of that kind of a record, among `records` by identifier; None without one."""
-    return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
-
-
-def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return the nearest ancestor of that kind of a record, among `records`; None without one."""
-    level = [record]
-    while level:
-        level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())
-        if found := next((one for one in level if one.kind == kind), None):
-            return found
-    return None
-
-
-def _parents(record: Record, records: Mapping[str, Record]) -> Iterator[Record]:
-    return (records[name] for name in record.parents if name in records)
-
-
 @dataclass(frozen=True)
 class Stored(Generic[R]):
     """A stored record and its parsed model."""
@@ -233,6 +200,39 @@ class Case:
     def standing(self) -> tuple[Stored[StepResult], ...]:
         """The valid results, in order."""
         return tuple(self._standing.values())
+
+
+def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
+    """Return identifiers of valid results with an ancestor that is not valid any more, in order.
+
+    They belong to trajectories that were finished before something moved.
+    """
+    records = tuple(standing)
+    stands = {record.identifier for record in records}
+    past: set[str] = set()
+    for record in records:
+        if any(parent not in stands or parent in past for parent in record.parents):
+            past.add(record.identifier)
+    return frozenset(past)
+
+
+def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """Return the parent of that kind of a record, among `records` by identifier; None without one."""
+    return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
+
+
+def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """Return the nearest ancestor of that kind of a record, among `records`; None without one."""
+    level = [record]
+    while level:
+        level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())
+        if found := next((one for one in level if one.kind == kind), None):
+            return found
+    return None
+
+
+def _parents(record: Record, records: Mapping[str, Record]) -> Iterator[Record]:
+    return (records[name] for name in record.parents if name in records)
 
 
 def _number(record: Record) -> int:

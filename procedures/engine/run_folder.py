@@ -72,6 +72,31 @@ class RunFolder:
         return _as(model, self.records)
 
 
+def read_run(folder: Path) -> RunFolder:
+    """Read a run; raises PRO-033 if it was changed."""
+    return run_of(inspected(folder).require_unchanged())
+
+
+def run_of(found: Inspection) -> RunFolder:
+    """Return the run that was inspected."""
+    return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
+
+
+def typed(record: Record, model: type[R]) -> R:
+    """Parse a record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
+    if record.version != model.version:
+        raise OtherVersion(
+            f"{record.identifier} has another version",
+            expected=f"{model.kind} version {model.version}",
+            got=f"version {record.version}",
+        )
+    try:
+        return model.model_validate_json(json.dumps(record.payload))
+    except ValidationError as error:
+        mistakes = "; ".join(describe_mistakes(error))
+        raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
+
+
 def step_key(line: Line) -> StepKey:
     """Return the step that a journal line is about."""
     name, _, trajectory = str(line.get("step", "")).partition(":")
@@ -90,33 +115,8 @@ def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
     return doubts
 
 
-def read_run(folder: Path) -> RunFolder:
-    """Read a run; raises PRO-033 if it was changed."""
-    return run_of(inspected(folder).require_unchanged())
-
-
-def run_of(found: Inspection) -> RunFolder:
-    """Return the run that was inspected."""
-    return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
-
-
 def _as(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
     return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
-
-
-def typed(record: Record, model: type[R]) -> R:
-    """Parse a record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
-    if record.version != model.version:
-        raise OtherVersion(
-            f"{record.identifier} has another version",
-            expected=f"{model.kind} version {model.version}",
-            got=f"version {record.version}",
-        )
-    try:
-        return model.model_validate_json(json.dumps(record.payload))
-    except ValidationError as error:
-        mistakes = "; ".join(describe_mistakes(error))
-        raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
 
 
 class Recorder(Protocol):

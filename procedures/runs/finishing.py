@@ -43,14 +43,48 @@ To write the report: <code>ronna-procedure report {folder}</code></p></html>
 NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
 
 
-def error_of(problem: BaseException) -> RunError | None:
-    """Return the error that ended a run, for its report and its JSON; None for an interruption."""
-    from procedures.reporting.outcome import RunError
+@dataclass
+class Finalized:
+    """The report of a run that has ended, once it is written."""
 
-    if not isinstance(problem, Exception):
-        return None
-    error = as_ronna_error(problem)
-    return RunError(code=error.code, what=error.what)
+    report: Path | None = None
+
+
+@contextlib.contextmanager
+def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
+    """Leave report and seal of the run in `folder` at the end of the block, however that ends."""
+    final = Finalized()
+    try:
+        yield final
+    except BaseException as problem:  # also an interruption: every run leaves a report
+        final.report = end_unfinished(folder, problem)
+        raise
+    final.report = leave_report(folder, with_truth=with_truth, name_it=name_report)
+    seal_run(folder)
+
+
+def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
+    """Leave report and seal of a run that `problem` ended, or no folder if it never began."""
+    forget_if_refused(folder, problem)
+    forget_if_empty(folder)
+    report = leave_report(folder, error_of(problem))
+    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
+    tell_way_on(folder, problem)
+    return report
+
+
+@contextlib.contextmanager
+def sealed_again(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
+    """Leave report and seal of a finished run that was killed before its seal, after the block."""
+    from procedures.runs.reopening import close_again, make_ready
+
+    if is_sealed(interrupted.folder):
+        yield interrupted
+        return
+    make_ready(interrupted)
+    yield close_again(interrupted)
+    leave_report(interrupted.folder, name_it=False)
+    seal_run(interrupted.folder)
 
 
 def begin_report(folder: Path) -> None:
@@ -83,6 +117,49 @@ def leave_report(
     if name_it and on_terminal(sys.stderr):
         tell(f"report {path}")
     return path
+
+
+def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:
+    """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
+
+    Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
+    """
+    from procedures.reporting.files import forget_unconfirmed_truth
+    from procedures.reporting.report import write_report
+
+    with contextlib.nullcontext() if out else held_run(run):
+        found = inspected(run)
+        if out is None:
+            found.require_unchanged(NOT_INTO_IT)
+            forget_unconfirmed_truth(run)
+            if is_closed(found.chain.lines) and not is_sealed(run):
+                from procedures.runs.interrupted_run import read_interrupted_run
+                from procedures.runs.reopening import close_again
+
+                close_again(read_interrupted_run(run))
+        for problem in found.problems:
+            tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
+        if out is not None:
+            return write_report(run, truth=truth_if_any(run), out=out, after=after)
+        beside = run / BESIDE
+        try:
+            write_report(run, truth=truth_if_any(run), out=beside, after=after)
+            with interruption_deferred():
+                _take_over(beside, run)
+                seal_run(run)
+        finally:
+            remove_folder(beside)
+    return run / REPORT_FILE
+
+
+def error_of(problem: BaseException) -> RunError | None:
+    """Return the error that ended a run, for its report and its JSON; None for an interruption."""
+    from procedures.reporting.outcome import RunError
+
+    if not isinstance(problem, Exception):
+        return None
+    error = as_ronna_error(problem)
+    return RunError(code=error.code, what=error.what)
 
 
 def seal_run(folder: Path, *, at_once: bool = False) -> None:
@@ -185,83 +262,6 @@ def _left_by_another(folder: Path) -> bool:
         theatre = read_request(folder).config
         return theatre is not None and arm_not_home(last_moved(theatre), folder) is not None
     return False
-
-
-def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
-    """Leave report and seal of a run that `problem` ended, or no folder if it never began."""
-    forget_if_refused(folder, problem)
-    forget_if_empty(folder)
-    report = leave_report(folder, error_of(problem))
-    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
-    tell_way_on(folder, problem)
-    return report
-
-
-@dataclass
-class Finalized:
-    """The report of a run that has ended, once it is written."""
-
-    report: Path | None = None
-
-
-@contextlib.contextmanager
-def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
-    """Leave report and seal of the run in `folder` at the end of the block, however that ends."""
-    final = Finalized()
-    try:
-        yield final
-    except BaseException as problem:  # also an interruption: every run leaves a report
-        final.report = end_unfinished(folder, problem)
-        raise
-    final.report = leave_report(folder, with_truth=with_truth, name_it=name_report)
-    seal_run(folder)
-
-
-@contextlib.contextmanager
-def sealed_again(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
-    """Leave report and seal of a finished run that was killed before its seal, after the block."""
-    from procedures.runs.reopening import close_again, make_ready
-
-    if is_sealed(interrupted.folder):
-        yield interrupted
-        return
-    make_ready(interrupted)
-    yield close_again(interrupted)
-    leave_report(interrupted.folder, name_it=False)
-    seal_run(interrupted.folder)
-
-
-def make_report(run: Path, out: Path | None = None, *, after: AfterTheOperation | None = None) -> Path:
-    """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
-
-    Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
-    """
-    from procedures.reporting.files import forget_unconfirmed_truth
-    from procedures.reporting.report import write_report
-
-    with contextlib.nullcontext() if out else held_run(run):
-        found = inspected(run)
-        if out is None:
-            found.require_unchanged(NOT_INTO_IT)
-            forget_unconfirmed_truth(run)
-            if is_closed(found.chain.lines) and not is_sealed(run):
-                from procedures.runs.interrupted_run import read_interrupted_run
-                from procedures.runs.reopening import close_again
-
-                close_again(read_interrupted_run(run))
-        for problem in found.problems:
-            tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
-        if out is not None:
-            return write_report(run, truth=truth_if_any(run), out=out, after=after)
-        beside = run / BESIDE
-        try:
-            write_report(run, truth=truth_if_any(run), out=beside, after=after)
-            with interruption_deferred():
-                _take_over(beside, run)
-                seal_run(run)
-        finally:
-            remove_folder(beside)
-    return run / REPORT_FILE
 
 
 def _take_over(made: Path, run: Path) -> None:

@@ -31,58 +31,6 @@ from ronna_hw.text.counting import counted, some_of
 RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)
 
 
-def is_run(folder: Path) -> bool:
-    """Whether a folder is that of a run, however little of it is left."""
-    return any((folder / name).exists() for name in RUN_PARTS)
-
-
-def require_run(folder: Path) -> None:
-    """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
-    if is_run(folder):
-        return
-    if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
-        raise PathProblem(
-            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
-            action=f"Give one of them: {folder / held[-1]}.",
-        )
-    raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
-
-
-def runs_in(folder: Path) -> list[Path]:
-    """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
-    if not folder.is_dir():
-        raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
-    return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
-
-
-def holder_of_run(folder: Path) -> PortUser | None:
-    """Return the program that holds a run, if it can be seen; locks nothing."""
-    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        return holder_of_lock(file)
-    finally:
-        os.close(file)
-
-
-@contextmanager
-def held_run(folder: Path) -> Iterator[None]:
-    """Hold a run's folder for this program; raises PRO-030 while another one does."""
-    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
-    try:
-        try:
-            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
-        except BlockingIOError:
-            holder = holder_of_lock(file)
-            by = "another program" if holder is None else str(holder)
-            raise RunInUse(
-                f"{by} has {folder.name} open",
-                action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
-            ) from None
-        yield
-    finally:
-        os.close(file)
-
-
 def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
     """Make `OUT/<id>`, with the request in it if it is one that can be resumed.
 
@@ -112,6 +60,58 @@ def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
             for path in made:
                 with suppress(OSError):  # another run has begun there meanwhile
                     path.rmdir()
+
+
+@contextmanager
+def held_run(folder: Path) -> Iterator[None]:
+    """Hold a run's folder for this program; raises PRO-030 while another one does."""
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = holder_of_lock(file)
+            by = "another program" if holder is None else str(holder)
+            raise RunInUse(
+                f"{by} has {folder.name} open",
+                action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
+            ) from None
+        yield
+    finally:
+        os.close(file)
+
+
+def holder_of_run(folder: Path) -> PortUser | None:
+    """Return the program that holds a run, if it can be seen; locks nothing."""
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return holder_of_lock(file)
+    finally:
+        os.close(file)
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
+    if not folder.is_dir():
+        raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
+    return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
+
+
+def require_run(folder: Path) -> None:
+    """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
+    if is_run(folder):
+        return
+    if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
+        raise PathProblem(
+            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
+            action=f"Give one of them: {folder / held[-1]}.",
+        )
+    raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder is that of a run, however little of it is left."""
+    return any((folder / name).exists() for name in RUN_PARTS)
 
 
 def forget_if_refused(folder: Path, problem: BaseException) -> None:

@@ -38,32 +38,6 @@ AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or
 AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
 
 
-def surround_calibration(engine: Engine) -> None:
-    """Set the arm's surroundings from the results of a calibration so far, before anything moves."""
-    workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
-    tool = workcell.flange_from_tool
-    place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
-    if workcell.tool is MountedTool.GUIDE:
-        stand = () if place is None else stand_under(place.result.ball_mm)
-        workcell.surround(in_free_room(surroundings, tool, surroundings.guide, stand))
-    elif place is not None:
-        workcell.surround(around_ball(surroundings, tool, place.result.ball_mm, place.result.others_mm))
-    elif found is not None and len(found.result.points_mm):
-        ball_mm, *others_mm = found.result.points_mm
-        workcell.surround(around_ball(surroundings, tool, ball_mm, others_mm))
-    else:
-        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
-
-
-def guide_at_divot(engine: Engine) -> bool:
-    """Whether the arm carries the guide with its tip where the divot is raised to it."""
-    workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
-    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
-        return False
-    away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
-    return away_mm < HOVER_MM - TIP_KNOWN_MM
-
-
 def surround(engine: Engine) -> None:
     """Set the arm's surroundings before anything moves; with an unknown head the arm must be home.
 
@@ -87,36 +61,6 @@ def surround(engine: Engine) -> None:
 def head_moved_since(engine: Engine) -> bool:
     """Whether the guide must leave by a registration that is no longer valid."""
     return (led := _led(engine)) is not None and not led.holds
-
-
-@dataclass(frozen=True)
-class _Led:
-    """The registration by which the guide was led, or would have been."""
-
-    key: StepKey  # of the step that positions the guide
-    robot_from_ct: Transform
-    holds: bool
-
-
-def _led(engine: Engine) -> _Led | None:
-    """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
-    workcell, case = engine.setting.workcell, engine.case
-    if workcell.tool is not MountedTool.GUIDE:
-        return None
-    on = workcell.place.trajectory
-    keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
-    keys = [key for key in keys if on in (None, key.trajectory)]
-    for key in keys:
-        registered = case.find(RegisteredRobot, key.trajectory)
-        if registered is not None and registered.record.identifier not in case.past:
-            return _Led(key, registered.result.robot_from_ct.transform, holds=True)
-    made = [record for record in case.records if record.kind == RegisteredRobot.kind]
-    for record in reversed(made):
-        for key in keys:
-            if record.trajectory in (None, key.trajectory):
-                former = typed(record, RegisteredRobot)
-                return _Led(key, former.robot_from_ct.transform, holds=False)
-    return None
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
@@ -151,3 +95,59 @@ def guide_in_gauge(engine: Engine) -> bool:
         return False
     gauge_rad = tuple(map(math.radians, workcell.tools.guide.gauge.joints_deg))
     return stands_at(workcell.joints_rad(), gauge_rad, AT_GAUGE_RAD)
+
+
+def guide_at_divot(engine: Engine) -> bool:
+    """Whether the arm carries the guide with its tip where the divot is raised to it."""
+    workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
+    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
+        return False
+    away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
+    return away_mm < HOVER_MM - TIP_KNOWN_MM
+
+
+def surround_calibration(engine: Engine) -> None:
+    """Set the arm's surroundings from the results of a calibration so far, before anything moves."""
+    workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
+    tool = workcell.flange_from_tool
+    place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
+    if workcell.tool is MountedTool.GUIDE:
+        stand = () if place is None else stand_under(place.result.ball_mm)
+        workcell.surround(in_free_room(surroundings, tool, surroundings.guide, stand))
+    elif place is not None:
+        workcell.surround(around_ball(surroundings, tool, place.result.ball_mm, place.result.others_mm))
+    elif found is not None and len(found.result.points_mm):
+        ball_mm, *others_mm = found.result.points_mm
+        workcell.surround(around_ball(surroundings, tool, ball_mm, others_mm))
+    else:
+        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
+
+
+@dataclass(frozen=True)
+class _Led:
+    """The registration by which the guide was led, or would have been."""
+
+    key: StepKey  # of the step that positions the guide
+    robot_from_ct: Transform
+    holds: bool
+
+
+def _led(engine: Engine) -> _Led | None:
+    """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
+    workcell, case = engine.setting.workcell, engine.case
+    if workcell.tool is not MountedTool.GUIDE:
+        return None
+    on = workcell.place.trajectory
+    keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
+    keys = [key for key in keys if on in (None, key.trajectory)]
+    for key in keys:
+        registered = case.find(RegisteredRobot, key.trajectory)
+        if registered is not None and registered.record.identifier not in case.past:
+            return _Led(key, registered.result.robot_from_ct.transform, holds=True)
+    made = [record for record in case.records if record.kind == RegisteredRobot.kind]
+    for record in reversed(made):
+        for key in keys:
+            if record.trajectory in (None, key.trajectory):
+                former = typed(record, RegisteredRobot)
+                return _Led(key, former.robot_from_ct.transform, holds=False)
+    return None
