@@ -28,9 +28,9 @@ from console.hub import Hub
 from console.listening import HOST, listen, server_of
 from console.web.page import add_page
 from procedures.engine.events import Event
-from procedures.engine.events.followed_run import FollowedRun
-from procedures.engine.events.shown import shown_digest
-from procedures.engine.orders import LONGEST_BYTES, AnyOrder, Reply
+from procedures.engine.events.event_file import FollowedRun
+from procedures.engine.events.event_types import shown_digest
+from procedures.runs.orders import LONGEST_BYTES, AnyOrder, Reply
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress

@@ -15,7 +15,7 @@ from console.case_view import CaseView, RecordedCase, fold
 from console.changes import ChangeNotifier
 from console.guard import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
-from procedures.engine.orders import AnyOrder, Renew, Reply, Stop, read_order
+from procedures.runs.orders import AnyOrder, Renew, Reply, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 
 UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are reported five times a second

@@ -15,12 +15,12 @@ from pathlib import Path
 from typing import Any
 from unittest.mock import patch
 
-from procedures.cli.case import opening
-from procedures.cli.case.request import CaseRequest, new_run_folder
-from procedures.cli.case.scene_choice import SceneChoice
-from procedures.engine import closing
+from procedures.engine import run_folder
 from procedures.engine.events import event_file, stream
 from procedures.journal import journal
+from procedures.runs import lifecycle
+from procedures.runs.folders import new_run_folder
+from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.recording import flight_recorder, reading_tape
 from ronna_hw.theatre import Theatre
 
@@ -47,7 +47,7 @@ def keep_nothing() -> None:
         (reading_tape, "ReadingTape", _Tape),
         (reading_tape, "taped", lambda device, _tape: device),
         (Theatre, "record_bytes", _ignore),
-        (closing, "hashes_at_closing", lambda _folder: {}),
+        (run_folder, "hashes_at_closing", lambda _folder: {}),
     ):
         patch.object(owner, name, instead).start()
 
@@ -57,16 +57,19 @@ def _ignore(*_words: object, **_more: object) -> None: ...
 
 class _Tape(_Nothing):
     def beside(self) -> Any:
-        return opening.contextlib.nullcontext()
+        return lifecycle.contextlib.nullcontext()
 
 
 def main(kept: str, speed: str, seed: str, folder: str) -> None:
     """Run the case to its end, and report its cost."""
     if kept == "bare":
         keep_nothing()
-    request = CaseRequest(out=Path(folder), choice=SceneChoice("mini", int(seed), None, None), speed=speed)
+    request = RunRequest(
+        procedure=CaseProcedure(), choice=SceneChoice("mini", int(seed), None, None), speed=speed
+    )
     began = time.perf_counter()
-    with opening.opened_case(request, new_run_folder(request), opening.Watcher()) as engine:
+    run = new_run_folder(request, Path(folder))
+    with lifecycle.open_run(request, run, lifecycle.RunObservers()) as engine:
         engine.run_to()
     wall_s = time.perf_counter() - began
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

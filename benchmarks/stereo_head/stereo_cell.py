@@ -19,13 +19,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.stereo_head.stereo_pictures import Studio
-from procedures.cli.case.operators import ScriptedOperator
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
+from procedures.runs.answers import ScriptedOperator
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import Look

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Sequence
 from html import escape
 
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
 from ronna_hw.text import printable
 
 

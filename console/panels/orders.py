@@ -20,7 +20,7 @@ from console.case_view import CaseView
 from console.panels.case_state import seat_line
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
-from procedures.engine.events.shown import shown_digest
+from procedures.engine.events.event_types import shown_digest
 from ronna_hw.text import typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held

@@ -21,6 +21,16 @@ from ronna_hw.text import counted
 if TYPE_CHECKING:
     from procedures.imaging import Candidate, Localization, Marker, PatientIdentity
 
+X_FRAME = "xframe"  # a layout that needs no file
+READING_SHARE = 0.4  # of the progress bar
+PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
+app = typer.Typer(
+    name="ronna-ct",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
 
 class Method(StrEnum):
     """How spheres are localized."""
@@ -28,18 +38,6 @@ class Method(StrEnum):
     COMBINED = "combined"
     THESIS_LINE = "thesis-line"
     THESIS_SPHERE = "thesis-sphere"
-
-
-X_FRAME = "xframe"  # a layout that needs no file
-READING_SHARE = 0.4  # of the progress bar
-PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
-
-app = typer.Typer(
-    name="ronna-ct",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
 
 
 @app.callback()

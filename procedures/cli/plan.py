@@ -11,8 +11,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.place import place
-from procedures.cli.plan_new import new
-from procedures.cli.plan_open import open_plan
+from procedures.cli.plan_open import new, open_plan
 from procedures.cli.planning_inputs import (
     DEFAULT_STRATEGY,
     HeadOption,
@@ -149,7 +148,7 @@ def template(
     the smallest expected error in the middle of the head is chosen. A plan names the template as
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
-    from procedures.cli.plan_markers import print_markers
+    from procedures.cli.planning_inputs import print_markers
     from procedures.planning.marker_sites import head_of_scene, propose_template, write_template
 
     require_one_head(series_dir, scene)
@@ -201,7 +200,7 @@ def marker_places(
     On free skin between forehead and vertex, clear of the trajectories. For comparison, the error with
     markers placed at random over the same skin is shown.
     """
-    from procedures.cli.plan_markers import propose
+    from procedures.cli.planning_inputs import propose
 
     propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
 

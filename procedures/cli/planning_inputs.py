@@ -1,17 +1,26 @@
-"""What the planning commands are given: the arm of a theatre file, the CT and the markers in it."""
+"""Inputs of planning commands: the arm of a theatre file, the CT and its markers; positions for markers."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from procedures.planning.errors import WrongSeries
+from procedures.planning.head_in_ct import head_shape
+from procedures.planning.marker_sites import head_of_scene, propose_markers
+from procedures.planning.plan_file import read_plan
+from procedures.reporting.pictures import marker_picture
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.options import require_new
 from ronna_hw.errors import RonnaError
+from ronna_hw.marker_template import TemplateMarker
 from ronna_hw.plausible import in_degrees
+from ronna_hw.records import write_whole
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
@@ -51,7 +60,7 @@ SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of th
 def theatre_of(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> TheatreArm | None:
-    """The arm of a theatre file with the head at the given pose; None when no option asks for it."""
+    """Return the arm of a theatre file with the head at the given pose; None if no option asks for it."""
     require_theatre_options(config, robot_from_ct, home_deg, strategy)
     if config is None or robot_from_ct is None:
         return None
@@ -64,7 +73,7 @@ def theatre_of(
 def require_theatre_options(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> None:
-    """Raises CLI-001 and STR-002 for conflicting or invalid options."""
+    """Raise CLI-001 and STR-002 for conflicting or invalid options."""
     from procedures.strategies.catalogue import strategy_named
 
     strategy_named(strategy)
@@ -96,13 +105,13 @@ def require_theatre_options(
 
 
 def require_one_head(series_dir: Path | None, scene: Path | None) -> None:
-    """Raises CLI-001 unless the head comes from exactly one of both."""
+    """Raise CLI-001 unless the head has exactly one source."""
     if (series_dir is None) == (scene is None):
         raise UsageMistake("the head comes from --ct or from --scene: give one of them")
 
 
 def read_volume(series_dir: Path) -> Volume:
-    """The series, with a progress bar."""
+    """Read the series, with a progress bar."""
     from procedures.imaging import read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -112,7 +121,7 @@ def read_volume(series_dir: Path) -> Volume:
 def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
-    """The series, the centres of its markers, and what they say of the scan or why they could not be had."""
+    """Return the series, its marker centres, and their remarks on the scan or why there are none."""
     from procedures.imaging import localize, read_series
 
     with terminal.progress_bar("reading the series") as advance:
@@ -127,3 +136,68 @@ def read_ct(
             why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
             return volume, None, (why,)
     return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers], found.warnings
+
+
+def propose(
+    plan_file: Path,
+    out: Path,
+    series_dir: Path | None,
+    scene: Path | None,
+    markers: int,
+    error_mm: float,
+    seed: int,
+    *,
+    as_json: bool,
+) -> None:
+    """Propose marker positions.
+
+    Raises PLAN-001 to PLAN-003, PLAN-014, PLAN-016, PLAN-021, and errors of reading the series.
+    """
+    picture = out.with_suffix(".png")
+    require_one_head(series_dir, scene)
+    require_new(out, picture)
+    plan = read_plan(plan_file)
+    trajectories = [one.trajectory for one in plan.trajectories]
+    volume: Volume | None = None
+    if scene is not None:
+        head = head_of_scene(scene, plan)
+    else:
+        assert series_dir is not None
+        volume = read_volume(series_dir)
+        if plan.series_instance_uid != volume.series_instance_uid:
+            raise WrongSeries(
+                "the plan belongs to another CT series",
+                expected=plan.series_instance_uid,
+                got=volume.series_instance_uid,
+            )
+        head = head_shape(volume)
+    found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)
+    import tomli_w
+
+    write_whole(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
+    write_whole(picture, marker_picture(found, head, trajectories))
+    if as_json:
+        terminal.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
+        return
+    print_markers(f"{out}: {len(found.markers)} markers", found.markers)
+    terminal.print_table(
+        f"expected from marker errors of {found.marker_error_mm:g} mm each",
+        ["target", "rms mm", "random mm"],
+        [[one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}"] for one in found.targets],
+    )
+
+
+def print_markers(title: str, markers: Sequence[TemplateMarker]) -> None:
+    """Print the position of each marker, and the direction of its post."""
+    terminal.print_table(
+        title,
+        ["marker", "centre LPS mm", "post"],
+        [
+            [
+                str(number),
+                " ".join(f"{value:.1f}" for value in one.centre_mm),
+                " ".join(f"{value:.3f}" for value in one.post),
+            ]
+            for number, one in enumerate(markers, start=1)
+        ],
+    )

@@ -76,7 +76,7 @@ def postoperative(
         if out is not None:
             _write(out, after, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
         if run is not None:
-            from procedures.cli.runs.report import make_report
+            from procedures.runs.finishing import make_report
 
             terminal.tell(f"report {make_report(run, after=after)}")
     if as_json:

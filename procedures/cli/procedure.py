@@ -8,9 +8,8 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.case.options import CaseOptions, ConfigOption
-from procedures.cli.console.options import ConsoleOptions
-from procedures.cli.mount.command import app as calibrate_app
+from procedures.cli.calibrating.mount import app as calibrate_app
+from procedures.cli.case.options import CaseOptions, ConfigOption, ConsoleOptions
 from procedures.cli.new_theatre.command import new_theatre
 from procedures.cli.runs.commands import add_commands
 from ronna_hw.command_line.options import with_option_records
@@ -33,7 +32,7 @@ def run_command(case: CaseOptions, console: ConsoleOptions, as_json: JsonOption 
     """Run the whole case; ends with the errors at the targets and a report."""
     from procedures.cli.case.display import follow_case
 
-    follow_case(case.request(), as_json=as_json, console=console.request())
+    follow_case(case.request(), case.out, as_json=as_json, console=console.request())
 
 
 @app.command("step")
@@ -42,13 +41,13 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
     """Step through the case by hand, one command per line; help lists them."""
     from procedures.cli.case.stepping import step_through
 
-    step_through(case.request(), console.request())
+    step_through(case.request(), case.out, console.request())
 
 
 @app.command("steps")
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
-    from procedures.engine.step import Scope
+    from procedures.engine.order import Scope
     from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 

@@ -8,16 +8,15 @@ RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
 from __future__ import annotations
 
 import re
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
-from procedures.engine.ancestry import without_ancestors
-from procedures.engine.step import LeftOut, StepKey
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.engine.order import LeftOut, StepKey
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
 
@@ -26,22 +25,22 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class Stored(Generic[R]):
-    """A result as it is kept, and as it is read."""
+    """A stored record and its parsed model."""
 
     record: Record
     result: R
 
     @cached_property
     def file_sha256(self) -> str:
-        """Hash of its file."""
+        """Hash of the record's file."""
         return file_sha256(self.record)
 
 
 class Case:
-    """The run folder and its results: those that stand, and those that a repeated step has superseded."""
+    """The run folder and its results: the valid ones, and those that a repeated step has superseded."""
 
     def __init__(self, folder: Path, run: str | None = None) -> None:
-        """`run` is the name that the run was begun with, where its folder has another one by now."""
+        """`run` is the name of the run at its beginning, if its folder has another one by now."""
         self.folder = folder
         self.run = run or folder.name
         self._standing: dict[StepKey, Stored[StepResult]] = {}
@@ -55,7 +54,7 @@ class Case:
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
         """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.
 
-        It is valid only once accepted, which is after the journal has it.
+        It is valid only once accepted, after the journal has it.
         """
         self._written += 1
         name = "-".join(part for part in (f"{self._written:02d}", key.name, key.trajectory) if part)
@@ -78,9 +77,9 @@ class Case:
         return next((series for series in named if series), None)
 
     def superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
-        """What a new result of that step supersedes: its former result and whatever descends from it.
+        """Return the records that a new result of that step supersedes: its former result and descendants.
 
-        Of `finished` trajectories nothing: what was done there was done.
+        Results of `finished` trajectories are never superseded.
         """
         former = self._standing.get(key)
         if former is None:
@@ -101,18 +100,18 @@ class Case:
 
     @property
     def past_trajectories(self) -> frozenset[str]:
-        """Those of which such results stand: nothing is done for them any more."""
+        """Trajectories with such results: nothing is done for them any more."""
         past = self.past
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Accept a result in place of those that it supersedes; but as `superseded_by`."""
+        """Accept a result in place of those that it supersedes; see `superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 
     def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
-        """Let neither the result of that step stand, nor what descends from it; but as `superseded_by`."""
+        """Void the result of that step and its descendants; see `superseded_by`."""
         gone = self.superseded_by(key, finished)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
@@ -122,23 +121,23 @@ class Case:
         return key in self._standing
 
     def record_of(self, key: StepKey) -> str | None:
-        """Identifier of that step's standing result."""
+        """Return the identifier of that step's valid result."""
         return self._standing[key].record.identifier if key in self._standing else None
 
     def was_superseded(self, key: StepKey) -> bool:
-        """Whether that step had results and none of them stands."""
+        """Whether that step had results, none of which is valid."""
         had = any(one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded)
         return had and not self.stands(key)
 
     def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
-        """The standing result of that model, of a trajectory, or one that belongs to none."""
+        """Return the valid result of that model, of a trajectory or of none."""
         for key in (StepKey(model.kind, trajectory), StepKey(model.kind)):
             if key in self._standing:
                 return cast("Stored[R]", self._standing[key])
         return None
 
     def get(self, model: type[R], trajectory: str | None = None) -> Stored[R]:
-        """As `find`. Raises PRO-001 when there is none, REC-001 when its file is not as it was written."""
+        """Return what `find` finds. Raises PRO-001 without one, REC-001 if its file was changed."""
         stored = self.find(model, trajectory)
         if stored is None:
             where = f" for {trajectory}" if trajectory else ""
@@ -151,31 +150,31 @@ class Case:
         return stored
 
     def trusts(self, key: StepKey) -> bool:
-        """Whether that step has a standing result that is not in doubt."""
+        """Whether that step has a valid result that is not in doubt."""
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
-        """From now on the operator must say whether that step's valid result is kept."""
+        """Have the operator asked whether that step's valid result is kept."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
 
     def doubt_at(self, key: StepKey) -> str | None:
-        """The fault that came after that step's own standing result."""
+        """Return the fault that came after that step's own valid result."""
         return self._doubts.get(self.record_of(key) or "")
 
     def doubt_of(self, record: Record) -> str | None:
-        """The fault that came after a record, or after one that it was made from."""
+        """Return the fault that came after a record or one of its ancestors."""
         names = (record.identifier, *record.parents)
         return next((self._doubts[name] for name in names if name in self._doubts), None)
 
     def trust(self, record: Record) -> None:
-        """A record is kept in spite of the fault."""
+        """Keep a record in spite of the fault."""
         for name in (record.identifier, *record.parents):
             self._doubts.pop(name, None)
 
     @property
     def left_out(self) -> tuple[LeftOut, ...]:
-        """The trajectories that the standing results leave out."""
+        """Trajectories that the valid results leave out."""
         return tuple(
             LeftOut(trajectory, reason, key)
             for key, stored in self._standing.items()
@@ -183,7 +182,7 @@ class Case:
         )
 
     def left_out_besides(self, key: StepKey) -> dict[str, str]:
-        """The trajectories that stay left out whatever a new result of that step says, and why."""
+        """Return the trajectories that stay left out, and why, whatever a new result of that step says."""
         gone = {(record.kind, record.trajectory) for record in self.superseded_by(key)}
         return {
             one.trajectory: one.reason
@@ -201,6 +200,39 @@ class Case:
     def standing(self) -> tuple[Stored[StepResult], ...]:
         """The valid results, in order."""
         return tuple(self._standing.values())
+
+
+def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
+    """Return identifiers of valid results with an ancestor that is not valid any more, in order.
+
+    They belong to trajectories that were finished before something moved.
+    """
+    records = tuple(standing)
+    stands = {record.identifier for record in records}
+    past: set[str] = set()
+    for record in records:
+        if any(parent not in stands or parent in past for parent in record.parents):
+            past.add(record.identifier)
+    return frozenset(past)
+
+
+def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """Return the parent of that kind of a record, among `records` by identifier; None without one."""
+    return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
+
+
+def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
+    """Return the nearest ancestor of that kind of a record, among `records`; None without one."""
+    level = [record]
+    while level:
+        level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())
+        if found := next((one for one in level if one.kind == kind), None):
+            return found
+    return None
+
+
+def _parents(record: Record, records: Mapping[str, Record]) -> Iterator[Record]:
+    return (records[name] for name in record.parents if name in records)
 
 
 def _number(record: Record) -> int:

@@ -1,4 +1,4 @@
-"""What a step may use. Each result that it reads becomes a parent of its own result."""
+"""The view of the case that a step has. Each result that it reads becomes a parent of its own result."""
 
 from __future__ import annotations
 
@@ -9,20 +9,16 @@ from dataclasses import dataclass, field
 from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.case_memory import CaseMemory
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
-from procedures.engine.step import StepKey, StepSpec
+from procedures.engine.order import StepKey, StepSpec
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.evidence import Evidence
-from procedures.operator.question import YES, Operator, Question, ReadBack
-from procedures.operator.room import Room, Task
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.operator.question import YES, Evidence, Operator, Question, ReadBack, Room, Task, Topic
 from procedures.strategies.strategy import Strategy
 from ronna_hw.clock import Clock
 from ronna_hw.config import ProcedureSettings
@@ -34,13 +30,37 @@ if TYPE_CHECKING:
     from procedures.workcell import Workcell
     from ronna_hw.collision_config import CollisionConfig
 
+T = TypeVar("T")
 R = TypeVar("R", bound=StepResult)
 D = TypeVar("D")
 
 
+class CaseMemory:
+    """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
+
+    def __init__(self) -> None:
+        self._kept: dict[type[object], object] = {}
+
+    def keep(self, value: object) -> None:
+        """Keep an object in place of another of its type."""
+        self._kept[type(value)] = value
+
+    def find(self, kind: type[T]) -> T | None:
+        """Return the kept object of a type, if any."""
+        return cast("T | None", self._kept.get(kind))
+
+    def drop(self, kind: type[object]) -> None:
+        """Drop the object of a type."""
+        self._kept.pop(kind, None)
+
+    def clear(self) -> None:
+        """Drop everything, as after a restart."""
+        self._kept.clear()
+
+
 @dataclass(frozen=True)
 class ClinicalInput:
-    """What a case with a patient begins with; a calibration has none."""
+    """CT, plan and strategy of a case; a calibration has none."""
 
     series: Path  # folder of the CT series
     plan: Path
@@ -50,18 +70,18 @@ class ClinicalInput:
 
     @property
     def place(self) -> Path:
-        """Where the cart's proposed position is, next to the plan, if there is one."""
+        """File of the cart's proposed position, next to the plan, if there is one."""
         return self.plan.with_name("place.json")
 
 
 def this_second() -> datetime:
-    """Now, as records date themselves."""
+    """Return the present time as records are dated."""
     return datetime.now(UTC).replace(microsecond=0)
 
 
 @dataclass(frozen=True)
 class CaseSetting:
-    """What all steps of a procedure share besides their results."""
+    """Workcell, people and settings that all steps of a procedure share."""
 
     workcell: Workcell
     clock: Clock
@@ -71,24 +91,24 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     memory: CaseMemory = field(default_factory=CaseMemory)
-    left_away: str | None = None  # that another run left the arm away from home, and what brings it there
+    arm_not_home: str | None = None  # that another run left the arm away from home, and what brings it there
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
     began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
 
 
 class StepSupport(Protocol):
-    """What the engine does for a step while it runs."""
+    """Services of the engine for a running step."""
 
     checkpoint: Checkpoint
     events: EventStream
 
     def ask(self, question: Question) -> str:
-        """The operator's answer, recorded."""
+        """Return the operator's answer, recorded."""
         ...
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """What hands have read off, recorded."""
+        """Have the room's staff do a task; return the readings, recorded."""
         ...
 
     def have_instrument_out(self) -> None:
@@ -96,11 +116,11 @@ class StepSupport(Protocol):
         ...
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
+        """Record a finding that stops nothing; of `targets`, with them."""
         ...
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
-        """A standing result no longer holds, nor what descends from it."""
+        """Void a valid result and its descendants."""
         ...
 
 
@@ -120,10 +140,10 @@ class StepContext:
     _inputs: dict[str, str] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
-        """The standing result of a step: of this step's trajectory, or one that belongs to none.
+        """Return the valid result of a step, of this step's trajectory or of none.
 
-        Raises PRO-001 when there is none, PRO-016 when this step does not declare that it reads it, REC-001
-        when its file was changed.
+        Raises PRO-001 without one, PRO-016 if this step does not declare that it reads it, REC-001 if its
+        file was changed.
         """
         return self._asked_for(model).result
 
@@ -133,19 +153,19 @@ class StepContext:
         return self._read_from_case(model, self.key.trajectory)
 
     def _read_from_case(self, model: type[R], trajectory: str | None) -> Stored[R]:
-        """The one way to a result: whatever is handed out is a parent, and its file is as it was written."""
+        """Read a result as a parent, checking its file; the only way to one."""
         stored = self._case.get(model, trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored
 
     def done_for(self, model: type[R], accept: Callable[[R], bool] = lambda _result: True) -> tuple[str, ...]:
-        """The trajectories with a standing result of a step that is accepted; none is read by that."""
+        """Return the trajectories with an accepted result of a step; reads none."""
         found = ((name, self._case.find(model, name)) for name in self.trajectories)
         return tuple(name for name, one in found if one is not None and accept(one.result))
 
     @property
     def read(self) -> tuple[Record, ...]:
-        """What was asked for so far: the parents of this step's result."""
+        """Results that were asked for so far: the parents of this step's result."""
         return tuple(self._read.values())
 
     @property
@@ -154,28 +174,28 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """The fault after which the operator must say whether a result is kept, or None; as `result`."""
+        """Return the fault that has the operator asked whether a result is kept, or None; see `result`."""
         return self._case.doubt_of(self._asked_for(model).record)
 
     def keep(self, model: type[R]) -> None:
-        """Somebody said that the result is kept; as `result`."""
+        """Keep a result in spite of the fault; see `result`."""
         self._case.trust(self._asked_for(model).record)
 
     @property
     def trajectory(self) -> str:
-        """The trajectory this step is done for. Raises PRO-016 when it is done for none."""
+        """The trajectory of this step. Raises PRO-016 if it has none."""
         if self.key.trajectory is None:
             raise WrongResult(f"{self.key} is not a step of one trajectory")
         return self.key.trajectory
 
     @property
     def served_trajectories(self) -> tuple[str, ...]:
-        """The trajectories that this step's result is for: its own, or all that remain in the case."""
+        """Trajectories that this step's result is for: its own, or all that remain in the case."""
         return self.remaining if self.key.trajectory is None else (self.key.trajectory,)
 
     @property
     def remaining(self) -> tuple[str, ...]:
-        """The trajectories without those that were left out, or were finished before something moved."""
+        """Trajectories that were neither left out nor finished before something moved."""
         gone = {*self.left_out, *self._case.past_trajectories}
         return tuple(name for name in self.trajectories if name not in gone)
 
@@ -192,11 +212,11 @@ class StepContext:
         return self.setting.clinical
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """A device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
+        """Return a device of table `[device.NAME]` as `interface`. Raises DEV-007, DEV-008."""
         return self.workcell.device(name, interface)
 
     def keep_picture(self, name: str, png: bytes) -> None:
-        """Write a picture for people into the run folder; one of that name is kept, and a number added."""
+        """Write a picture for people into the run folder, with a number after a name that is taken."""
         folder = self._case.folder / PICTURES_FOLDER
         folder.mkdir(exist_ok=True)
         first = folder / name
@@ -206,41 +226,42 @@ class StepContext:
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
     def note_inputs(self, *files: Path) -> None:
-        """Files that the result was made from: `verify` finds an exchanged one."""
+        """Note files that the result is made from: `verify` finds an exchanged one."""
         self._inputs.update(input_hashes(self._case.folder, files))
 
     @property
     def inputs(self) -> dict[str, str]:
-        """The files that were noted so far, with their SHA-256."""
+        """Files noted so far, with their SHA-256."""
         return dict(self._inputs)
 
     @property
     def pictures(self) -> dict[str, str]:
-        """The pictures that were kept so far, with their SHA-256."""
+        """Pictures kept so far, with their SHA-256."""
         return dict(self._pictures)
 
     def progress(self, share: float, text: str) -> None:
-        """Say how far the step is, 0..1, and what it is doing; rests here when the operator wants a pause."""
+        """Publish how far the step is, 0..1, and what it is doing; rests here if a pause is wanted."""
         self._support.events.publish(Progress(step=str(self.key), share=share, text=text))
         self._support.checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
-        """Watch the patient meanwhile, as during a motion, while the arm rests."""
+        """Watch the patient while the block runs and the arm rests, as during a motion."""
         return self._support.checkpoint.watching(what, False)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
+        """Record a finding that stops nothing; of `targets`, with them."""
         self._support.find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
-        """Identifier of the record of a valid result; as `result`."""
+        """Return the identifier of a valid result; see `result`."""
         return self._asked_for(model).record.identifier
 
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
-        """The one that `pick` chooses of a step's standing results, of any trajectory, the last one last.
+        """Return the one that `pick` chooses of a step's valid results, of any trajectory, the last one last.
 
-        It need not be declared in the reads, which say what must come first: there may be none. What is not
-        chosen is no parent, as nothing of it is used. Which ones stand: see `stands`. Raises REC-001.
+        It need not be declared in the reads, which say what must come first: there may be none. A result that
+        is not chosen is no parent, as nothing of it is used. See `stands` for which are valid. Raises
+        REC-001.
         """
         standing = self._standing(model)
         picked = pick([one.result for one in standing])
@@ -248,9 +269,9 @@ class StepContext:
         return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
     def stands(self, model: type[StepResult]) -> bool:
-        """Whether a step has standing results, of any trajectory; none is read by that.
+        """Whether a step has valid results, of any trajectory; reads none.
 
-        Those of finished trajectories are left aside that were made before something moved.
+        Results of finished trajectories that were made before something moved do not count.
         """
         return bool(self._standing(model))
 
@@ -260,13 +281,13 @@ class StepContext:
         return [Stored(one.record, one.result) for one in kept if isinstance(one.result, model)]
 
     def void_each(self, model: type[R], reason: RonnaError) -> None:
-        """As `void`, for every trajectory that has a standing result of a step."""
+        """Void the valid result of a step for every trajectory; see `void`."""
         for trajectory in (None, *self.trajectories):
             if self._case.stands(key := StepKey(model.kind, trajectory)):
                 self._support.void(key, reason)
 
     def void(self, model: type[R], reason: RonnaError) -> None:
-        """A result no longer holds: it is superseded, and all that descends from it, without a new one."""
+        """Void a result and its descendants, without a new one."""
         self._support.void(StepKey(model.kind), reason)
 
     def confirm(
@@ -286,11 +307,11 @@ class StepContext:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have hands do something, and record what they read off; raises PRO-002 when nobody reads it."""
+        """Have the room's staff do a task, and record the readings; raises PRO-002 without them."""
         return self._support.have_done(task)
 
     def have_instrument_out(self) -> None:
-        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless it is said."""
+        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
         self._support.have_instrument_out()
 
     def choose(self, question: Question) -> str:

@@ -1,16 +1,15 @@
-"""Which steps of a case are done, left out or next: the same while it runs and after a restart."""
+"""Progress of a case: which steps are done, left out or next, while it runs and after a restart."""
 
 from __future__ import annotations
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.order import CaseOrder
-from procedures.engine.step import Phase, StepKey
-from procedures.results.result import StepResult
+from procedures.engine.order import CaseOrder, Phase, StepKey, StepSpec
+from procedures.journal.results import StepResult
 from ronna_hw.records import Record
 
 
-class Course:
-    """The steps of a case, its results, and the step that was done last, unless something came between."""
+class CaseProgress:
+    """The steps of a case, its results, and the latest step, unless something came between."""
 
     def __init__(self, order: CaseOrder, case: Case, latest: StepKey | None = None) -> None:
         self.order = order
@@ -20,7 +19,7 @@ class Course:
     # What comes next
 
     def left_out(self, key: StepKey) -> str | None:
-        """Why a step is not done because its trajectory was left out before it; None when it was not."""
+        """Return why the trajectory of a step was left out before it; None if it was not."""
         return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
 
     def settled(self, key: StepKey) -> bool:
@@ -40,19 +39,19 @@ class Course:
 
     @property
     def over(self) -> bool:
-        """Whether nothing remains to be done; the arm may still be where it was stopped."""
+        """Whether no step remains; the arm may still be where it was stopped."""
         return self._all_finished_before or all(map(self.settled, self.order.sequence))
 
     @property
     def continuation(self) -> StepKey | None:
-        """The one step that may follow the latest, where nothing else may come between."""
+        """The one step that may follow the latest, if nothing else may come between."""
         return self.order.continuation(self.latest)
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when nothing remains.
+        """The next step; None when nothing remains.
 
-        What must follow the latest step comes first. A step that may only follow another, which was not the
+        A step that must follow the latest comes first. A step that may only follow another, which was not the
         latest, comes after that one is done again.
         """
         if self.over:
@@ -69,15 +68,23 @@ class Course:
         return key
 
     def why_not_now(self, key: StepKey) -> tuple[str, ...]:
-        """Why it is not that step's turn; empty when it may be."""
+        """Return why it is not that step's turn; empty if it may be."""
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
             return ("the work at every target is done: use home to park the arm",)
         return self.order.unmet(key, self.latest, self.settled)
 
+    def why_not_up_to(self, key: StepKey) -> str:
+        """Why the case cannot be run up to a step; empty if it can."""
+        if self.case.stands(key):
+            return f"{key} is already done"
+        if (reason := self.left_out(key)) is not None:
+            return f"{key.trajectory} was left out: {reason}"
+        return f"{key.trajectory} is finished" if self.settled(key) else ""
+
     def status(self, key: StepKey) -> str:
-        """`done`, `left out`, `finished`: its target is; `next`, `superseded`, or nothing."""
+        """Return `done`, `left out`, `finished` (its target is), `next`, `superseded`, or nothing."""
         if self.case.stands(key):
             return "done"
         if self.left_out(key) is not None:
@@ -92,15 +99,15 @@ class Course:
 
     @property
     def finished(self) -> tuple[str, ...]:
-        """The trajectories at whose targets the work is done."""
+        """Trajectories at whose targets the work is done."""
         done = (key for key in self.order.sequence if self.order.spec(key).finishes and self.case.stands(key))
         return tuple(key.trajectory for key in done if key.trajectory is not None)
 
     @property
     def checks_in_doubt(self) -> dict[StepKey, str]:
-        """The checks of the tool that must be repeated, and the fault that came after each.
+        """Checks of the tool that must be repeated, with the fault that came after each.
 
-        None when the tool is led to no target any more.
+        Empty when the tool is led to no target any more.
         """
         gone = {*self.finished, *(one.trajectory for one in self.case.left_out)}
         if gone.issuperset(self.order.trajectories):
@@ -109,7 +116,7 @@ class Course:
         return {key: fault for key, fault in doubts.items() if fault is not None}
 
     def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
-        """What a new result of that step supersedes: of the targets that are finished, only of its own."""
+        """Return the records that a new result of that step supersedes; of finished targets only its own."""
         return self.case.superseded_by(key, self._outlasting_again(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
@@ -117,15 +124,15 @@ class Course:
         self.case.accept(key, stored, self._outlasting_again(key))
 
     def voided_with(self, key: StepKey) -> tuple[Record, ...]:
-        """What no longer holds when that step's result does not: nothing of the targets that are finished."""
+        """Return the records that fall with that step's result; none of finished targets."""
         return self.case.superseded_by(key, self._outlasting(key))
 
     def void(self, key: StepKey) -> None:
-        """Let neither that step's result stand nor what no longer holds with it."""
+        """Void that step's result, and the records that fall with it."""
         self.case.void(key, self._outlasting(key))
 
     def _outlasting(self, key: StepKey) -> tuple[str, ...]:
-        """Trajectories whose results stay: what moves later does not undo what was finished.
+        """Return trajectories whose results stay: a later move does not undo finished work.
 
         Another CT or plan does.
         """
@@ -133,3 +140,17 @@ class Course:
 
     def _outlasting_again(self, key: StepKey) -> tuple[str, ...]:
         return tuple(name for name in self._outlasting(key) if name != key.trajectory)
+
+
+def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:
+    """Return why a step cannot read its inputs; empty if it can.
+
+    Results of a trajectory that was finished before something moved are only shown: nothing moves by them
+    again.
+    """
+    found = {model: case.find(model, key.trajectory) for model in spec.reads}
+    where = f" for {key.trajectory}" if key.trajectory else ""
+    missing = tuple(f"no result of {model.kind}{where}" for model, one in found.items() if one is None)
+    read = [one.record.identifier for one in found.values() if one is not None]
+    past = [identifier for identifier in read if identifier in case.past]
+    return missing or ((f"made before something moved: {', '.join(past)}",) if past else ())

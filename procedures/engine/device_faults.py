@@ -1,4 +1,4 @@
-"""Device faults: reported as they are now, recovered once a person acknowledged them. Nothing here moves."""
+"""Device faults: reported by their present state, recovered once a person acknowledged them."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from contextlib import contextmanager
 from copy import copy
 from typing import TYPE_CHECKING
 
-from procedures.engine.course import Course
-from procedures.engine.step import StepKey
+from procedures.engine.course import CaseProgress
+from procedures.engine.order import StepKey
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from procedures.results.errors import StepRefused
 from ronna_hw.clock import Clock
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.errors import WrongState
@@ -31,15 +31,15 @@ _log = logger(part="engine")
 
 
 def in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
-    """Role of each device in fault, and how it was last seen."""
+    """Return the role of each device in fault, and how it was last seen."""
     seen = ((role, device.observe()) for role, device in devices.items())
     return ((role, known) for role, known in seen if known.state is Lifecycle.FAULT)
 
 
 def as_it_stands(role: str, seen: LastKnown[object]) -> str:
-    """Why a device in fault keeps a case from continuing, by its present state, and what to do about it.
+    """Describe a device in fault by its present state, with advice.
 
-    What stopped it is reported even if it is in order again, so that nobody searches for it in vain.
+    Its cause is reported even if it is in order again, so that nobody searches for it in vain.
     """
     if seen.fault is None:
         return f"the {role} is in fault"
@@ -50,7 +50,7 @@ def as_it_stands(role: str, seen: LastKnown[object]) -> str:
 
 
 def in_short(role: str, seen: LastKnown[object]) -> str:
-    """The same without what to do about it."""
+    """Describe a device in fault without advice."""
     if seen.fault is None:
         return f"the {role} is in fault"
     facts = _facts(seen.fault, seen.says)
@@ -59,21 +59,21 @@ def in_short(role: str, seen: LastKnown[object]) -> str:
 
 
 def _what_happened(seen: LastKnown[object]) -> str:
-    """The fault without advice: it is kept, and read when it is over."""
+    """Return the fault without advice: it is kept, and read when it is over."""
     return UNKNOWN if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
 
 
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
-    """What stands in the way now, and what stopped it."""
+    """Return present obstacles, and the cause of the fault."""
     return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
 
 
 def acknowledged(
     devices: Mapping[str, DeviceView], recover: Callable[[str], None]
 ) -> Iterator[tuple[str, str]]:
-    """Recover each device that is in fault or, only connected yet, holds a message of an earlier connection.
+    """Recover each device that is in fault, or still holds a message of an earlier connection.
 
-    Yields its role, and what was acknowledged. Raises what `recover` raises, which is called with the role.
+    Yields its role and the acknowledged fault. Raises the errors of `recover`, which is called with the role.
     """
     for role, device in devices.items():
         seen = device.observe()
@@ -90,11 +90,11 @@ def acknowledged(
 
 
 class DeviceFaults:
-    """The faults in a case, and what is doubted because of them."""
+    """The faults in a case, and the results that they put in doubt."""
 
     def __init__(
         self,
-        course: Course,
+        course: CaseProgress,
         workcell: Workcell,
         journal: Journal,
         clock: Clock,
@@ -110,17 +110,17 @@ class DeviceFaults:
 
     @property
     def now(self) -> dict[str, str]:
-        """The devices that are in fault, by role, and why."""
+        """Devices in fault, by role, with the fault."""
         return {role: _what_happened(seen) for role, seen in in_fault(self._workcell.devices)}
 
     @property
     def described(self) -> dict[str, str]:
-        """The same for a person: the present state of each device, and what to do."""
+        """Devices in fault, by role, in words for a person: present state and advice."""
         return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     @property
     def in_short(self) -> dict[str, str]:
-        """The same without what to do."""
+        """Devices in fault, by role, without advice."""
         return {role: in_short(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     def require_arm_moves(self) -> None:
@@ -129,9 +129,9 @@ class DeviceFaults:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
-        """Recover every device that is in fault; moves nothing. Returns what was acknowledged, by role.
+        """Recover every device in fault; moves nothing. Return the acknowledged faults, by role.
 
-        `by` is the person's name. Raises DEV-006, and what a driver raises that cannot be recovered yet.
+        `by` is the person's name. Raises DEV-006, and the error of a driver that cannot be recovered yet.
         """
         require_person(by)
         workcell, done = self._workcell, dict[str, str]()
@@ -148,9 +148,10 @@ class DeviceFaults:
 
     @contextmanager
     def none_acknowledged(self) -> Iterator[None]:
-        """While a case rests: what comes after it relies on devices that were in fault, and is begun again.
+        """Have a step begin again if faults were acknowledged while the block rested.
 
-        Raises PRO-001 at the end of the block; only what begins asks what is kept and what is mounted.
+        Raises PRO-001 at its end: only a step that begins asks which results are kept and which tool is
+        mounted.
         """
         before = len(self._acknowledged)
         yield
@@ -159,13 +160,13 @@ class DeviceFaults:
 
     @property
     def acknowledgements(self) -> int:
-        """How many there were so far."""
+        """Number of acknowledgements so far."""
         return len(self._acknowledged)
 
     def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:
-        """What ended a step, for the last line of a run: a fault that was acknowledged since is over.
+        """Return the error that ended a step, for the last line of a run, without acknowledged faults.
 
-        `before` is how many acknowledgements there were when the step ended.
+        `before` is the number of acknowledgements when the step ended.
         """
         if self.now:
             return problem
@@ -177,16 +178,16 @@ class DeviceFaults:
         return problem
 
     def doubt_results(self) -> None:
-        """What was localized or checked before the arm was in fault: someone may have been at it since.
+        """Put results in doubt that were localized or checked before the arm was in fault.
 
-        In the journal before the fault can be gone, so that no restart forgets it.
+        This is in the journal before the fault can be gone, so that no restart forgets it.
         """
         if (fault := self.now.get(ARM)) is not None:
             when = f"theatre time {self._clock.now_s():.0f} s"
             self.doubt_tool(f"{fault} ({when})", self._course.order.localizations)
 
     def doubt_tool(self, fault: str, localizations: Sequence[StepKey] = ()) -> None:
-        """The checks of the mounted tool, and what else was localized before: hands may have been at it."""
+        """Put checks of the mounted tool, and earlier localizations, in doubt."""
         order, case = self._course.order, self._course.case
         if keys := [key for key in (*localizations, *order.checks_of_tool) if case.trusts(key)]:
             self._journal.write(Entry.DOUBTED, self._clock.now_s(), steps=list(map(str, keys)), fault=fault)

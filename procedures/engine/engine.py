@@ -1,6 +1,6 @@
 """Runs steps in their order: intent to the journal, then the work, then the result.
 
-Work happens here, never in a transition of the state chart. Whatever ends a step early stops the arm.
+Work happens here, never in a transition of the state chart. Any early exit from a step stops the arm.
 """
 
 from __future__ import annotations
@@ -9,26 +9,21 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from procedures.engine.case import Case, Stored
-from procedures.engine.closing import Recorder, close_run
 from procedures.engine.context import CaseSetting, StepContext
-from procedures.engine.course import Course
+from procedures.engine.course import CaseProgress, unusable_inputs
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
-from procedures.engine.hands import have_done, have_instrument_out
-from procedures.engine.inputs import unusable_inputs
 from procedures.engine.machine import RECOVERY, ProcedureMachine
-from procedures.engine.order import CaseOrder
-from procedures.engine.questions import Questions
-from procedures.engine.step import Outcome, StepKey
-from procedures.journal.errors import JournalNotWritable
+from procedures.engine.order import CaseOrder, Outcome, StepKey
+from procedures.engine.questions import Questions, have_done, have_instrument_out
+from procedures.engine.run_folder import Recorder, close_run
+from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal, JournalValue
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.operator.question import Question, Task
 from procedures.workcell.errors import WrongTool
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
@@ -64,7 +59,7 @@ class Engine:
         """
         self.order = order
         self.case = case
-        self.course = Course(order, case, latest)
+        self.course = CaseProgress(order, case, latest)
         self.setting = setting
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
@@ -83,7 +78,7 @@ class Engine:
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when nothing remains: see `Course.upcoming`."""
+        """The step that comes next, or None when nothing remains: see `CaseProgress.upcoming`."""
         return self.course.upcoming
 
     @property
@@ -92,7 +87,7 @@ class Engine:
         return self.setting.workcell.place.instrument_may_be_inside
 
     def status(self, key: StepKey) -> str:
-        """As `Course.status`."""
+        """Return the status of a step; see `CaseProgress.status`."""
         return self.course.status(key)
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
@@ -199,11 +194,11 @@ class Engine:
         return self.questions.ask(question)
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """As `hands.have_done`."""
+        """Have the room's staff do a task, and return the readings."""
         return have_done(self.setting, self._journal, task)
 
     def have_instrument_out(self) -> None:
-        """As `hands.have_instrument_out`."""
+        """Have an instrument taken out, if one may be in the guide."""
         have_instrument_out(self.setting, self._journal, self.ask)
 
     def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
@@ -264,6 +259,14 @@ class Engine:
         self._recheck_tool()
         self._finish_if_over()
 
+    def leave_head(self) -> None:
+        """Retreat and park, unless the arm was never set up and so never moved. Raises as `retreat_home`."""
+        try:
+            _ = self.setting.workcell.home_rad
+        except StepRefused:
+            return
+        self.retreat_home()
+
     def _recheck_tool(self) -> None:
         """Void a check of the tool that is in doubt, once the tool is away from entry and gauge.
 
@@ -276,13 +279,13 @@ class Engine:
             self.void(key, ToolUnchecked(TOUCHED, got=fault))
 
     def _forget_latest(self) -> None:
-        """What was done last was left, unless the one step that may follow it still may."""
+        """Forget the latest step, unless the one step that may follow it still may."""
         only = self.course.continuation
         if only is None or self.order.spec(only).preconditions(self.context(only)):
             self.course.latest = None
 
     def abort(self) -> None:
-        """The operator ends the case between steps; moves nothing. Raises PRO-001 for one that has ended."""
+        """End the case between steps as ordered; moves nothing. Raises PRO-001 if it has ended."""
         if self.machine.ended:
             raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave with quit.")
         self.machine.abort()
@@ -295,11 +298,11 @@ class Engine:
         self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
-        """Record what was read again and compared after a restart."""
+        """Record the findings after a restart."""
         self._write(Entry.FOUND, findings=list(findings), differences=list(differences))
 
     def accept(self) -> None:
-        """The operator accepted what was found after a restart: steps may begin."""
+        """Leave recovery: the operator accepted the findings, and steps may begin."""
         self._write(Entry.ACCEPTED)
         self.machine.accept()
         self._forget_latest()
@@ -309,7 +312,7 @@ class Engine:
 
     @contextmanager
     def _resting(self, state: str, reason: str) -> Iterator[None]:
-        """While the case is paused or suspended, also on the way home of one that has ended."""
+        """Rest the case while it is paused or suspended, also on the way home of one that has ended."""
         try:
             with self.machine.resting(state), self.faults.none_acknowledged():
                 self._write(Entry.RESTED, state=state, reason=reason)
@@ -323,7 +326,7 @@ class Engine:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
     def close(self, outcome: str, problem: RonnaError | None = None) -> None:
-        """End the connections and the journal; `problem` is what ended the case, where something did."""
+        """End connections and journal; `problem` is what ended the case, if something did."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
             self.faults.doubt_results()
@@ -340,7 +343,7 @@ class Engine:
             self.events.end()
 
     def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
-        """Record, journal, accept, in this order: what the journal does not have is not valid."""
+        """Record, journal, accept, in this order: a result that the journal lacks is not valid."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
             raise WrongResult(
@@ -390,7 +393,7 @@ class Engine:
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _kept_attachments(self, problem: RonnaError) -> list[JournalValue]:
-        """Write what is attached to an error; the names of the files that the disk accepted."""
+        """Write the attachments of an error; return the names of files that the disk accepted."""
         kept: list[JournalValue] = []
         for name, text in sorted(problem.attachments.items()):
             try:

@@ -1,7 +1,7 @@
 """The procedure's state chart, derived from its steps.
 
-Transitions are instant and pure; the work of a step happens while the machine rests in the step's state,
-never in a callback. Whether a step may begin is the engine's to decide, before it asks for the transition.
+Transitions are instant and pure; a step's work happens while the machine rests in its state, never in a
+callback. The engine decides whether a step may begin before it asks for the transition.
 """
 
 from __future__ import annotations
@@ -14,10 +14,9 @@ from typing import Protocol, cast
 from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
-from procedures.engine.order import CaseOrder, Steps, order_of
-from procedures.engine.step import Phase, Scope, StepSpec
+from procedures.engine.order import CaseOrder, Phase, Scope, Steps, StepSpec, order_of
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
-from procedures.results.result import StepResult
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
 RECOVERY, IDLE, HELD = "recovery", "idle", "held"
@@ -43,7 +42,7 @@ class _Machine(HierarchicalMachine):
 
 
 class _Triggered(Protocol):
-    """What `transitions` adds to its model at run time, where no checker can see it."""
+    """The methods that `transitions` adds to its model at run time, invisible to a type checker."""
 
     def trigger(self, event: str) -> bool: ...
 
@@ -68,7 +67,7 @@ class ProcedureMachine:
 
     @property
     def ended(self) -> bool:
-        """Whether no step may begin any more."""
+        """Whether the case has ended."""
         return self.state in ENDS
 
     def begin(self, step: str) -> None:
@@ -76,19 +75,19 @@ class ProcedureMachine:
         self._go(f"begin_{step}")
 
     def accept(self) -> None:
-        """The operator accepted what was found after a restart."""
+        """Leave recovery: the operator accepted the findings after a restart."""
         self._go("case_accept")
 
     def hold(self) -> None:
-        """A step failed or was left."""
+        """Hold the case after a step failed or was left."""
         self._go("case_hold")
 
     @contextmanager
     def resting(self, state: str) -> Iterator[None]:
-        """Paused or suspended while the block runs; then back where the case was, however the block ends.
+        """Pause or suspend while the block runs; then return to the former state, however the block ends.
 
-        The way home may also rest before a restart is accepted and after the end of the case. The chart
-        does not change then: it says whether steps may begin.
+        The way home may also rest before a restart is accepted and after the end of the case. The chart does
+        not change then: it says whether steps may begin.
         """
         before = self.state
         if before == RECOVERY or self.ended:
@@ -101,11 +100,11 @@ class ProcedureMachine:
             self._go(f"back_to_{before}")
 
     def finish(self) -> None:
-        """The last step is done and every result is valid."""
+        """End the case: the last step is done and every result is valid."""
         self._go("case_finish")
 
     def abort(self) -> None:
-        """The operator ended the procedure."""
+        """End the case on the operator's order."""
         self._go("case_abort")
 
     def _go(self, event: str) -> None:
@@ -113,7 +112,7 @@ class ProcedureMachine:
 
 
 def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:
-    """Trigger, sources, destination."""
+    """Yield trigger, sources and destination of each transition."""
     working = [IDLE, HELD, *map(state_of, order.steps)]
     for step in order.steps:
         yield f"begin_{step.name}", working, state_of(step)
@@ -128,12 +127,12 @@ def _transitions(order: CaseOrder) -> Iterator[tuple[str, Sequence[str], str]]:
 
 
 def state_of(step: StepSpec[StepResult]) -> str:
-    """Name of a step's state in the machine, phase first."""
+    """Return the name of a step's state, phase first."""
     return f"{step.phase}{SEPARATOR}{step.name}"
 
 
 def mermaid(steps: Steps) -> str:
-    """The state chart as mermaid text: the way through a case, and every transition of its machine.
+    """Return the state chart as mermaid text: the way through a case, and every transition.
 
     An arrow from or to a phase is one from or to each of its steps.
     """
@@ -150,7 +149,7 @@ def mermaid(steps: Steps) -> str:
 
 
 def _arrows(order: CaseOrder) -> Iterator[str]:
-    """The machine's transitions: where many states lead to the same many, through a junction."""
+    """Yield the transitions; many states that lead to the same many do so through a junction."""
     ways: dict[tuple[str, ...], list[str]] = {}
     for _, sources, destination in _transitions(order):
         ways.setdefault(tuple(sources), []).append(destination)
@@ -165,7 +164,7 @@ def _arrows(order: CaseOrder) -> Iterator[str]:
 
 
 def _drawn(states: Sequence[str], steps: Steps) -> list[str]:
-    """Names in the chart; a phase for its steps if all are there."""
+    """Return names in the chart; a phase stands for its steps if all are there."""
     names = list(states)
     for phase, inside in _phases(steps).items():
         whole = inside.keys() <= set(states)
@@ -174,13 +173,13 @@ def _drawn(states: Sequence[str], steps: Steps) -> list[str]:
 
 
 def _phases(steps: Steps) -> dict[str, dict[str, str]]:
-    """Names of the steps of each phase that has any, by their states."""
+    """Return the names of the steps of each non-empty phase, by their states."""
     inside = {str(phase): {state_of(one): one.name for one in steps if one.phase is phase} for phase in Phase}
     return {phase: names for phase, names in inside.items() if names}
 
 
 def _blocks(steps: Steps) -> list[tuple[str, str]]:
-    """First and last step of what is done for each trajectory."""
+    """Return first and last step of the work for each trajectory."""
     blocks = []
     for scope, block in groupby(steps, key=lambda step: step.scope):
         if scope is not Scope.CASE:

@@ -1,4 +1,4 @@
-"""The order of a case, derived from its steps and from how often the strategy localizes."""
+"""Declarations of steps, and the order of a case: derived from its steps and its strategy."""
 
 from __future__ import annotations
 
@@ -6,30 +6,120 @@ import re
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
+from enum import StrEnum
 from itertools import groupby
+from typing import TYPE_CHECKING, Generic, TypeVar
 
 from procedures.engine.errors import UnknownStep
-from procedures.engine.step import LeftOut, Scope, StepKey, StepSpec
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
+
+if TYPE_CHECKING:
+    from procedures.engine.context import StepContext
+
+R_co = TypeVar("R_co", bound=StepResult, covariant=True)
+MOST_NEAR = 3  # names of steps that a mistyped one is answered with
+
+
+class Phase(StrEnum):
+    """Part of the case that a step belongs to: the superstates of the state chart."""
+
+    PREOPERATIVE = "preoperative"
+    PREPARATION = "preparation"
+    OPERATION = "operation"
+
+
+class Scope(StrEnum):
+    """How often a step is done in a case."""
+
+    CASE = "case"  # once
+    LOCALIZATION = "localization"  # as often as the strategy localizes: once, or for each trajectory
+    TRAJECTORY = "trajectory"  # for each trajectory
+
+
+@dataclass(frozen=True)
+class StepKey:
+    """One step of a case: a name, and its trajectory if it has one."""
+
+    name: str
+    trajectory: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.trajectory}" if self.trajectory else self.name
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A trajectory that a result leaves out of the case."""
+
+    trajectory: str
+    reason: str
+    by: StepKey  # the step whose standing result says so; repeated, it may take the trajectory in again
+
+
+@dataclass(frozen=True)
+class Outcome(Generic[R_co]):
+    """The outcome of a step: its result, and one line for the operator."""
+
+    result: R_co
+    summary: str = ""
+
+
+@dataclass(frozen=True)
+class StepSpec(Generic[R_co]):
+    """A step of a procedure.
+
+    `reads` are the results it needs and may read, of its own trajectory where they belong to one.
+    `continues` says that it may only follow the step before it in the case, for the same trajectory, and that
+    nothing else may come between. `finishes` says that the work at a target is done with it: what moves later
+    voids no result of that trajectory, and nothing more is done for it. `rechecks` says that it checks the
+    mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
+    may have had that tool in their hands, so the step is run again before the tool is used. `preconditions`
+    are checked besides, and say in plain words what is unmet. `asks` are the questions of its course, in
+    order; those of its branches are in their table: see `planned_questions`.
+    """
+
+    result: type[R_co]
+    title: str
+    phase: Phase
+    run: Callable[[StepContext], Outcome[R_co]]
+    scope: Scope = Scope.CASE
+    reads: tuple[type[StepResult], ...] = ()
+    moves: bool = False
+    continues: bool = False
+    finishes: bool = False
+    rechecks: bool = False
+    asks: tuple[Topic, ...] = ()
+    preconditions: Callable[[StepContext], tuple[str, ...]] = lambda _context: ()
+
+    @property
+    def name(self) -> str:
+        """Name in the state chart, in the journal and on the command line: the kind of its result."""
+        return self.result.kind
+
+    @property
+    def needs(self) -> tuple[str, ...]:
+        """Kinds of the results that must be valid before it can start."""
+        return tuple(model.kind for model in self.reads)
+
 
 Steps = Sequence[StepSpec[StepResult]]
-MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 @dataclass(frozen=True)
 class CaseOrder:
-    """The steps of one case in the order in which they are meant to be done."""
+    """The steps of one case in their intended order."""
 
     steps: Steps
     trajectories: tuple[str, ...]
     sequence: tuple[StepKey, ...]
 
     def spec(self, key: StepKey) -> StepSpec[StepResult]:
-        """What the step says about itself."""
+        """Return a step's declaration."""
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
-        """The step of that name, such as `registration:T1`; raises PRO-005 with what may have been meant."""
+        """Return the step of that name, such as `registration:T1`; raises PRO-005 with similar names."""
         if not name:
             raise UnknownStep(
                 "no step is named", action="Name one, such as registration:T1; list shows them."
@@ -45,12 +135,12 @@ class CaseOrder:
 
     @property
     def localizations(self) -> tuple[StepKey, ...]:
-        """The steps that say where the head is before the arm."""
+        """Steps that locate the head in front of the arm."""
         return tuple(key for key in self.sequence if self.spec(key).scope is Scope.LOCALIZATION)
 
     @property
     def checks_of_tool(self) -> tuple[StepKey, ...]:
-        """The steps that check the mounted tool."""
+        """Steps that check the mounted tool."""
         return tuple(key for key in self.sequence if self.spec(key).rechecks)
 
     @property
@@ -59,24 +149,24 @@ class CaseOrder:
         return any(step.finishes for step in self.steps)
 
     def without_names(self, text: str) -> str:
-        """Text for the log, with the number of a trajectory for its name: a name may be a patient's."""
+        """Replace names of trajectories by numbers, for the log: a name may be a patient's."""
         for number, name in enumerate(self.trajectories, start=1):
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
         return text
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
-        """The steps that must have been done before `key`: those of other trajectories need not."""
+        """Return the steps that must be done before `key`, without those of other trajectories."""
         earlier = self.sequence[: self.sequence.index(key)]
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
     def left_out_at(self, key: StepKey, decisions: Iterable[LeftOut]) -> dict[str, str]:
-        """The trajectories that were left out before that step, and why."""
+        """Return the trajectories that were left out before that step, and why."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
     def continuation(self, key: StepKey | None) -> StepKey | None:
-        """The one step that may follow `key`, where nothing else may come between."""
+        """Return the one step that may follow `key`, if nothing else may come between."""
         if key is None or key not in self.sequence[:-1]:
             return None
         following = self.sequence[self.sequence.index(key) + 1]
@@ -85,7 +175,7 @@ class CaseOrder:
     def unmet(
         self, key: StepKey, latest: StepKey | None, stands: Callable[[StepKey], bool]
     ) -> tuple[str, ...]:
-        """Why a step may not come now, after `latest`; empty when its turn may be now.
+        """Return why a step may not come now, after `latest`; empty if its turn may be now.
 
         A step may come when everything before it is valid: next in the order, for another trajectory, or
         again.
@@ -105,7 +195,7 @@ class CaseOrder:
 def order_of(
     steps: Steps, trajectories: Sequence[str], *, localizes_per_trajectory: bool = True
 ) -> CaseOrder:
-    """The order of a case: what is done for each trajectory is done one trajectory at a time."""
+    """Derive the order of a case: trajectories are worked on one at a time."""
 
     def each(step: StepSpec[StepResult]) -> bool:
         return step.scope is Scope.TRAJECTORY or (

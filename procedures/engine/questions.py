@@ -1,18 +1,25 @@
-"""Asks the operator, and has every question and its answer in the journal and in the stream of events."""
+"""Questions to the operator and tasks of the room's staff, recorded in journal and events."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import asdict, replace
 from time import monotonic
+from typing import TYPE_CHECKING
 
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.journal.journal import Entry, Journal
-from procedures.operator.question import Operator, Question, Signature
+from procedures.operator.errors import NotConfirmed
+from procedures.operator.question import Operator, Question, Signature, Task, Topic
+from ronna_hw.wire.room_tasks import OUT
+
+if TYPE_CHECKING:
+    from procedures.engine.context import CaseSetting
 
 
 def as_shown(question: Question, number: int) -> Questioned:
-    """A question as shown to followers of the case."""
+    """Return a question as followers of the case see it."""
     return Questioned(
         question=number,
         topic=question.name,
@@ -28,7 +35,7 @@ def as_shown(question: Question, number: int) -> Questioned:
 
 
 class Questions:
-    """The way to ask in a case."""
+    """Asks the operator of a case, and records question and answer."""
 
     def __init__(
         self, operator: Operator, journal: Journal, now_s: Callable[[], float], events: EventStream
@@ -42,7 +49,7 @@ class Questions:
         self.unanswered_s: float | None = None  # the time limit in which the last question had no answer
 
     def ask(self, question: Question) -> str:
-        """The operator's answer; anything that is none of the question's answers counts as silence."""
+        """Return the operator's answer; a word that is no answer counts as silence."""
         self._count += 1
         asked_s, began_s = self._now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
@@ -74,5 +81,72 @@ class Questions:
         return answer
 
     def _misread(self, question: Question) -> None:
-        """An attempt that failed, without what was typed: it may be another patient's."""
+        """Record a failed attempt, without what was typed: it may be another patient's."""
         self._journal.write(Entry.MISREAD, self._now_s(), topic=question.name, subject=question.subject)
+
+
+IS_OUT, INSIDE = "out", "inside"
+# In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
+IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
+
+
+def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
+    """Have a task done and return its readings; raises PRO-002 if they are missing or no numbers."""
+    began_s = setting.clock.now_s()
+    readings = setting.room.work(task)
+    if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
+        raise NotConfirmed(
+            f"the readings are not finite numbers: {task.subject}",
+            expected=", ".join(task.reads),
+            got=str(readings),
+        )
+    journal.write(
+        Entry.WORK,
+        setting.clock.now_s(),
+        task=task.name,
+        subject=task.subject,
+        trajectory=task.trajectory,
+        readings=list(readings),
+        began_s=began_s,
+    )
+    if len(readings) != len(task.reads):
+        given = f"{len(readings)} of {len(task.reads)}" if readings else "no"
+        raise NotConfirmed(f"{given} readings were given: {task.subject}", expected=", ".join(task.reads))
+    return readings
+
+
+def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Question], str]) -> None:
+    """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
+    instrument = setting.workcell.instrument
+    if (place := instrument.inside) is None:
+        return
+    trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
+    have_done(setting, journal, Task(OUT, taking_out(place), trajectory))
+    done = f"the {_what(place)} is out of {place} and out of the guide"
+    if place == IN_DIVOT:
+        done = f"{place} is lowered, and hands are clear of it and of the guide"
+    question = Question(
+        Topic.INSTRUMENT_OUT,
+        done,
+        "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
+        (IS_OUT, INSIDE),
+        trajectory,
+        timeout_s=None,
+    )
+    if ask(question) != IS_OUT:
+        raise NotConfirmed(
+            f"an instrument is still in {place}: nothing moves",
+            action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
+        )
+    instrument.is_out()
+
+
+def taking_out(place: str) -> str:
+    """Return the words for the work by hand before the arm may leave a place."""
+    if place == IN_DIVOT:
+        return f"lower {place} from the guide"
+    return f"remove the {_what(place)} from {place} and from the guide"
+
+
+def _what(place: str) -> str:
+    return "mandrel" if place == IN_GAUGE else "instrument"

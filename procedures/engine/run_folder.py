@@ -1,4 +1,4 @@
-"""A run read back from its folder: what the journal says was recorded, held against the records."""
+"""The folder of a run: closed with its last line, read back against its records, and drawn as a lineage."""
 
 from __future__ import annotations
 
@@ -6,25 +6,33 @@ import json
 from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TypeVar
+from typing import Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from procedures.engine.ancestry import without_ancestors
-from procedures.engine.case import Stored
-from procedures.journal.journal import Entry, Line
-from procedures.results.result import StepResult
+from procedures.engine.case import Stored, without_ancestors
+from procedures.engine.context import ClinicalInput
+from procedures.engine.order import StepKey
+from procedures.journal.errors import JournalNotWritable
+from procedures.journal.journal import Entry, Journal, JournalValue, Line
+from procedures.journal.results import StepResult
+from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
+from ronna_hw.evidence.manifest import hashes_at_closing, hashes_outside, keep_earlier_hashes, not_vouched_for
+from ronna_hw.logs import logger
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import BadRecord, OtherVersion, Record
 from ronna_hw.wire.room_tasks import INSERT
 
 R = TypeVar("R", bound=StepResult)
+_log = logger(part="engine")
+SUPERSEDED = "superseded"
 
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The journal, the records that it names in their order, and which of them were superseded."""
+    """The journal, its records in order, and which of them were superseded."""
 
     path: Path
     journal: tuple[Line, ...]
@@ -64,34 +72,18 @@ class RunFolder:
         return _as(model, self.records)
 
 
-def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
-    """Targets that may be off by more than was predicted, and why; until an instrument goes in once more."""
-    doubts: dict[str, tuple[str, ...]] = {}
-    for line in journal:
-        if line["entry"] == Entry.STAGE and line.get("task") == INSERT and line.get("done") is False:
-            doubts.pop(str(line["trajectory"]), None)
-        elif line["entry"] == Entry.FINDING and isinstance(targets := line.get("targets"), list):
-            for name in map(str, targets):
-                doubts[name] = (*doubts.get(name, ()), str(line.get("text")))
-    return doubts
-
-
 def read_run(folder: Path) -> RunFolder:
-    """Read a run; raises PRO-033 for one that was changed."""
+    """Read a run; raises PRO-033 if it was changed."""
     return run_of(inspected(folder).require_unchanged())
 
 
 def run_of(found: Inspection) -> RunFolder:
-    """What was found of a run."""
+    """Return the run that was inspected."""
     return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
 
 
-def _as(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
-    return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
-
-
 def typed(record: Record, model: type[R]) -> R:
-    """A record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
+    """Parse a record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
     if record.version != model.version:
         raise OtherVersion(
             f"{record.identifier} has another version",
@@ -103,3 +95,105 @@ def typed(record: Record, model: type[R]) -> R:
     except ValidationError as error:
         mistakes = "; ".join(describe_mistakes(error))
         raise BadRecord(f"{record.identifier} is not a {model.kind}: {mistakes}") from error
+
+
+def step_key(line: Line) -> StepKey:
+    """Return the step that a journal line is about."""
+    name, _, trajectory = str(line.get("step", "")).partition(":")
+    return StepKey(name, trajectory or None)
+
+
+def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
+    """Return targets that may be off by more than predicted, and why, until an instrument goes in again."""
+    doubts: dict[str, tuple[str, ...]] = {}
+    for line in journal:
+        if line["entry"] == Entry.STAGE and line.get("task") == INSERT and line.get("done") is False:
+            doubts.pop(str(line["trajectory"]), None)
+        elif line["entry"] == Entry.FINDING and isinstance(targets := line.get("targets"), list):
+            for name in map(str, targets):
+                doubts[name] = (*doubts.get(name, ()), str(line.get("text")))
+    return doubts
+
+
+def _as(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
+    return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
+
+
+class Recorder(Protocol):
+    """Writes files of the run alongside the engine."""
+
+    def close(self) -> None:
+        """Write what is left and close the files. Bounded in time; never raises."""
+        ...
+
+
+def close_run(
+    folder: Path,
+    journal: Journal,
+    theatre_time_s: float,
+    outcome: str,
+    clinical: ClinicalInput | None,
+    **more: JournalValue,
+) -> None:
+    """Write the journal's last line and close it; whatever prevents that is reported by `verify`."""
+    try:
+        evidence = _evidence(folder, clinical)
+        journal.write(Entry.CLOSED, theatre_time_s, outcome=outcome, **more, **evidence)
+    except JournalNotWritable:
+        pass  # it has been reported where it broke; closing must go on
+    finally:
+        journal.close()
+
+
+def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
+    """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
+    inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
+    try:
+        expected = not_vouched_for(read_chain(folder / JOURNAL_FILE).lines)
+        hashes = keep_earlier_hashes(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
+    except (OSError, RonnaError) as error:  # closing must go on; verify says that the files are not named
+        _log.error("files not hashed", error=str(error))
+        return {}
+    inputs_there = {name: sha256 for name, sha256 in hashes.items() if Path(name).is_absolute()}
+    files = {name: sha256 for name, sha256 in hashes.items() if name not in inputs_there}
+    found: dict[str, JournalValue] = {"files": files}
+    return found | ({"inputs": inputs_there} if inputs_there else {})
+
+
+def lineage_text(run: RunFolder) -> str:
+    """Every result with the results it was made from, each with its own further in.
+
+    A result that was drawn before is only named again: what it was made from stands where it came first.
+    """
+    parents_of = {record.identifier: tuple(record.parents) for record in run.records}
+    used = {name for parents in parents_of.values() for name in parents}
+    drawn: set[str] = set()
+    lines: list[str] = []
+    waiting = [(name, 0) for name in parents_of if name not in used]
+    while waiting:
+        name, depth = waiting.pop()
+        parents = parents_of.get(name)
+        again = bool(parents) and name in drawn
+        if parents is not None and not again:
+            drawn.add(name)
+            waiting += [(parent, depth + 1) for parent in reversed(parents)]
+        mark = " (not in this run)" if parents is None else f" ({SUPERSEDED})" * (name in run.superseded)
+        lines.append(f"{'  ' * depth}{name}{mark}{' ...' if again else ''}")
+    return "\n".join(lines) + "\n"
+
+
+def lineage_mermaid(run: RunFolder) -> str:
+    """The same as a chart: an arrow from each result to those that were made from it."""
+    number = {record.identifier: place for place, record in enumerate(run.records)}
+    lines = ["flowchart TD"]
+    for record in run.records:
+        gone = record.identifier in run.superseded
+        lines.append(f'  r{number[record.identifier]}["{record.identifier}"]' + (f":::{SUPERSEDED}" * gone))
+    lines += [
+        f"  r{number[name]} --> r{number[record.identifier]}"
+        for record in run.records
+        for name in record.parents
+        if name in number
+    ]
+    lines.append(f"  classDef {SUPERSEDED} stroke-dasharray: 4 4, color: #888")
+    return "\n".join(lines) + "\n"

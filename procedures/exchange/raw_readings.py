@@ -16,8 +16,7 @@ from typing import Literal, TextIO
 from pydantic import BaseModel, ConfigDict, Field
 
 from procedures.engine.errors import NotRecorded
-from procedures.engine.replay.recorded_answers import read_in_order
-from procedures.engine.replay.sections import BEGINS
+from procedures.engine.replay.recorded_answers import BEGINS, read_in_order
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.bounded_input import read_json_bytes

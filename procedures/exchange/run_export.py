@@ -11,8 +11,7 @@ from datetime import datetime
 from pathlib import Path
 from typing import TypeVar
 
-from procedures.engine.ancestry import ancestor_of_kind
-from procedures.engine.case import Stored
+from procedures.engine.case import Stored, ancestor_of_kind
 from procedures.engine.run_folder import RunFolder, run_of
 from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
@@ -31,8 +30,8 @@ from procedures.exchange.dicom_objects import (
 )
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.sphere_files import document, slicer_markups, table
+from procedures.journal.results import StepResult
 from procedures.reporting.run_reading import UsedRegistration, used_registrations
-from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

@@ -14,9 +14,9 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.engine.case_memory import CaseMemory
+from procedures.engine.context import CaseMemory
 from procedures.guards.room_watch import RoomWatch
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.workcell import Workcell
 from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
 from ronna_hw.clock import Clock

@@ -16,7 +16,7 @@ from enum import StrEnum
 from pydantic import Field
 
 from procedures.journal.journal import Entry, Line, theatre_time_s
-from procedures.results.result import Values
+from procedures.journal.results import Values
 
 CAREFUL_FRAMES = 60  # of the tracker, at home: a second of the usual 60 Hz
 # Rms of the spheres over that many frames: 0.085 mm at most in 400 simulated pairs of readings of three.

@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from procedures.engine.case_memory import CaseMemory
+from procedures.engine.context import CaseMemory
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch, check_now
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker

@@ -1,8 +1,8 @@
-"""What the journal refuses."""
+"""Errors of journal and results."""
 
 from __future__ import annotations
 
-from ronna_hw.errors import RonnaError
+from ronna_hw.errors import RefusedError, RonnaError
 
 
 class JournalNotWritable(RonnaError):
@@ -10,3 +10,17 @@ class JournalNotWritable(RonnaError):
 
     code = "PRO-003"
     action = "Free space or choose another output folder; the arm has been stopped."
+
+
+class StepRefused(RefusedError):
+    """A step cannot start: the listed preconditions are not met."""
+
+    code = "PRO-001"
+    action = "Do what is listed, or run the earlier steps first."
+
+
+class GateFailed(RefusedError):
+    """A result is outside the limits that it must meet before the procedure continues."""
+
+    code = "PRO-007"
+    action = "Compare the value with its limit; repeat the step or correct its inputs."

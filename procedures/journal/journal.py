@@ -56,7 +56,7 @@ ENDINGS = (Entry.FAILED, Entry.INTERRUPTED, Entry.CLOSED)
 
 
 class _Chain(NamedTuple):
-    """What the file holds."""
+    """Length and last hash of the journal file."""
 
     size: int  # bytes
     lines: int
@@ -67,7 +67,7 @@ class Journal:
     """The journal of one run."""
 
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
-        """`on_line` is handed every line once it is written."""
+        """`on_line` is called with every line once it is written."""
         self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
         with self._closed_on_error():
             _sync_folder(folder)
@@ -76,9 +76,9 @@ class Journal:
     def taken_up(
         cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
     ) -> Journal:
-        """The journal of a run that ended or broke off, to be continued. A torn end is cut off and kept.
+        """Open the journal of an interrupted run for continuation; a torn end is cut off and kept.
 
-        Raises PRO-003 when it cannot be written.
+        Raises PRO-003 if it cannot be written.
         """
         journal = cls.__new__(cls)
         journal._open(folder, on_line, 0, _Chain(chain.size, len(chain.lines), chain.last))
@@ -90,7 +90,7 @@ class Journal:
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
-        """Nobody gets a journal that cannot be begun."""
+        """Close the journal if opening it fails."""
         try:
             yield
         except JournalNotWritable:
@@ -98,7 +98,7 @@ class Journal:
             raise
 
     def _cut(self, torn: bytes) -> None:
-        """Take a torn end away, and keep it beside the journal."""
+        """Cut off a torn end, and keep it beside the journal."""
         folder = self.path.parent
         try:
             with (folder / TORN_FILE).open("ab") as kept:
@@ -129,7 +129,7 @@ class Journal:
         self._append(entry, theatre_time_s, data, durable=True)
 
     def note(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
-        """Append one line that reaches the disk with the next that is written; raises PRO-003.
+        """Append one line that reaches the disk with the next one that is written; raises PRO-003.
 
         Enough for what has happened, never for what is about to.
         """
@@ -166,7 +166,7 @@ class Journal:
             self._put(line, durable=durable)
 
     def _put(self, line: bytes, *, durable: bool) -> None:
-        """Write a line and flush it; one that could not be flushed is taken away again."""
+        """Write a line and flush it; a line that could not be flushed is removed again."""
         self._pending = line
         try:
             os.write(self._file, line)
@@ -178,7 +178,7 @@ class Journal:
         self._settle()
 
     def _take_back(self) -> None:
-        """What raised is not in the journal. A line that cannot be taken away is the last one."""
+        """Remove a line that was not flushed; one that cannot be removed is the last one."""
         try:
             if os.fstat(self._file).st_size != self._chain.size:
                 os.ftruncate(self._file, self._chain.size)
@@ -189,7 +189,7 @@ class Journal:
             self._pending = b""
 
     def _hold_room(self) -> None:
-        """Before a step begins there is room to record how it ended."""
+        """Reserve room to record how a step ended, before it begins."""
         if self._room.exists():
             return
         try:
@@ -203,11 +203,11 @@ class Journal:
             raise self._not_writable(error.strerror) from error
 
     def _settle(self) -> None:
-        """Count the pending line when it is in the file; what is there of one that was cut is taken away.
+        """Count the pending line if it is in the file; remove the rest of one that was cut.
 
-        A signal may end a write at any point, also when the line is there and not counted yet. So what the
-        file holds decides, and chain and pending line change by one assignment each. A line is handed on when
-        it is counted, also one whose writing was interrupted.
+        A signal may end a write at any point, also when the line is there and not counted yet. So the content
+        of the file decides, and chain and pending line change by one assignment each. A line is handed on
+        when it is counted, also one whose writing was interrupted.
         """
         if not self._pending:
             return
@@ -239,7 +239,7 @@ class Journal:
 
 
 def _sync_folder(folder: Path) -> None:
-    """A file's name is on disk only when its folder is. Raises PRO-003."""
+    """Sync a folder: only then is a file's name on disk. Raises PRO-003."""
     try:
         directory = os.open(folder, os.O_RDONLY)
         try:

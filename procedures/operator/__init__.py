@@ -1,1 +1,1 @@
-"""The operator, who decides; the room's hands, which act; and the points where a case waits for them."""
+"""The operator, who decides; the room's staff, who act; and the points at which a case waits for them."""

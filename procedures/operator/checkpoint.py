@@ -1,8 +1,8 @@
-"""Where a case may rest: between steps and before each motion, and wherever a motion was stopped.
+"""Checkpoints of a case: between steps, before each motion, and wherever a motion was stopped.
 
-An operator who wants the case to rest says so from any thread, by `pause` or `abort`; the engine's own thread
-meets the wish at the next checkpoint, and `now` also stops the arm. A watch stops the arm by itself, and what
-it saw is raised when the motion that `watching` holds has ended.
+The operator asks for a rest from any thread, by `pause` or `abort`; the engine's own thread rests at the next
+checkpoint. A watch stops the arm by itself, and its error is raised when the motion that `watching` holds has
+ended.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ from contextlib import AbstractContextManager, nullcontext
 from typing import Protocol, runtime_checkable
 
 from procedures.operator.errors import GuardUnmet, OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from ronna_hw.clock import Clock
 
 PAUSED, SUSPENDED = "paused", "suspended"  # how a case may rest: states of its chart
@@ -26,48 +25,48 @@ PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the ope
 
 
 class Guard(Protocol):
-    """Something that must hold while the arm works."""
+    """A condition that must hold while the arm works."""
 
     @property
     def name(self) -> str:
-        """Such as `disk space` or `line of sight`."""
+        """Name, such as `disk space` or `line of sight`."""
         ...
 
     def unmet(self) -> str | None:
-        """Look, and say why the case cannot go on now, in plain words, or None.
+        """Look, and return why the case cannot go on now, in plain words, or None.
 
-        No query: a guard may read devices for a second, record findings, void results and put a check of
-        the tool in doubt. Raises only what ends the step.
+        No query: a guard may read devices for a second, record findings, void results and put a check of the
+        tool in doubt. Raises only what ends the step.
         """
         ...
 
 
 @runtime_checkable
 class DispensableGuard(Guard, Protocol):
-    """One that the operator may decide to do without for a while."""
+    """A guard that the operator may excuse for a while."""
 
     @property
     def topic(self) -> Topic:
-        """Of the question."""
+        """Topic of the question."""
         ...
 
     @property
     def patience_s(self) -> float:
-        """Theatre time to be met by itself, in place of `PATIENCE_S`."""
+        """Theatre time to wait before the operator is asked, in place of `PATIENCE_S`."""
         ...
 
     @property
     def excused_for_s(self) -> float:
-        """Theatre time of the next motion or wait for which `excuse` has it met."""
+        """Theatre time of the next motion or wait for which `excuse` lasts."""
         ...
 
     def excuse(self) -> None:
-        """Be met for a while."""
+        """Excuse the guard for a while."""
         ...
 
 
 class Checkpoint:
-    """Meets the wish to pause or abort, and holds the case to its guards; asks before anything goes on."""
+    """Rests a case on request or while a guard is unmet, and asks before anything goes on."""
 
     def __init__(
         self,
@@ -98,7 +97,7 @@ class Checkpoint:
             self.firm = self.firm or firm
 
     def withdraw_pause(self) -> bool:
-        """Do not rest at the next checkpoint; False when nobody wanted it, or the wish is firm."""
+        """Withdraw a pause; False if there was none, or it is firm."""
         with self._wishes:
             if self.firm:
                 return False
@@ -119,8 +118,8 @@ class Checkpoint:
     def here(self, where: str) -> None:
         """Rest here if somebody wants it or a guard is unmet.
 
-        Raises PRO-004 when the case is to end, and PRO-017 when what a guard watches is not restored and the
-        operator leaves the step.
+        Raises PRO-004 when the case is to end, and PRO-017 when a guard is not restored and the operator
+        leaves the step.
         """
         self._meet_wishes(where)
         with self.beside():
@@ -128,7 +127,7 @@ class Checkpoint:
                 self._meet(guard, where)
 
     def stopped(self, what: str, redo: str) -> None:
-        """A motion was stopped by somebody else; returns when the operator wants it planned anew.
+        """Rest after somebody else stopped a motion; return when it is to be planned anew.
 
         Raises PRO-004, PRO-017.
         """

@@ -1,4 +1,4 @@
-"""What the operator did not confirm, or ended."""
+"""Errors of questions, checkpoints and guards."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A question, and the operator who answers it, or the script that stands in for one.
+"""Questions to the operator, tasks for the room's staff, and who answers and acts.
 
 A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
 never continues. Only one of the listed words answers; anything else is asked again.
@@ -6,13 +6,92 @@ never continues. Only one of the listed words answers; anything else is asked ag
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from enum import StrEnum
 from typing import Protocol
 
-from procedures.operator.evidence import Evidence
-from procedures.operator.topic import DELIBERATE, Topic
+from pydantic import BaseModel, ConfigDict
+
 from ronna_hw.text import without_unit
+
+
+class Topic(StrEnum):
+    """Topics of questions; with a trajectory where one belongs to it, such as `approach:T1`."""
+
+    PATIENT = "patient"  # that this is the patient and the plan
+    RESUME = "resume"  # what was found again after a restart
+    FIRST_MOTION = "first_motion"  # since the devices were connected or a stop
+    HEAD_CLAMPED = "head_clamped"  # and the clamp locked to the table
+    CART_PLACE = "cart_place"  # the cart stands elsewhere than its place was proposed
+    CART_LOCKED = "cart_locked"  # its brakes are closed
+    CART_MOVED = "cart_moved"  # or the tracker, after the localization: the case goes on from there
+    SPHERE_COUNT = "sphere_count"  # the CT shows another number than were implanted
+    UNMATCHED_SPHERE = "unmatched_sphere"  # one is not where the CT has it, as the tracker sees
+    UNREACHABLE = "reach"  # the arm cannot reach a trajectory
+    SPHERE = "sphere"  # the stereo head cannot measure one
+    MOVED_SPHERE = "moved_sphere"  # one alone explains why the fit disagrees
+    MARGIN = "margin"  # the predicted error exceeds the plan's
+    REGISTRATION = "registration"
+    REGISTRATION_KEPT = "registration_kept"  # after the arm was in fault
+    TOOL_CHANGE = "tool_change"
+    TOOL_TIP = "tool_tip"
+    TOOL_CHECK = "tool_check"  # of the mounted tool on a gauge
+    APPROACH = "approach"  # over an entry, and along the axis to where the guide is held
+    DEPTH_STOP = "depth_stop"  # of the instrument, as it was computed and set
+    WORK_BEGUN = "work_begun"  # through the guide, when it was there before: from which stage it goes on
+    SKIN = "skin"  # opened through the guide
+    DRILL = "drill"  # the skull is drilled
+    DURA = "dura"  # is opened
+    AT_TARGET = "at_target"  # the instrument is at depth; the arm holds until this is answered
+    INSTRUMENT_OUT = "instrument_out"  # of the guide: nothing moves before
+    RETREAT = "retreat"
+    PARK = "park"
+    CALIBRATION = "calibration"
+    PAUSE = "pause"
+    GUARD = "guard"  # a guard suspends the step
+    MOVE_FOLLOWED = "move_followed"  # the registration follows a measured move of the head
+    HEAD_UNSEEN = "head_unseen"  # a guide is near a head that the tracker has not seen for too long
+    REPEAT = "repeat"  # a step that is done: what a new result supersedes
+    READING = "reading"  # what a dial or a gauge shows, typed at a console
+    UNVERIFIED = "unverified"  # a controller that cannot say how it is set up
+
+
+DELIBERATE = frozenset(
+    {
+        Topic.RESUME,
+        Topic.FIRST_MOTION,
+        Topic.REGISTRATION,
+        Topic.REGISTRATION_KEPT,
+        Topic.TOOL_CHECK,
+        Topic.APPROACH,
+        Topic.WORK_BEGUN,
+        Topic.AT_TARGET,
+        Topic.INSTRUMENT_OUT,
+        Topic.RETREAT,
+        Topic.PARK,
+        Topic.CALIBRATION,
+        Topic.PAUSE,
+        Topic.HEAD_UNSEEN,
+        Topic.MOVE_FOLLOWED,
+        Topic.CART_MOVED,
+        Topic.UNVERIFIED,
+    }
+)
+# What no file answers on real devices: also what hands have done to the patient, though nothing moves then.
+FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
+
+
+class Evidence(BaseModel):
+    """A table on which a question is decided, as shown: text, with its units."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    title: str
+    head: tuple[str, ...]
+    rows: tuple[tuple[str, ...], ...]
+
 
 YES, NO = "yes", "no"
 READ, NOBODY = "read", "nobody"  # to a question for readings
@@ -20,11 +99,11 @@ READ, NOBODY = "read", "nobody"  # to a question for readings
 
 @dataclass(frozen=True)
 class ReadBack:
-    """What a person types after the answer that goes on: nobody who did not look knows it.
+    """A value that a person types after the answer that goes on: only who looked knows it.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
-    `wrong` follows what else was typed; `shown` is where the question has the value, if it does. The `unit`
-    may be typed with it.
+    `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
+    `unit` may be typed with it.
     """
 
     what: str
@@ -34,17 +113,17 @@ class ReadBack:
     unit: str = ""
 
     def fits(self, typed: str) -> bool:
-        """Whether that was typed, whatever its capitals and the space around it."""
+        """Whether the value was typed, ignoring case and surrounding space."""
         return without_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
 def _unrecorded() -> None:
-    """Nobody keeps it."""
+    """Record nothing."""
 
 
 @dataclass(frozen=True)
 class Signature:
-    """Who answered at a console, and of what: the digest of what was shown."""
+    """The person who answered at a console, and the digest of what was shown."""
 
     by: str
     session: str
@@ -52,22 +131,21 @@ class Signature:
 
 
 def _unsigned(_signature: Signature) -> None:
-    """Nobody keeps it."""
+    """Keep no signature."""
 
 
 def _unread(_readings: tuple[float, ...]) -> None:
-    """Nobody wants them."""
+    """Keep no readings."""
 
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked. The first of `answers` goes on, the last is what silence means.
+    """A question. The first of `answers` goes on, the last is what silence means.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
-    value was read back, and `signed` once before it returns an answer that a named person gave. `number`
-    counts the questions of a run; `evidence` is shown with the value. Where `reads` says what is read off,
-    the answer that goes on comes with that many numbers, each within `plausible_mm`, which `read` is called
-    with.
+    value was read back, and `signed` once before returning an answer that a named person gave. `number`
+    counts the questions of a run; `evidence` is shown with the value. With `reads`, the answer that goes on
+    comes with that many numbers, each within `plausible_mm`, with which `read` is called.
     """
 
     topic: Topic
@@ -87,29 +165,74 @@ class Question:
 
     @property
     def name(self) -> str:
-        """Its stable name, as answer files have it: the topic, and the trajectory if it belongs to one."""
+        """Stable name, for answer files: the topic, and the trajectory if there is one."""
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
 
     @property
     def deliberate(self) -> bool:
-        """Whether the answer that goes on moves the arm, or lets it go by a result: no slip may give it."""
+        """Whether the answer that goes on moves the arm or accepts a result: no slip may give it."""
         return self.topic in DELIBERATE
 
     @property
     def silence(self) -> str:
-        """What no answer in time means."""
+        """The answer that silence means."""
         return self.answers[-1]
 
 
 class Operator(Protocol):
-    """Who decides."""
+    """The person or script who decides."""
 
     def ask(self, question: Question) -> str:
-        """One of the question's answers; the last one also when none came in time."""
+        """Return one of the question's answers; the last one also if none came in time."""
         ...
 
 
 def words(answers: Sequence[str]) -> str:
-    """The answers as a person reads them: `yes or no`; those of several words are quoted."""
+    """Return the answers as a person reads them: `yes or no`; those of several words are quoted."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
+
+
+@dataclass(frozen=True)
+class Task:
+    """A task for the room's staff, by its name in `ronna_hw.wire.room_tasks`, and the readings after it.
+
+    `numbers` are needed for it; `reads` names each reading, such as `depth stop in mm`, and `plausible_mm` is
+    its possible range.
+    """
+
+    name: str
+    subject: str  # for a person
+    trajectory: str | None = None
+    numbers: tuple[float, ...] = ()
+    reads: tuple[str, ...] = ()
+    plausible_mm: tuple[float, float] | None = None
+
+
+def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
+    """Return why a reading must have been mistyped; empty if it may be right."""
+    low, high = plausible_mm or (-math.inf, math.inf)
+    if low <= reading <= high:
+        return ""
+    in_cm = "; did you type centimetres?" if low <= 10.0 * reading <= high else ""
+    return f"{reading:g} is implausible: expected {low:g} to {high:g}{in_cm}"
+
+
+class Room(Protocol):
+    """The room's staff: change tools, work on the patient, and hear which step is running."""
+
+    def announce(self, step: str) -> None:
+        """Hear which step runs now, such as `at_target:T1`."""
+        ...
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Mount another tool; the step then has it confirmed and reads the controller's inputs."""
+        ...
+
+    def prepare_stand(self, holds: str) -> None:
+        """Put the ball or the divot on the calibration stand; the step then has it confirmed."""
+        ...
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Do the task and return its readings; empty if nobody does. The step has it confirmed."""
+        ...

@@ -11,11 +11,11 @@ from typing import TypeVar
 
 import numpy as np
 
-from procedures.operator.evidence import Evidence
+from procedures.journal.results import StepResult
+from procedures.operator.question import Evidence
 from procedures.reporting.pictures import timeline_figure
 from procedures.reporting.run_reading import RunReading, read_for_report
 from procedures.reporting.run_statistics import timeline
-from procedures.results.result import StepResult
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget import budget_table, two_way_table
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

@@ -6,7 +6,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field, SerializerFunctionWrapHandler, model_serializer
 
-from procedures.results.result import Values
+from procedures.journal.results import Values
 
 
 class CtOutcome(Values):

@@ -15,6 +15,7 @@ from typing import Any
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.guards.stability import WATCHED_SUBJECTS, last_seen_s
 from procedures.journal.journal import Entry
+from procedures.journal.results import StepResult
 from procedures.reporting import numbers
 from procedures.reporting.calibration_figures import HeadFigures, load_figures
 from procedures.reporting.ending import run_ending
@@ -51,7 +52,6 @@ from procedures.reporting.run_statistics import (
 )
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
-from procedures.results.result import StepResult
 from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence

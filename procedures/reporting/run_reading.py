@@ -12,10 +12,9 @@ from io import BytesIO
 from pathlib import Path
 from typing import Any, TypeVar
 
-from procedures.engine.ancestry import parent_of_kind
-from procedures.engine.case import Case, Stored
+from procedures.engine.case import Case, Stored, parent_of_kind
 from procedures.engine.run_folder import RunFolder, run_of, typed
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import Prediction, RegisteredRobot

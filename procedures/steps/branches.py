@@ -9,18 +9,17 @@ from __future__ import annotations
 from dataclasses import dataclass
 from enum import StrEnum
 
-from procedures.engine.hands import INSIDE, IS_OUT
+from procedures.engine.questions import INSIDE, IS_OUT
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.journal.errors import GateFailed
 from procedures.operator.checkpoint import GO_ON as CONTINUE
 from procedures.operator.checkpoint import LEAVE, WAIT
 from procedures.operator.errors import GuardUnmet, NotConfirmed, OperatorAborted
-from procedures.operator.question import NO, YES, Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import NO, YES, Question, Topic
 from procedures.planning.errors import NotReachable, WrongMarkerCount
 from procedures.planning.free_angle import BY_ACCURACY
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch
 from procedures.relocalization.errors import Saturated, ServoDiverges, ServoExhausted
-from procedures.results.errors import GateFailed
 from procedures.steps.errors import CartMisplaced, CartNotLocked, DepthStopWrong, ToolBesideGauge
 from procedures.workcell.errors import SphereNotFound, WrongTool
 from ronna_hw.errors import RonnaError

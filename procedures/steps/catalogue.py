@@ -7,12 +7,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from procedures.engine.order import Steps
-from procedures.engine.step import StepSpec
+from procedures.engine.order import Steps, StepSpec
+from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
-from procedures.operator.question import NO, NOBODY, READ, YES, words
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.operator.question import NO, NOBODY, READ, YES, Topic, words
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,

@@ -12,7 +12,7 @@ from enum import StrEnum
 
 import numpy as np
 
-from procedures.results.result import FramedPose, Values
+from procedures.journal.results import FramedPose, Values
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.evidence.journal_reading import JournalValue

@@ -14,8 +14,7 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import YES, Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_history import ArmLog
 from procedures.workcell.motions import MotionKind, PlannedMotion, in_a_question, motion_facts
 from ronna_hw.arm.errors import NotClear

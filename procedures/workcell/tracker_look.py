@@ -11,7 +11,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock

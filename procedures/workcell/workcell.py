@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import replace
 from typing import TypeVar
 
-from procedures.journal.errors import JournalNotWritable
+from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
-from procedures.results.errors import StepRefused
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import UNMOVED, ArmHistory, ArmLog, Instrument
 from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at

@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from ronna_hw.evidence.journal_reading import Entry, Line, theatre_time_s
 from ronna_hw.wire.room_tasks import INSERT
 

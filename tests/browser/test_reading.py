@@ -35,7 +35,7 @@ from procedures.engine.events import (
     StepState,
     Waiting,
 )
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
 
 OPENED = JournalLine(line={"entry": "opened", "run": "r1", "banner": "SIMULATED THEATRE", "theatre": "mini"})
 LINK = LinkHealth(cycles=100, late=1, lost=0, rejected=0, turnaround_median_us=20.0, turnaround_p99_us=90.0)

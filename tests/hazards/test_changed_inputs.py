@@ -28,15 +28,14 @@ from prepared_results import (
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome, StepSpec
+from procedures.engine.order import Outcome, StepSpec
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
 from procedures.planning.plan_model import Plan
 from procedures.planning.proposed_place import read_place
-from procedures.recovery.comparison import Comparison
-from procedures.recovery.inputs import compare_inputs
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.runs.comparison import Comparison, compare_inputs
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.cart_lock import LockedCart, Proposal
 from procedures.steps.clinical.ct_import import ImportedCt

@@ -14,17 +14,14 @@ from typing import cast
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.alarms import Alarms
 from procedures.cli.case.commands import AT_PAUSE
-from procedures.cli.case.operators import TerminalOperator, TerminalRoom
+from procedures.cli.case.operators import Alarms, TerminalOperator, TerminalRoom
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import Question, ReadBack
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, ReadBack, Task, Topic
 from ronna_hw.wire.room_tasks import DIALS
 
 READ_BACK = ReadBack("how many mm it moves first", "62")

@@ -14,8 +14,8 @@ from user_commands import Commands
 
 from procedures.engine.engine import Engine
 from procedures.engine.machine import HELD
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.results.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
     confirmation,

@@ -16,15 +16,14 @@ from recording_cell import RecordingCell
 from spoiled_slices import every, setting
 
 from procedures.engine.case import Case
-from procedures.engine.order import order_of
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey, order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import require_allowed
 from procedures.exchange.dicom_objects import name_patient
 from procedures.exchange.errors import FieldNotAllowed
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import Entry, Journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker

@@ -24,10 +24,10 @@ from watched_case import findings
 from procedures.cli.case.commands import COMMANDS
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
+from procedures.operator.question import Topic
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization

@@ -26,8 +26,8 @@ from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import RoomReading, ghosts_of, read_room
 from procedures.guards.room_watch import NEAR_HEAD_MM
+from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
-from procedures.results.result import StepResult
 from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool

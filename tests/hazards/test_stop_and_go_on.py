@@ -19,7 +19,7 @@ from prepared_results import up_to_correspondence
 
 from procedures.engine.engine import Engine
 from procedures.engine.machine import FINISHED
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
 from procedures.steps.clinical import (
     at_target,
     confirmation,

@@ -11,8 +11,8 @@ from arm_looks import ENDPOINTS
 from recording_cell import GUIDE, STEREO_HEAD, RecordingCell
 
 from procedures.engine.order import order_of
+from procedures.journal.errors import StepRefused
 from procedures.relocalization.errors import WrongCamera
-from procedures.results.errors import StepRefused
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import WrongTool
 from ronna_hw.calibration import CalibrationExpired

@@ -18,8 +18,7 @@ from procedures.engine.events import Advisory
 from procedures.guards import sight_guard
 from procedures.guards.errors import PatientMoved
 from procedures.operator.errors import GuardUnmet
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import DeviceError
 

@@ -21,11 +21,9 @@ from procedures.guards import head_frames, motion_watch, patient_watch
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import JUDGED
-from procedures.journal.errors import JournalNotWritable
+from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.operator.question import Question, Topic
 from procedures.steps.clinical import global_localization
 from procedures.workcell import MountedTool
 from ronna_hw.config import WatchPatient

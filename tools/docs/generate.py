@@ -35,10 +35,9 @@ from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
 from procedures.engine.machine import mermaid
 from procedures.exchange import allowed_fields
-from procedures.operator.question import words
-from procedures.operator.topic import FOR_A_PERSON, Topic
+from procedures.journal.results import StepResult
+from procedures.operator.question import FOR_A_PERSON, Topic, words
 from procedures.planning.plan_model import Plan
-from procedures.results.result import StepResult
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
 from ronna_hw.config import TheatreFile

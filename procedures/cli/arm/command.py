@@ -12,7 +12,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
-    from procedures.calibration.arm_model import ArmLooks
+    from procedures.engine.case import Case
 
 app = typer.Typer(
     name="ronna-arm",
@@ -46,11 +46,11 @@ def calibrate_arm(
     stop, 7 not confirmed, 130 interrupted.
     """
     request = asked.request(context)
-    from procedures.cli.arm.files import KIND
     from procedures.cli.calibrating.calibration import calibrate
+    from procedures.runs.calibrations import ARM
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(of=Calibrated.ARM, looks=looks, more=validation), request)
+    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), request)
 
 
 @app.command()
@@ -65,28 +65,33 @@ def check(
     others as in `calibrate`.
     """
     from procedures.calibration.arm_check import check_arm
-    from procedures.cli.arm import files
-    from procedures.cli.calibrating.calibration import observe
-    from procedures.cli.calibrating.running import new_folder
-    from procedures.cli.case.leaving_report import leaving_report
+    from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.reporting.calibration_figures import ArmCheckFigures, write_figures
+    from procedures.runs.calibrations import ARM
+    from procedures.runs.finishing import finalize_run
+    from procedures.runs.folders import new_run_folder
+    from procedures.runs.request import Measurement
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     found: list[ArmCheckFigures] = []
 
-    def conclude(observed: ArmLooks) -> None:
-        result = check_arm(observed)
+    def conclude(case: Case) -> None:
+        for remark in ARM.remarks(case):
+            terminal.tell(remark)
+        result = check_arm(ARM.observed(case))
         figures = ArmCheckFigures.model_validate(result)
         write_figures(figures, folder)
         found.append(figures)
         result.require()
 
     theatre = replace(asked, calibrated=True).theatre()
-    folder = new_folder(asked.out, "check")
+    recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
+    measurement = Measurement(steps=recipe.steps, title="Check of the arm", recipe=recipe)
+    request = replace(theatre, procedure=measurement)
+    folder = new_run_folder(request, asked.out, "check")
     try:
-        with leaving_report(folder, with_truth=False):
-            recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
-            observe(files.CHECK, recipe, theatre, folder, conclude)
+        with finalize_run(folder, with_truth=False):
+            run_with_bar(request, folder, ARM.activity, conclude)
     finally:
         for figures in found:
             if asked.as_json:

@@ -1,4 +1,4 @@
-"""The options of every command that calibrates."""
+"""Options of calibrations and measurements."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ USED_TO_RECOMPUTE = frozenset({"recorded", "config", "write", "days", "out", "as
 
 @dataclass(frozen=True)
 class MeasuringOptions(TheatreOptions):
-    """What is measured in a theatre, and the output folder."""
+    """Options of a measurement in a theatre, and the output folder."""
 
     out: Annotated[Path, typer.Option(help="Output folder.")] = Path("calibrations")
     as_json: JsonOption = False
@@ -31,7 +31,7 @@ class MeasuringOptions(TheatreOptions):
 
 @dataclass(frozen=True)
 class CalibrationOptions(MeasuringOptions):
-    """A calibration: the source of its measurements, and the use of its records."""
+    """Options of a calibration: the source of its measurements, and the use of its records."""
 
     recorded: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ class CalibrationOptions(MeasuringOptions):
     ] = None
 
     def request(self, context: typer.Context) -> CalibrationRequest:
-        """What they ask for. Raises CLI-001 unless looks and theatre file each come from one place.
+        """Return the requested calibration. Raises CLI-001 unless each input has one source.
 
         `context` is the command's: it knows which of all its options were typed.
         """
@@ -72,7 +72,7 @@ class CalibrationOptions(MeasuringOptions):
 
 
 def _typed_except(context: typer.Context, names: Set[str]) -> str:
-    """The other options on the command line, as they are typed."""
+    """Return the other options on the command line, as they are typed."""
     return ", ".join(
         one.opts[0]
         for one in context.command.params
@@ -84,7 +84,7 @@ def _typed_except(context: typer.Context, names: Set[str]) -> str:
 
 
 def finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
-    """The place of a ball as it was given. Raises CLI-001 for what is no number."""
+    """Return the given place of a ball. Raises CLI-001 unless it is finite."""
     if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
         got = " ".join(f"{value:g}" for value in ball_mm)
         raise UsageMistake("--ball needs three finite numbers", got=got)

@@ -1,1 +1,1 @@
-"""A case from the command line: its theatre, its engine, who answers, and what is shown."""
+"""A case at the command line: options, displays, prompts, and the person at the terminal."""

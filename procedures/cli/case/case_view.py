@@ -1,9 +1,11 @@
-"""A case as a person follows it: the outcome of each step, and below it the present state."""
+"""A case as a person follows it: the outcome of each step, and the present state, from its events."""
 
 from __future__ import annotations
 
+import contextlib
+import threading
 from collections import deque
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
@@ -14,6 +16,7 @@ from procedures.engine.events import (
     DeviceAge,
     DeviceState,
     Event,
+    EventStream,
     Fault,
     JournalLine,
     Progress,
@@ -22,7 +25,7 @@ from procedures.engine.events import (
     SignalsLost,
     StepState,
 )
-from procedures.engine.events.current_state import LAST_LINES
+from procedures.engine.events.stream import LAST_LINES
 from procedures.engine.machine import HELD
 from ronna_hw.text import printable
 
@@ -33,11 +36,13 @@ LAST_ERRORS = 2
 ACKNOWLEDGED = "acknowledged"  # an entry of the journal
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")
+ENDING_S = 2.0  # host time to show the last of it
+Show = Callable[[Sequence[Event]], None]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line for what a person wants to read afterwards."""
+    """One line that a person reads afterwards."""
 
     mark: str
     style: str
@@ -45,9 +50,9 @@ class Entry:
 
 
 def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
-    """What came of a step, and findings; None for the rest.
+    """Return the line for the outcome of a step, or for a finding; None for other events.
 
-    Without `errors`, which are told beside it, of what a step failed with only the code.
+    Without `errors`, which are shown beside it, a failed step is shown with its code only.
     """
     match event.what:
         case StepState(state="begun"):
@@ -66,7 +71,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
 
 
 def done_or_note(event: Event) -> str | None:
-    """One plain line: a step done, a result that no longer holds, a finding; None for the rest."""
+    """Return a plain line for a step done, a voided result or a finding; None for other events."""
     match event.what:
         case StepState(step=step, state="done", summary=summary):
             return f"done {step}: {summary}"
@@ -79,12 +84,12 @@ def done_or_note(event: Event) -> str | None:
 
 
 def in_words(case: CaseState) -> str:
-    """A state and its reason; why a case is held, the step that failed has said."""
+    """Return a state and its reason; the failed step has already given the reason of a held case."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
 def lost_in_words(lost: SignalsLost) -> str:
-    """How much a follower did not get."""
+    """Return how many signals a follower missed."""
     return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
 
@@ -103,7 +108,7 @@ class CaseView:
         self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step, and what was wrong with it
 
     def take_in(self, event: Event) -> None:
-        """Let an event change what is shown."""
+        """Update the view by an event."""
         match event.what:
             case CaseState() as case:
                 self.state = in_words(case)
@@ -150,13 +155,13 @@ class CaseView:
         return shown
 
     def _settle(self, step: str) -> None:
-        """What was wrong with a step is past: it is done again."""
+        """Drop errors of a step that is done again."""
         left = [one for one in self._errors if one[0] != step]
         self._errors.clear()
         self._errors.extend(left)
 
     def _settle_fault(self, device: str, fault: str) -> None:
-        """A fault is over, and so is what was refused because of it."""
+        """Drop a fault that is over, and the refusals that it caused."""
         over = (f"the {device} is in fault", f"{_code(fault)}: ")
         left = [one for one in self._errors if not any(words in one[1] for words in over)]
         self._errors.clear()
@@ -179,10 +184,48 @@ class CaseView:
 
 
 def _code(error: str) -> str:
-    """Of an error as it is told, with its code first."""
+    """Return the code of an error in words."""
     return error.partition(": ")[0]
 
 
 def _short(line: Mapping[str, object]) -> str:
     about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
     return f"{line.get('sequence')} {line.get('entry')} {about}"
+
+
+class EventFollower:
+    """Follows a stream in a thread of its own; `show` is never called by two threads at once."""
+
+    def __init__(self, events: EventStream, show: Show) -> None:
+        self._reader = events.subscribe()
+        self._show = show
+        self._showing = threading.RLock()
+        self._thread = threading.Thread(target=self._follow, name="event follower", daemon=True)
+
+    def start(self) -> None:
+        """Begin to follow."""
+        self._thread.start()
+
+    @contextlib.contextmanager
+    def quiet(self) -> Iterator[None]:
+        """Show what has happened so far, and nothing more while the block runs."""
+        with self._showing:
+            self.catch_up()
+            yield
+
+    def catch_up(self) -> bool:
+        """Show all events so far; return whether the stream has ended."""
+        with self._showing:
+            batch = self._reader.read(0.0)
+            self._show(batch.events)
+            return batch.ended
+
+    def join(self) -> None:
+        """Wait until the end of the stream is shown."""
+        self._thread.join(ENDING_S)
+
+    def _follow(self) -> None:
+        ended = False
+        while not ended:
+            self._reader.wait()
+            ended = self.catch_up()

@@ -1,4 +1,4 @@
-"""The commands of an operator for a case run by hand, one per line."""
+"""Commands for a case run by hand, one per line."""
 
 from __future__ import annotations
 
@@ -6,23 +6,24 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
+from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import ABORT, GO_ON
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.question import YES, Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.operator.question import YES, Question, Topic
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
-    from procedures.engine.step import StepKey
+    from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
+LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
+AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}
 
 
 @dataclass(frozen=True)
 class Command:
-    """One command: what follows its name, what it does, and its work."""
+    """One command: its argument, its purpose, and its work."""
 
     argument: str
     does: str
@@ -55,18 +56,9 @@ def _run(engine: Engine, argument: str, say: Say) -> None:
         engine.run_step(key)
 
 
-def why_not_up_to(engine: Engine, key: StepKey) -> str:
-    """Why a case cannot be run up to a step; empty when it can."""
-    if engine.case.stands(key):
-        return f"{key} is already done"
-    if (reason := engine.course.left_out(key)) is not None:
-        return f"{key.trajectory} was left out: {reason}"
-    return f"{key.trajectory} is finished" if engine.course.settled(key) else ""
-
-
 def _to(engine: Engine, argument: str, say: Say) -> None:
     key = engine.order.find(argument)
-    if refused := why_not_up_to(engine, key):
+    if refused := engine.course.why_not_up_to(key):
         say(f"{refused}; back {key} repeats it" if engine.case.stands(key) else refused)
         return
     engine.run_to(key)
@@ -169,18 +161,9 @@ def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
 
 def _abort(engine: Engine, _argument: str, _say: Say) -> None:
     if not engine.machine.ended:
-        leave_head(engine)
+        engine.leave_head()
     engine.abort()
     raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
-
-
-def leave_head(engine: Engine) -> None:
-    """Retreat and park, unless the arm has not been set up and so not moved. Raises as `retreat_home`."""
-    try:
-        _ = engine.setting.workcell.home_rad
-    except StepRefused:
-        return
-    engine.retreat_home()
 
 
 def _help(_engine: Engine, _argument: str, say: Say) -> None:
@@ -220,5 +203,3 @@ COMMANDS: dict[str, Command] = {
     "abort": Command("", "home, then end the case", _abort),
     "help": Command("", "this list", _help),
 }
-LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
-AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}

@@ -1,44 +1,122 @@
-"""What a person sees while a case runs, and at its end."""
+"""The display of a case while it runs and of its outcome, and Ctrl-C.
+
+Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
+points are between steps and before each motion. While a question is open, the second one ends everything.
+Without a terminal nothing is changed: one signal ends the command.
+"""
 
 from __future__ import annotations
 
 import contextlib
+import os
+import signal
 import sys
+import threading
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
+from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.asking import WritePrompt
-from procedures.cli.case.case_view import done_or_note
-from procedures.cli.case.event_follower import EventFollower, Show
-from procedures.cli.case.leaving_report import end_unfinished, leave_report, seal_run
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.outcome import run_case, unfinished
-from procedures.cli.case.pause import pause_on_interrupt
+from procedures.cli.case.case_view import EventFollower, Show, done_or_note
+from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.request import CaseRequest, check_request, run_folder
 from procedures.engine.events import Event
-from procedures.engine.run_lock import held_run
+from procedures.runs.case_outcome import run_case, unfinished
+from procedures.runs.finishing import Finalized, finalize_run
+from procedures.runs.folders import held_run, run_folder
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.request import RunRequest
+from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.errors import RefusedError
 from ronna_hw.text import without_controls
 
 if TYPE_CHECKING:
-    from procedures.cli.console.attaching import ConsoleRequest
     from procedures.engine.engine import Engine
     from procedures.reporting.outcome import FinishedRun
+    from procedures.runs.console_link import ConsoleRequest
+
+STANDARD_ERROR = 2
+PAUSING = b"\npausing at the next safe point; Ctrl-C again stops the arm now\n"
+STOPPING = b"\nstopping the arm; Ctrl-C again ends the command\n"
+AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
+
+
+class Interrupts:
+    """The effect of Ctrl-C on an engine."""
+
+    def __init__(self) -> None:
+        self._engine: Engine | None = None
+        self._count = 0
+        self._at_question: int | None = None  # how often since a question stands
+        self._prompt = ""
+
+    def attach(self, engine: Engine) -> None:
+        """Direct Ctrl-C to this engine; before, it ends the command."""
+        self._engine = engine
+
+    @contextlib.contextmanager
+    def asking(self) -> Iterator[WritePrompt]:
+        """Let Ctrl-C show the prompt again while a question is open, and end the command the second time.
+
+        Nothing moves meanwhile. A terminal throws away what it has not yet shown when Ctrl-C is typed.
+        """
+        self._at_question, self._prompt = 0, ""
+        try:
+            yield self._write
+        finally:
+            self._at_question = None
+
+    def _write(self, prompt: str) -> None:
+        self._prompt = prompt
+        write_prompt(prompt)
+
+    def interrupt(self) -> None:
+        """Count one Ctrl-C; raises KeyboardInterrupt when it is to end the command."""
+        engine = self._engine
+        if engine is None or self._at_question:
+            raise KeyboardInterrupt
+        if self._at_question is not None:
+            self._at_question += 1
+            os.write(STANDARD_ERROR, AT_QUESTION + self._prompt.encode())
+            return
+        self._count = self._count + 1 if engine.checkpoint.wanted else 1
+        if self._count > 2:
+            raise KeyboardInterrupt
+        engine.checkpoint.pause("Ctrl-C")
+        if self._count == 2:
+            threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
+        # This runs inside a signal handler: the buffered streams may be in the middle of a write.
+        os.write(STANDARD_ERROR, PAUSING if self._count == 1 else STOPPING)
 
 
 @contextlib.contextmanager
-def following(*, quiet: bool) -> Iterator[Watcher]:
+def pause_on_interrupt() -> Iterator[Interrupts]:
+    """Let Ctrl-C ask for a pause while the block runs, if a person sits at a terminal."""
+    interrupts = Interrupts()
+    if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
+        yield interrupts
+        return
+
+    def asked(_number: int, _frame: FrameType | None) -> None:
+        interrupts.interrupt()
+
+    before = signal.signal(signal.SIGINT, asked)
+    try:
+        yield interrupts
+    finally:
+        signal.signal(signal.SIGINT, before)
+
+
+@contextlib.contextmanager
+def following(*, quiet: bool) -> Iterator[RunObservers]:
     """Follow a run by its events: live on a terminal, one line per step and finding elsewhere."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
-            lines = Watcher(room_open=tell)
-            if not quiet:
-                lines = replace(lines, opened=lambda engine: _write_lines_of(engine, stack))
-            yield lines
+            opened = (lambda _engine: None) if quiet else partial(_write_lines_of, stack=stack)
+            yield replace(terminal_observers(opened=opened), announce=tell)
             return
         from procedures.cli.case.live_display import LiveDisplay
 
@@ -47,7 +125,7 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []
 
-        def opened(engine: Engine) -> None:
+        def attached(engine: Engine) -> None:
             interrupts.attach(engine)
             if held is not None:
                 held.attach(engine)
@@ -62,7 +140,13 @@ def following(*, quiet: bool) -> Iterator[Watcher]:
                 yield silence.enter_context(interrupts.asking())
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
-        yield Watcher(display.status, display.tell, opened, asking, held, held)
+        yield replace(
+            terminal_observers(asking, attached),
+            status=display.status,
+            announce=display.tell,
+            held=held,
+            at_pause=held,
+        )
 
 
 def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFollower:
@@ -73,13 +157,14 @@ def _follow(engine: Engine, show: Show, stack: contextlib.ExitStack) -> EventFol
 
 
 def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
-    _follow(engine, _write_lines, stack)
+    _follow(engine, partial(write_lines, tell), stack)
 
 
-def _write_lines(events: Sequence[Event]) -> None:
+def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
+    """Write one line for each event that a person reads afterwards."""
     for event in events:
         if (line := done_or_note(event)) is not None:
-            tell(line)
+            write(line)
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
@@ -123,39 +208,52 @@ def _show_table(outcome: FinishedRun) -> None:
         sys.stdout.write(f"report {without_controls(str(outcome.report))}\n")
 
 
-def follow_case(request: CaseRequest, *, as_json: bool, console: ConsoleRequest | None = None) -> None:
-    """Run a case and show it; with JSON one object also for a run that did not end."""
-    check_request(request)
-    with run_folder(request) as folder, held_run(folder):
-
-        def run(watcher: Watcher) -> FinishedRun:
-            if console is None:
-                return run_case(request, folder, watcher)
-            from procedures.cli.console.attaching import with_console
-
-            with with_console(watcher, folder, console, waits=request.config is not None) as operated:
-                return run_case(request, folder, operated)
-
-        follow(request, folder, run, as_json=as_json)
+def follow_case(
+    request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
+) -> None:
+    """Run a case in a new folder in `out` and show it; with JSON one object, however it ended."""
+    check_case(request)
+    with run_folder(request, out) as folder, held_run(folder):
+        waits = request.config is not None
+        follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)
 
 
 def follow(
-    request: CaseRequest,
+    request: RunRequest,
     folder: Path,
-    run: Callable[[Watcher], FinishedRun],
+    run: Callable[[RunObservers], FinishedRun],
+    console: ConsoleRequest | None,
     *,
     as_json: bool,
+    waits: bool,
 ) -> None:
-    """Show a run while it runs and what it came to, and leave its report."""
+    """Show a case while it runs and its outcome, and leave its report.
+
+    With a console that `waits`, nothing is done until someone has taken the operator's seat.
+    """
+    final = Finalized()
     try:
-        with following(quiet=as_json) as watcher:
-            outcome = run(watcher)
-    except BaseException as problem:  # also an interruption: every run leaves a report
-        report = end_unfinished(folder, problem)
+        with (
+            finalize_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
+            following(quiet=as_json) as shown,
+            _operated(shown, folder, console, waits=waits) as observers,
+        ):
+            outcome = run(observers)
+    except BaseException as problem:
         if as_json:
             ended = unfinished(request, folder, problem)
-            print_json(ended.model_copy(update={"report": report and str(report)}).model_dump(mode="json"))
+            report = final.report and str(final.report)
+            print_json(ended.model_copy(update={"report": report}).model_dump(mode="json"))
         raise
-    report = leave_report(folder, name_it=False)  # the outcome names it
-    seal_run(folder)
-    show_outcome(outcome.model_copy(update={"report": report and str(report)}), as_json=as_json)
+    show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=as_json)
+
+
+def _operated(
+    observers: RunObservers, folder: Path, console: ConsoleRequest | None, *, waits: bool
+) -> contextlib.AbstractContextManager[RunObservers]:
+    """Add the console that was requested, if any."""
+    if console is None:
+        return contextlib.nullcontext(observers)
+    from procedures.runs.console_link import with_console
+
+    return with_console(observers, folder, console, waits=waits)

@@ -1,4 +1,7 @@
-"""The live picture of a case on a terminal: finished steps scroll by, the present state is below."""
+"""The live picture of a case on a terminal: finished steps scroll by, the present state is below.
+
+A module of its own, because it imports rich.
+"""
 
 from __future__ import annotations
 
@@ -16,10 +19,10 @@ from ronna_hw.text import printable
 
 
 class LiveDisplay:
-    """Shows events; `shown` holds it on the terminal, `hidden` takes it away while something else writes."""
+    """Shows events; `shown` keeps it on the terminal, `hidden` takes it away while something else writes."""
 
     def __init__(self, console: Console, *, errors: bool) -> None:
-        """With `errors` it tells them; without, whoever operates the case does, with the way on."""
+        """With `errors` it shows them; otherwise the operator of the case is told, with the way on."""
         self.view = CaseView()
         self._errors = errors
         self._console = console
@@ -33,19 +36,19 @@ class LiveDisplay:
         self._live = self._picture()
 
     def _picture(self) -> Live:
-        """Not on the terminal yet. One that was taken away would come back over what was written since."""
+        """Make a picture that is not on the terminal yet; an old one would hide what was written since."""
         return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
-        """What is being done before there is a case."""
+        """Show what is done before there is a case."""
         self._bar.update(self._task, description=printable(text))
 
     def tell(self, text: str) -> None:
-        """One line that stays, as it is: it may be copied."""
+        """Print one line that stays as it is: it may be copied."""
         self._console.print(printable(text), soft_wrap=True, markup=False, highlight=False)
 
     def show(self, events: Sequence[Event]) -> None:
-        """Take these events in."""
+        """Update the display by these events."""
         for event in events:
             self.view.take_in(event)
             if (entry := entry_of(event, errors=self._errors)) is not None:
@@ -56,7 +59,7 @@ class LiveDisplay:
 
     @contextlib.contextmanager
     def shown(self) -> Iterator[None]:
-        """For the length of the block."""
+        """Show the display while the block runs."""
         self._live.start()
         try:
             yield
@@ -65,7 +68,7 @@ class LiveDisplay:
 
     @contextlib.contextmanager
     def hidden(self) -> Iterator[None]:
-        """For the length of the block, if it is shown."""
+        """Hide the display while the block runs, if it is shown."""
         if not self._live.is_started:
             yield
             return

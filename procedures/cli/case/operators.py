@@ -1,102 +1,122 @@
-"""Who answers the procedure's questions: a person at the terminal, or the script of a simulated case."""
+"""The person at the terminal: answers questions, acts in the room, and types readings."""
 
 from __future__ import annotations
 
+import contextlib
 import os
+import select
 import sys
+import termios
 import time
-from collections.abc import Mapping
-from contextlib import suppress
-from types import MappingProxyType
+from collections.abc import Callable
+from contextlib import AbstractContextManager, nullcontext, suppress
+from typing import TYPE_CHECKING
 
 from typer import style
 
-from procedures.cli.case.alarms import Alarms, awaited, forget_typed
-from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
 from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.operator.question import YES, Operator, Question, words
-from procedures.operator.room import Task, misread
-from procedures.operator.topic import Topic
-from ronna_hw.host.control_port import ask_control_port
+from procedures.operator.question import YES, Question, Task, misread, words
+from procedures.runs.lifecycle import RunObservers
 from ronna_hw.text import printable, printable_lines, typed_number
 
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
+MEANS = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
+WritePrompt = Callable[[str], None]  # a prompt
+Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question stands
 AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
 UNIT = "mm"  # of every reading; it may be typed with the number
 SMALL_MM = 0.01  # as a dial shows it
-
 MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
 
-NOBODY: Mapping[Topic, Operator] = MappingProxyType({})
 
+class Alarms:
+    """Devices in fault, as last seen, for a person at a question or prompt. Asks no device.
 
-class ScriptedOperator:
-    """Goes on with the first answer to every question; what was asked is in the journal.
-
-    What a guard waits for in vain is left when it is asked for again: nobody is there to restore it.
+    An answer may rely on an arm that moves.
     """
 
-    def __init__(self, persons: Mapping[Topic, Operator] = NOBODY) -> None:
-        """`persons` answer topics that the script is not to: whoever sits at the terminal asked for them."""
-        self._persons = persons
-        self._waited_for: set[tuple[str, str]] = set()  # guard and place
+    def __init__(self, means: str = MEANS) -> None:
+        """`means` follows the description of a fault."""
+        self._means = means
+        self._engine: Engine | None = None
+        self._reported: set[str] = set()  # roles, at this question
 
-    def ask(self, question: Question) -> str:
-        """The first answer."""
-        if (person := self._persons.get(question.topic)) is not None:
-            return person.ask(question)
-        if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
-            what = (question.subject.partition(":")[0], question.value)
-            if what in self._waited_for:
-                return question.silence
-            self._waited_for.add(what)
-        return question.answers[0]
+    def attach(self, engine: Engine) -> None:
+        """Watch the devices of this engine."""
+        self._engine = engine
+
+    def begin(self) -> None:
+        """Open a question: present faults are shown with it."""
+        self._reported = set()
+
+    def new(self) -> list[str]:
+        """Return one line for each device in fault that this question has not shown yet."""
+        faults = self._faults()
+        lines = [f"{what}. {self._means}" for role, what in faults.items() if role not in self._reported]
+        self._reported = set(faults)  # one that comes again is shown again
+        return lines
+
+    @property
+    def note(self) -> str:
+        """Addition to the prompt, such as ` (the arm is in fault)`; empty without a fault."""
+        roles = " and ".join(f"the {role}" for role in sorted(self._reported))
+        return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
+
+    def _faults(self) -> dict[str, str]:
+        return {} if self._engine is None else self._engine.faults.in_short
 
 
-class ByTopic:
-    """Some topics are answered by an operator of their own, everything else by another."""
-
-    def __init__(self, operators: Mapping[Topic, Operator], otherwise: Operator) -> None:
-        self._operators = operators
-        self._otherwise = otherwise
-
-    def ask(self, question: Question) -> str:
-        """The answer of the operator of its topic."""
-        return self._operators.get(question.topic, self._otherwise).ask(question)
+def forget_typed() -> None:
+    """Discard input that was typed at the terminal and not read yet."""
+    with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-class SimulatedRoom:
-    """The hands in a simulated theatre, and the only one who talks to its control port.
+def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str]]:
+    """Wait at a terminal for a line, the end of time or an alarm; return whether there is a line, and alarms.
 
-    The port ends a connection on which nothing is asked for a while, so each request has one of its own.
+    Input typed before an alarm is discarded: it was typed without knowing of it.
     """
+    while True:
+        left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
+        if news := alarms.new():
+            forget_typed()
+            sys.stderr.write("\n")  # the prompt is still there
+        if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
+            return bool(ready), news
 
-    def __init__(self, control: str) -> None:
-        """`control` with its token."""
-        self._control = control
 
-    def announce(self, step: str) -> None:
-        """Tell the theatre which step is running."""
-        ask_control_port(self._control, "step", name=step)
+def write_prompt(prompt: str) -> None:
+    """Write a prompt."""
+    sys.stderr.write(prompt)
+    sys.stderr.flush()
 
-    def change_tool(self, number: int, description: str) -> None:
-        """Hang the other tool on the mount."""
-        ask_control_port(self._control, "mount", number=number)
 
-    def prepare_stand(self, holds: str) -> None:
-        """Put it there."""
-        ask_control_port(self._control, "stand", holds=holds)
+def undisturbed() -> AbstractContextManager[WritePrompt]:
+    """Return a prompt for a terminal to which nothing else writes."""
+    return nullcontext(write_prompt)
 
-    def work(self, task: Task) -> tuple[float, ...]:
-        """Have it done, and what the scene shows read off."""
-        answer = ask_control_port(
-            self._control,
-            "work",
-            task=task.name,
-            trajectory=task.trajectory or "",
-            numbers=list(task.numbers),
-        )
-        return tuple(float(reading) for reading in answer.get("readings", ()))
+
+def terminal_observers(
+    asking: Asking = undisturbed, opened: Callable[[Engine], None] = lambda _engine: None
+) -> RunObservers:
+    """Return observers with the person at the terminal, who is told of devices in fault."""
+    alarms = Alarms()
+
+    def attached(engine: Engine) -> None:
+        alarms.attach(engine)
+        opened(engine)
+
+    return RunObservers(
+        opened=attached,
+        person=TerminalOperator(asking, alarms),
+        staff=lambda simulated: TerminalRoom(asking, simulated=simulated, alarms=alarms),
+    )
 
 
 class TerminalOperator:
@@ -111,9 +131,9 @@ class TerminalOperator:
         self._alarms = Alarms() if alarms is None else alarms
 
     def ask(self, question: Question) -> str:
-        """Write the value and wait for one of the answers, typed whole; anything else is asked again.
+        """Show the value and wait for one of the answers, typed whole; other input is asked again.
 
-        The answer that goes on counts only with what is to be read back, in the same time.
+        The answer that goes on counts only with the value to be read back, within the same time.
         """
         if not sys.stdin.isatty():
             return question.silence
@@ -147,7 +167,7 @@ class TerminalOperator:
 
 
 class TerminalRoom:
-    """The hands of the person at the terminal."""
+    """The person at the terminal as staff of the room."""
 
     def __init__(
         self,
@@ -162,29 +182,29 @@ class TerminalRoom:
         self._simulated = simulated
 
     def announce(self, step: str) -> None:
-        """Nothing to do: the person sees the progress."""
+        """Do nothing: the person sees the progress."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Say what to mount; that it is done is confirmed, and recorded, by the step."""
+        """Prompt for the tool; the step confirms and records it."""
         with self._asking():
             sys.stderr.write(f"Mount {printable(description)} (tool {number}).\n")
             self._hint(f"mount {number}")
 
     def prepare_stand(self, holds: str) -> None:
-        """Say what to put on the calibration stand; that it is done is confirmed by the step."""
+        """Prompt for the calibration stand; the step confirms it."""
         with self._asking():
             _say(f"Put the {holds} on the calibration stand.")
             self._hint(f"stand {holds}")
 
     def _hint(self, command: str) -> None:
-        """In a simulated room things are done by commands."""
+        """Name the command that does this in a simulated room."""
         if self._simulated:
             control = "" if os.environ.get(CONTROL) else " --control 'ENDPOINT FROM READY'"
             sys.stderr.write(f"In the simulated room: ronna-sim {command}{control}\n")
         sys.stderr.flush()
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Say what to do, and have typed what is read off; nothing without a terminal."""
+        """Prompt for the task and its readings; empty without a terminal."""
         with self._asking() as write:
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
@@ -195,7 +215,7 @@ class TerminalRoom:
 
 
 def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """What is typed for each reading; several are shown back before they count. Nothing when nobody reads."""
+    """Return the typed readings; several are shown back before they count. Empty if nobody reads."""
     while True:
         readings: list[float] = []
         for what in task.reads:
@@ -218,9 +238,9 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
 def _typed_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
-    """A number that can be; what is none is asked again. None when nobody reads it or the terminal ends.
+    """Return a plausible number; others are asked again. None if nobody reads it or the terminal ends.
 
-    `ahead` takes one of several lines that were pasted; after one that is refused, the others are lost.
+    `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
     while (typed := _typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
         ahead = False
@@ -235,7 +255,7 @@ def _typed_number(
 
 
 def _one_number(plausible: tuple[float, float] | None) -> str:
-    """What is to be typed, by an example that is possible."""
+    """Return the form of a reading, with a possible example."""
     low, high = plausible or (0.0, SMALL_MM)
     example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
     return f"one number in mm, such as {example:g} or {example:g} mm, or {NOBODY_READS!r} to end the step."
@@ -246,17 +266,17 @@ def _say(line: str) -> None:
 
 
 def _emphasized(question: Question) -> str:
-    """The value; on a terminal, the part to be read back is in bold."""
+    """Return the value; on a terminal, the part to be read back is in bold."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
 def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False) -> str:
-    """What is typed, without the space around it; a blank line is asked again.
+    """Return typed input without surrounding space; a blank line is asked again.
 
-    Empty when it is out of time or the terminal is gone. What was typed before it was asked for, or before a
-    device was reported in fault, is lost, unless it may be typed `ahead`.
+    Empty if time is out or the terminal is gone. Input typed before the question, or before a device was
+    reported in fault, is discarded, unless it may be typed `ahead`.
     """
     news = alarms.new()
     if news or not ahead:

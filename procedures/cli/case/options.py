@@ -1,4 +1,4 @@
-"""The options of a case, and of the theatre that a case or a calibration is run in."""
+"""Options of a case, of the theatre of a case or calibration, and of the console."""
 
 from __future__ import annotations
 
@@ -10,12 +10,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.case.scene_choice import LARGEST_SEED, SceneChoice
+from procedures.runs.request import LARGEST_SEED, CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.messages import tell
+from ronna_hw.command_line.viewers_address import BindOption, CertificateOption, KeyOption, viewers_address
 
 if TYPE_CHECKING:
-    from procedures.cli.case.answers import Answers
-    from procedures.cli.case.request import CaseRequest, TheatreRequest
+    from procedures.runs.answers import Answers
+    from procedures.runs.console_link import ConsoleRequest
 
 DRAWN = ("seed", "markers", "targets", "fiducials")  # which a scene file holds
 SIMULATED = (*DRAWN, "scene", "first_day", "calibration", "speed", "faults")
@@ -75,7 +77,7 @@ class TheatreOptions:
 
     @property
     def choice(self) -> SceneChoice:
-        """What a simulated theatre is drawn from."""
+        """The choices from which a simulated theatre is drawn."""
         return SceneChoice(
             self.scene,
             self.seed,
@@ -85,24 +87,27 @@ class TheatreOptions:
         )
 
     def scripted_operator(self) -> Answers | None:
-        """Whoever answers by a file. Raises PRO-026, CFG-001."""
+        """Read the file of answers, if any. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
-        from procedures.cli.case.answers import read_answers
+        from procedures.runs.answers import read_answers
 
         return read_answers(self.answers, self.config)
 
-    def theatre(self) -> TheatreRequest:
-        """The theatre of a calibration. Raises CLI-001 for conflicting options, CFG-001, CAL-005."""
-        from procedures.cli.case.request import TheatreRequest, check_theatre
+    def theatre(self) -> RunRequest:
+        """Return the theatre of a calibration, without its procedure.
+
+        Raises CLI-001 for conflicting options, CFG-001, CAL-005.
+        """
+        from procedures.runs.request_checks import check_theatre
 
         self.check()
-        request = TheatreRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
+        request = RunRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
         check_theatre(request)
         return request
 
     def check(self) -> None:
-        """Raise CLI-001 unless they name one theatre, and nothing that it does not have."""
+        """Raise CLI-001 unless the options name one theatre, and nothing that it does not have."""
         if self.sim and self.config is not None:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
@@ -120,7 +125,7 @@ class TheatreOptions:
             self.choice.check()
 
     def _given(self, names: Sequence[str]) -> str:
-        """Those of the options that are not as they are by default, as they are typed."""
+        """Return the options that differ from the default, as they are typed."""
         changed = (
             one.name for one in fields(self) if one.name in names and getattr(self, one.name) != one.default
         )
@@ -129,7 +134,7 @@ class TheatreOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(TheatreOptions):
-    """A case: `run` does it at a stretch, `step` by hand."""
+    """Options of a case: `run` runs all of it, `step` by hand."""
 
     case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
     plan: Annotated[
@@ -172,15 +177,13 @@ class CaseOptions(TheatreOptions):
 
     @property
     def choice(self) -> SceneChoice:
-        """What the theatre and the phantom are drawn from."""
+        """The choices from which theatre and phantom are drawn."""
         return replace(
             super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
         )
 
-    def request(self) -> CaseRequest:
-        """What they ask for. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
-        from procedures.cli.case.request import CaseRequest
-
+    def request(self) -> RunRequest:
+        """Return the requested run. Raises CLI-001 for conflicting options, PRO-026 for the answers."""
         if self.config is not None and not self.sim and self.case is None:
             raise UsageMistake("--config needs --case", action="Give the folder with ct/ and plan.toml.")
         self.check()
@@ -188,16 +191,49 @@ class CaseOptions(TheatreOptions):
             raise UsageMistake("--case requires --config", action="A simulated case brings its own patient.")
         if self.config is not None and self.plan is not None:
             raise UsageMistake("--plan requires --sim", action="With --config the plan is in --case DIR.")
-        return CaseRequest(
-            answers=self.scripted_operator(),
-            out=self.out,
-            choice=self.choice,
+        procedure = CaseProcedure(
             strategy=self.strategy,
             measure_targets=self.measure_targets,
-            keep_raw=self.keep_raw,
-            speed=self.speed.value,
-            faults=self.faults,
-            config=self.config,
             case=self.case,
             plan=self.plan,
+            keep_raw=self.keep_raw,
         )
+        return RunRequest(
+            procedure=procedure,
+            config=self.config,
+            choice=self.choice,
+            speed=self.speed.value,
+            faults=self.faults,
+            answers=self.scripted_operator(),
+        )
+
+
+@dataclass(frozen=True)
+class ConsoleOptions:
+    """A page that shows and operates the case, and whether viewers at other computers may see it."""
+
+    console: Annotated[
+        bool,
+        typer.Option("--console", help="Serve a page on this computer that shows and operates the case."),
+    ] = False
+    console_port: Annotated[
+        int, typer.Option(min=0, max=65535, help="Port of the page of --console; 0: any free one.")
+    ] = 0
+    bind: BindOption = None
+    certificate: CertificateOption = None
+    key: KeyOption = None
+
+    def request(self) -> ConsoleRequest | None:
+        """Return the requested console. Raises PRO-040 if it is not installed, CLI-001 for a mistake."""
+        if not self.console:
+            if self.console_port or self.bind or self.certificate or self.key:
+                raise UsageMistake("--console-port, --bind, --certificate and --key require --console")
+            return None
+        from procedures.runs.console_link import ConsoleRequest, check_console, check_port
+
+        check_console()
+        check_port(self.console_port)
+        viewers = viewers_address(self.bind, self.certificate, self.key)
+        for warning in () if viewers is None else viewers.check():
+            tell(f"warning: {warning}")
+        return ConsoleRequest(self.console_port, viewers)

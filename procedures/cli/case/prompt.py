@@ -1,4 +1,4 @@
-"""Reads an operator's commands and carries them out, until there are no more or the case has ended."""
+"""The prompt: reads commands of an operator and carries them out until they or the case end."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.alarms import Alarms, awaited, forget_typed
-from procedures.cli.case.asking import Asking, WritePrompt, undisturbed
-from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say, leave_head
+from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say
+from procedures.cli.case.operators import Alarms, Asking, WritePrompt, awaited, forget_typed, undisturbed
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
+from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Question
-from procedures.results.errors import StepRefused
+from procedures.runs.lifecycle import leave_head_if_agreed
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.cli.case.piped_lines import PipedLines
+    from procedures.cli.case.stepping import PipedLines
     from procedures.engine.engine import Engine
 
 HELD = (
@@ -40,7 +40,7 @@ NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
 class Prompt:
-    """One place to type commands. `asking` is held while it waits for one."""
+    """A prompt for commands. `asking` is held while it waits for one."""
 
     def __init__(
         self,
@@ -71,16 +71,16 @@ class Prompt:
         self.input_ended = False
 
     def attach(self, engine: Engine) -> None:
-        """From now on a pause is about this engine."""
+        """Direct pauses to this engine."""
         if engine is not self._engine:
             self._alarms.attach(engine)
         self._engine = engine
 
     def follow(self, engine: Engine) -> bool:
-        """Carry out commands on this engine until `quit` or the end of the input; whether the case goes on.
+        """Carry out commands until `quit` or the end of the input; return whether the case goes on.
 
-        What goes wrong is shown and leaves the case held. With `resumes`, a case that has finished goes on:
-        nobody needs to be asked any more. Raises what ended the case.
+        Failures are shown and leave the case held. With `resumes`, a case that has finished goes on: nobody
+        needs to be asked any more. Raises what ended the case.
         """
         self.attach(engine)
         while (line := self._command(engine)) is not None:
@@ -103,7 +103,7 @@ class Prompt:
         return False
 
     def ask(self, question: Question) -> str:
-        """A pause: `resume`, `abort`, or what moves nothing. The end of the input ends the case."""
+        """Ask at a pause: `resume`, `abort`, or a command that moves nothing. The end of input ends all."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             forget_typed()
         self._say(f"{question.subject}; {question.value}")
@@ -149,7 +149,7 @@ class Prompt:
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """What holds the case, and how to continue; for a device in fault, its present state."""
+        """Show what holds the case and how to continue; for a device in fault, its present state."""
         faults = engine.faults.described
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
@@ -160,7 +160,7 @@ class Prompt:
 
     @property
     def _way_on(self) -> str:
-        """What goes on with the case here: `next` everywhere."""
+        """The command that continues the case here; `next` does everywhere."""
         return "resume continues, next does one step" if self._resumes else "next continues"
 
     def _tell_way_on(self, engine: Engine) -> None:
@@ -186,7 +186,7 @@ class Prompt:
             return line or None
 
     def _await_line(self, words: str, write: WritePrompt) -> None:
-        """Show the prompt until a line was typed, and first what has come to be in fault."""
+        """Show the prompt until a line is typed, and new faults first."""
         is_typed, news = False, self._alarms.new()
         if news:
             forget_typed()
@@ -200,23 +200,15 @@ class Prompt:
 
 
 def _too_much(name: str, argument: str) -> bool:
-    """Whether words follow a command that takes none."""
+    """Whether words follow a command that takes no argument."""
     alone = name in (*AT_PAUSE, *QUIT) or (name in COMMANDS and not COMMANDS[name].argument)
     return alone and bool(argument.strip())
 
 
 def _unknown(name: str, known: Iterable[str], choices: str) -> str:
-    """What is said to a word that is none of them."""
+    """Return the reply to an unknown word."""
     words = list(known)
     meant = name.lower()
     near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
     said = f"there is no command {name!r}" if name else "nothing was typed"
     return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
-
-
-def leave_head_if_agreed(engine: Engine) -> None:
-    """After an abort: the way out and home, when the operator says so; what goes wrong is shown."""
-    try:
-        leave_head(engine)
-    except RonnaError as error:
-        fail_with(error)

@@ -1,4 +1,4 @@
-"""The records of a theatre file, calibrations and tools: are they there, do they fit, until when."""
+"""Records of a theatre file, calibrations and tools: presence, fit and expiry."""
 
 from __future__ import annotations
 
@@ -21,9 +21,9 @@ SOON = timedelta(days=3)  # before it expires a record is worth a word
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
-    """One for each record, in the order of making them.
+    """Return one diagnostic for each record, in the order of making them.
 
-    That there are none is a problem where the file has what a case needs to move.
+    Missing records are a problem if the file has what a case needs to move.
     """
     if theatre.calibration is None:
         needed = bool(theatre.robot) and theatre.stereo is not None
@@ -59,7 +59,7 @@ def _apart(calibrations: Calibrations, path: Path) -> RonnaError | None:
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """The errors of arm and tool frame that predictions rest on, and why they are larger than stated."""
+    """Return the errors of arm and tool frame behind predictions, and why they are larger than stated."""
     if theatre.calibration is None:
         return
     settings, arm = theatre.procedure, theatre.calibration.arm
@@ -90,7 +90,7 @@ def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic
 
 
 def _unwatched(theatre: TheatreFile) -> str:
-    """What to do about a guide whose tip may have changed since its gauge was read, unnoticed."""
+    """Return advice for a guide whose tip may have changed unnoticed since its gauge was read."""
     guide = theatre.tools.get(GUIDE)
     if guide is None or guide.tip_in_head is not None:
         return ""
@@ -98,7 +98,7 @@ def _unwatched(theatre: TheatreFile) -> str:
 
 
 def _read_too_seldom(theatre: TheatreFile) -> str:
-    """What to do about a guide whose gauge was not read often enough to compare each mounting with."""
+    """Return advice for a guide whose gauge was read too seldom to compare each mounting with."""
     guide = theatre.tools.get(GUIDE)
     read = GAUGE_APPROACHES if guide is None or guide.gauge is None else guide.gauge.approaches
     if read >= GAUGE_APPROACHES:
@@ -110,7 +110,7 @@ def _read_too_seldom(theatre: TheatreFile) -> str:
 
 
 def _implausible(theatre: TheatreFile) -> str:
-    """What to look at where the guide weighs beyond its own end: one of both is likely mistyped."""
+    """Return advice for a guide that weighs beyond its own end: a value is likely mistyped."""
     guide = theatre.tools.get(GUIDE)
     if guide is None or theatre.calibration is None:
         return ""

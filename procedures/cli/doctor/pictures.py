@@ -1,4 +1,4 @@
-"""Whether images from two cameras are well exposed and sharp, as diagnostics.
+"""Exposure and sharpness of images of two cameras, as diagnostics.
 
 Sharpness, and an image that is too dark, show only on a sphere near the tool centre: a head that looks at
 nothing has dark images too.
@@ -32,7 +32,7 @@ UNSHARP = "Focus the lens on the tool centre and clean it, then calibrate the he
 def pair_diagnostics(
     subject: str, pair: StereoReading, head: StereoHeadCalibration | None
 ) -> Iterator[Diagnostic]:
-    """Exposure and focus of both images, as far as what is in view shows them."""
+    """Return diagnostics of exposure and focus of both images, as far as the view shows them."""
     records = (None, None) if head is None else (head.left, head.right)
     images = (pair.left, pair.right)
     found = [_seen(image, record) for image, record in zip(images, records, strict=True)]
@@ -43,7 +43,7 @@ def pair_diagnostics(
 
 
 def _seen(image: CameraImage | None, record: CameraCalibration | None) -> SphereImage | RonnaError | None:
-    """A sphere near the tool centre, or why there is none; None where that cannot be known."""
+    """Return a sphere near the tool centre, or why there is none; None if that cannot be known."""
     if image is None or record is None:
         return None
     radius_px = SPHERE_RADIUS_MM * record.focal_px[0] / math.hypot(*record.camera_from_tool.translation_mm)

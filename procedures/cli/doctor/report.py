@@ -1,4 +1,4 @@
-"""Runs the checks of the computer and the probes of the drivers, and shows what they found."""
+"""Checks of the computer and probes of the drivers: run, judged and shown."""
 
 from __future__ import annotations
 
@@ -10,13 +10,19 @@ from pathlib import Path
 from typing import Any
 
 from procedures.cli.doctor.calibrations import calibration_diagnostics, setting_diagnostics, tool_diagnostics
-from procedures.cli.doctor.camera_serials import advise_on_serials
-from procedures.cli.doctor.computer import computer_diagnostics
-from procedures.cli.doctor.inspection import inspection
-from procedures.cli.doctor.theatre_checks import CLOCK, RUNS, case_diagnostics
-from procedures.cli.doctor.theatre_use import INSTRUMENT, RUN, as_left, use_diagnostics
-from procedures.cli.doctor.verdicts import CASE, Verdict, verdicts
-from procedures.engine.theatre_lock import require_free_theatre
+from procedures.cli.doctor.inspection import advise_on_serials, inspection
+from procedures.cli.doctor.theatre_checks import (
+    CLOCK,
+    INSTRUMENT,
+    NEEDED,
+    RUN,
+    RUNS,
+    as_left,
+    case_diagnostics,
+    computer_diagnostics,
+    use_diagnostics,
+)
+from procedures.runs.theatre_lock import require_free_theatre
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.options import log_failure
 from ronna_hw.command_line.terminal import Progress, print_json, print_table
@@ -26,15 +32,37 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, EXIT_REFUSED
 from ronna_hw.registry import endpoint_probes, load_probe
 
+CASE = "case"
 STEREO = "stereo"  # the table of the cameras
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
-
 Look = Callable[[Progress], Sequence[Diagnostic]]
 
 
 @dataclass(frozen=True)
+class Verdict:
+    """A verdict; `because` names the failed checks in the order in which they are shown."""
+
+    of: str
+    ready: bool
+    because: tuple[str, ...]
+
+
+def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Verdict]:
+    """Return a verdict for each device table of the theatre file, then for the case."""
+    for name, found in devices.items():
+        yield _verdict(name, found)
+    needed = [one for name in NEEDED for one in devices.get(name, ())]
+    yield _verdict(CASE, [*case, *needed])
+
+
+def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
+    because = tuple(f"{one.subject.removeprefix(f'{of}: ')}: {one.seen}" for one in found if not one.well)
+    return Verdict(of, not because, because)
+
+
+@dataclass(frozen=True)
 class Report:
-    """What was found on the computer, in the theatre file and its records, and at the devices."""
+    """Findings on the computer, in the theatre file and its records, and at the devices."""
 
     computer: tuple[Diagnostic, ...]
     devices: tuple[Diagnostic, ...]
@@ -44,12 +72,12 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """Everything, in the order in which it is shown: first what nobody may miss."""
+        """All diagnostics in the order in which they are shown: first what nobody may miss."""
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
-        """The documents of one section."""
+        """Return the documents of one section."""
         return [f.document for f in self.devices if f.section == name and f.document is not None]
 
 
@@ -110,7 +138,7 @@ def show(report: Report, *, as_json: bool) -> None:
 
 
 def show_findings(report: Report, *, as_json: bool) -> None:
-    """Print the diagnostics, and the verdicts where there are any."""
+    """Print the diagnostics, and the verdicts if there are any."""
     if as_json:
         sections = dict.fromkeys((*SECTIONS, *(f.section for f in report.devices if f.section)))
         print_json(
@@ -141,7 +169,7 @@ def show_findings(report: Report, *, as_json: bool) -> None:
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
-    """What is in the way; of the case only the checks, whose findings stand above."""
+    """Return the obstacles; for the case only the checks, whose findings stand above."""
     if verdict.of != CASE:
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
@@ -149,7 +177,7 @@ def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
 
 
 def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Look]]:
-    """One look for each probe that is asked for, with all its endpoints."""
+    """Return one look for each requested probe, with all its endpoints."""
     if not endpoints:
         return
     probes = endpoint_probes()
@@ -169,7 +197,7 @@ def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Lo
 
 
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
-    """What the driver's probe finds. One that fails is a diagnostic too: the other devices still follow."""
+    """Return the findings of the driver's probe. A failed probe is a diagnostic too: the others follow."""
     try:
         found = load_probe(config.driver)(name, config, progress, inspection(name, theatre))
     except Exception as problem:  # a driver of another package may raise anything

@@ -1,13 +1,22 @@
-"""What a case needs of its theatre file and of this computer, before any device is asked."""
+"""Checks of theatre file, its use and this computer, before any device is asked."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import getpass
+import os
+import shlex
+import sys
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from procedures.guards.default_guards import DiskSpace
+from procedures.runs.reopening import resumable_run
+from procedures.runs.theatre_lock import last_moved, theatre_user, unwritable_note
+from procedures.runs.theatre_note import arm_not_home, instrument_not_out
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
+from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
@@ -17,10 +26,15 @@ CASE_OPEN_FILES = 96  # as a case requires
 CLOCK = "clock of the theatre"
 RUNS = Path("runs")  # where a case is written by default
 NEEDED = ("tracker", f"robot.{MASTER}", "stereo")
+RUN = "run"  # subject of a theatre that is in use
+INSTRUMENT = "instrument"  # subject of one that a run left in the head; shown before everything else
+TOOL = "mounted tool"
+LIMITS_FILE = "/etc/security/limits.d/ronna-hw.conf"
+RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras at 1500-byte packets
 
 
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
-    """Everything that keeps a case in a folder of `out` from beginning with any devices and records."""
+    """Return all obstacles to a case in a folder of `out`, whatever its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
     yield from _judged("theatre file", kind, lambda: require_one_kind(theatre))
     yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
@@ -56,3 +70,107 @@ def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator
         yield Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
     else:
         yield Diagnostic(subject, True, found)
+
+
+def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
+    """Return obstacles to a new case from the use of a theatre; the subject is `RUN` while it is in use."""
+    if (user := theatre_user(theatre)) is not None:
+        seen = f"{user.seen}: its devices were not checked"
+        yield Diagnostic(RUN, False, seen, user.advice("check again"))
+        return
+    last = last_moved(theatre)
+    if (left := instrument_not_out(last)) is not None:
+        run, inside = left
+        advice = (
+            "Touch neither the tool nor the arm, and start no other run: "
+            f"ronna-procedure home {shlex.quote(str(run))} asks for the removal, then brings the arm home."
+        )
+        seen = f"run {run.name} is unfinished: {inside}"
+        yield Diagnostic(INSTRUMENT, False, seen, advice)
+    if (away := arm_not_home(last, None)) is not None:
+        ask = "" if left else "A new case asks whether to take where the arm stands as its home."
+        yield Diagnostic("home of the arm", False, away, ask)
+    if (note := unwritable_note(theatre)) is not None:
+        advice = "Give this user the right to write it: it tells a later run what this one left."
+        yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
+
+
+def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
+    """Return findings at the devices with advice that fits an unfinished run there."""
+    run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
+    return [_advised(one, run, None if left is None else left[1]) for one in found]
+
+
+def _advised(one: Diagnostic, run: Path | None, inside: str | None) -> Diagnostic:
+    if one.well:
+        return one
+    if inside is not None and one.subject.endswith(f": {TOOL}"):
+        return replace(one, advice=f"Do not touch the tool: {inside}.")
+    if run is not None and one.subject.endswith(f": {MESSAGES}"):
+        name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
+        return replace(one, advice=f"Remove its cause; then {name}.")
+    return one
+
+
+def computer_diagnostics() -> Iterator[Diagnostic]:
+    """Return all checks that need no device."""
+    yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
+    yield _packages()
+    yield _receive_buffer()
+    yield _real_time()
+    yield from _serial_ports()
+
+
+def _packages() -> Diagnostic:
+    from ronna_hw.host.process import foreign_packages
+
+    if foreign := foreign_packages():
+        advice = "Use an environment in which no other package has these names."
+        return Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
+    return Diagnostic("packages", True, "none foreign")
+
+
+def _receive_buffer() -> Diagnostic:
+    try:
+        size = int(Path("/proc/sys/net/core/rmem_max").read_text())
+    except OSError:
+        return Diagnostic("camera receive buffer", True, "unknown on this system")
+    large = size >= RECEIVE_BUFFER_WANTED
+    advice = "" if large else "sudo sysctl -w net.core.rmem_max=4194304, or use jumbo packets."
+    return Diagnostic("camera receive buffer", large, f"net.core.rmem_max {size}", advice)
+
+
+def _real_time() -> Diagnostic:
+    try:
+        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(1))
+        os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
+    except PermissionError:
+        advice = (
+            f"For hardware: echo '{getpass.getuser()} - rtprio 80' | sudo tee {LIMITS_FILE}, then log in "
+            "again; simulators do not need it."
+        )
+        return Diagnostic("real-time priority", False, "not permitted", advice)
+    return Diagnostic("real-time priority", True, "permitted")
+
+
+def _serial_ports() -> Iterator[Diagnostic]:
+    from serial.tools import list_ports
+
+    ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
+    if not ports:
+        yield Diagnostic("serial ports", True, "none on this computer")
+    for port in ports:
+        description = "no description" if port.description == "n/a" else str(port.description)
+        yield _serial_port(str(port.device), description)
+
+
+def _serial_port(path: str, description: str) -> Diagnostic:
+    from ronna_hw.host.port_users import permission_advice, permissions, users_of_serial_port
+
+    subject = f"serial port {path}"
+    seen = f"{description}; {permissions(path)}"
+    if not os.access(path, os.R_OK | os.W_OK):
+        return Diagnostic(subject, False, f"{seen}; permission denied", permission_advice(path))
+    if users := users_of_serial_port(path):
+        seen += "; in use by " + " and ".join(map(str, users))
+    return Diagnostic(subject, True, seen)

@@ -90,7 +90,7 @@ def new_theatre(
             action="For simulated ones run ronna-sim theatre, which writes its own.",
         )
     require_new(out)
-    from procedures.cli.new_theatre import searching, taken_over, writing
+    from procedures.cli.new_theatre import searching, writing
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.probing import Search
     from ronna_hw.errors import EXIT_NOT_FOUND
@@ -98,7 +98,7 @@ def new_theatre(
     from ronna_hw.registry import finders
     from ronna_hw.theatre_kind import is_simulated
 
-    taken = None if records is None else taken_over.read_records(records)
+    taken = None if records is None else writing.read_records(records)
     search = Search(
         interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
@@ -109,8 +109,8 @@ def new_theatre(
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
     if taken is not None:
-        found = taken_over.with_tools(found, taken.tools)
-    found = taken_over.with_options(found, option or ())
+        found = writing.with_tools(found, taken.tools)
+    found = writing.with_options(found, option or ())
     tables = {} if taken is None else taken.tables
     draft = writing.Draft(name or out.stem, found, clock, taken_over=tables)
     text = writing.theatre_text(draft)

@@ -1,4 +1,4 @@
-"""Where devices are looked for, and which of those found go into the file."""
+"""The search for devices, and the choice among those found."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ class Found:
 
 
 def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
-    """The network interfaces of these names or addresses. Raises CLI-001 with those that exist."""
+    """Return the network interfaces of these names or addresses. Raises CLI-001 with those that exist."""
     every = interfaces()
     chosen: list[Interface] = []
     for name in names:
@@ -40,7 +40,7 @@ def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
 
 
 def read_option(option: str, read: Callable[[str], T], text: str, form: str, example: str) -> T:
-    """What the text of an option means; CLI-001 names the option, its form and an example that fits."""
+    """Parse the text of an option; CLI-001 names the option, its form and a fitting example."""
     try:
         return read(text)
     except BadEndpoint as error:
@@ -49,7 +49,7 @@ def read_option(option: str, read: Callable[[str], T], text: str, form: str, exa
 
 
 def stream(text: str) -> Endpoint:
-    """Where telegrams arrive. Raises CLI-001."""
+    """Return the endpoint at which telegrams arrive. Raises CLI-001."""
     return read_option(
         "--stream",
         lambda given: parse_endpoint(given).require("udp"),
@@ -60,7 +60,7 @@ def stream(text: str) -> Endpoint:
 
 
 def clock(text: str) -> str:
-    """The source of time as it was given. Raises CLI-001 for what is none."""
+    """Return the given source of time. Raises CLI-001 if it is none."""
     read_option(
         "--clock",
         lambda given: parse_endpoint(given).require("host", "shm"),
@@ -72,9 +72,9 @@ def clock(text: str) -> str:
 
 
 def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
-    """The lines to ask: those given as path or endpoint, else every serial port of this computer.
+    """Return the lines to ask: given paths or endpoints, else every serial port of this computer.
 
-    Raises CLI-001 for what is no line.
+    Raises CLI-001 for anything else.
     """
     if given is None:
         from serial.tools import list_ports
@@ -85,7 +85,7 @@ def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
 
 
 def controller(text: str) -> Endpoint:
-    """The controller's address, with the port of our EKI server unless another is given. Raises CLI-001."""
+    """Return the controller's address, with the port of our EKI server by default. Raises CLI-001."""
     return read_option("--controller", _controller, text, "HOST or HOST:PORT", "172.31.1.147")
 
 
@@ -106,7 +106,7 @@ def search_all(
     choose: Choose,
     progress: Progress,
 ) -> tuple[Found, ...]:
-    """Let every finder search, and choose where there are several. Raises CLI-001 where nobody chooses."""
+    """Let every finder search, and choose among several. Raises CLI-001 if nobody chooses."""
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
     for number, finder in enumerate(each):
@@ -126,7 +126,7 @@ def search_all(
 
 
 def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
-    """The pairs with these cameras at these sides, by serial number or address. Raises CLI-001 for others."""
+    """Return pairs with these cameras by serial number or address. Raises CLI-001 for others."""
     every = pairs
     for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):
         if wanted is None:
@@ -156,7 +156,7 @@ def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None
 
 
 def _camera(pair: Proposal, side: str) -> tuple[str, str]:
-    """(serial number, address)."""
+    """Return serial number and address."""
     serial = next(str(option.value) for option in pair.options if option.key == f"{side}_serial")
     return serial, parse_endpoint(pair.endpoints[side]).host
 

@@ -1,1 +1,1 @@
-"""Commands on existing runs: resume, verify, draw, list and show them."""
+"""Commands on existing runs."""

@@ -1,4 +1,4 @@
-"""The commands about runs, as the command line has them. Their work is imported when they are called."""
+"""Commands on runs, for the command line. Their work is imported when they are called."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.console.options import ConsoleOptions
+from procedures.cli.case.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption
@@ -17,8 +17,8 @@ from ronna_hw.text import without_controls
 
 
 def _run_folder(folder: Path) -> Path:
-    """The folder of a run, which it is. Raises CLI-005."""
-    from procedures.cli.runs.folders import require_run
+    """Return the folder if it is that of a run. Raises CLI-005."""
+    from procedures.runs.folders import require_run
 
     require_run(folder)
     return folder
@@ -69,7 +69,7 @@ def home_command(
     along its axis first. The run is unchanged and can be resumed. Exit codes: 0 the arm is home, 8 not
     accepted, others as in `run`.
     """
-    from procedures.cli.runs.home import home
+    from procedures.cli.runs.resume import home
 
     home(run_folder, accept=accept, answers=answers, as_json=as_json)
 
@@ -92,7 +92,7 @@ def acknowledge_command(
     """
     if (run_folder is None) == (config is None):
         raise UsageMistake("name either a run or, with --config, a theatre file")
-    from procedures.cli.runs.acknowledge import acknowledge_run, acknowledge_theatre
+    from procedures.cli.runs.resume import acknowledge_run, acknowledge_theatre
 
     if run_folder is not None:
         acknowledge_run(_run_folder(run_folder), by, as_json=as_json)
@@ -106,7 +106,7 @@ def verify_command(run_folder: RunArgument, as_json: JsonOption = False) -> None
     Exit codes: 0 intact, 3 something differs, 9 intact as far as can be said: the run was killed and resumed,
     and what had no seal in between could have been changed.
     """
-    from procedures.cli.runs.verify import verify
+    from procedures.cli.runs.evidence import verify
 
     verify(run_folder, as_json=as_json)
 
@@ -140,7 +140,7 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
     """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
-    from procedures.cli.runs.report import make_report
+    from procedures.runs.finishing import make_report
     from ronna_hw.command_line.terminal import print_json
 
     path = make_report(run_folder, out)
@@ -175,7 +175,7 @@ def watch_command(
 
     Reads RUN/events.jsonl and changes nothing; any number of viewers may watch.
     """
-    from procedures.cli.runs.watching import watch
+    from procedures.cli.runs.showing import watch
 
     watch(run_folder, as_json=as_json)
 
@@ -188,7 +188,7 @@ def replay_command(
 
     Exit codes: 0 everything is equal, 1 a record differs or cannot be recomputed.
     """
-    from procedures.cli.runs.replay import replay_run
+    from procedures.cli.runs.evidence import replay_run
 
     replay_run(run_folder, as_json=as_json)
 
@@ -204,7 +204,7 @@ def bytes_command(
 
     The text is a hex dump that text2pcap reads: text2pcap -D -t ISO -l 147 - link.pcapng
     """
-    from procedures.cli.runs.bytes import print_bytes
+    from procedures.cli.runs.evidence import print_bytes
 
     print_bytes(run_folder, link, from_s, to_s, as_json=as_json)
 
@@ -249,6 +249,6 @@ COMMANDS: dict[str, Callable[..., None]] = {
 
 
 def add_commands(app: typer.Typer) -> None:
-    """Give an application these commands."""
+    """Add these commands to an application."""
     for name, command in COMMANDS.items():
         app.command(name)(command)

@@ -1,36 +1,41 @@
-"""`ronna-procedure resume RUN`: continues a run that was killed, left or interrupted."""
+"""`ronna-procedure resume`, `home` and `acknowledge`: an interrupted run, its arm, its faults."""
 
 from __future__ import annotations
 
+import shlex
+import sys
+from collections.abc import Callable, Mapping
+from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Literal
 
-from procedures.cli.case.case_inputs import clinical_input, order_of_case
-from procedures.cli.case.display import follow, show_outcome
-from procedures.cli.case.leaving_report import leave_report, seal_run
-from procedures.cli.case.opening import Watcher
-from procedures.cli.case.outcome import finished, run_case, wall_time_s
-from procedures.cli.case.request import CalibrationRun, CaseRequest
-from procedures.cli.runs.left_runs import (
-    close_again,
-    close_left,
-    held_left_run,
+import typer
+
+from procedures.cli.case.display import follow, following, show_outcome
+from procedures.engine.device_faults import acknowledged
+from procedures.engine.errors import FaultOfRun, RecoveryRefused
+from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
+from procedures.runs.finishing import finalize_run, sealed_again
+from procedures.runs.interrupted_run import InterruptedRun, Resumption
+from procedures.runs.lifecycle import RunObservers, open_run
+from procedures.runs.reopening import (
+    held_interrupted_run,
     make_ready,
-    request_of,
+    reopened_request,
     require_free_devices,
+    resumable_run,
 )
-from procedures.composition.procedure import Resumption
-from procedures.engine.course import Course
-from procedures.engine.left_run import LeftRun
-from procedures.journal.journal import theatre_time_s
-from procedures.reporting.files import load_truth
+from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.theatre_lock import last_moved
+from procedures.runs.theatre_note import arm_not_home
 from ronna_hw.command_line.errors import UsageMistake
-from ronna_hw.command_line.messages import tell
-from ronna_hw.evidence.manifest import REPORT_FILE, is_sealed
+from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
+from ronna_hw.devices.lifecycle import Lifecycle, require_person
+from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.cli.console.attaching import ConsoleRequest
-    from procedures.reporting.outcome import FinishedRun
+    from procedures.runs.console_link import ConsoleRequest
+    from procedures.workcell.device_views import DeviceView
 
 
 def resume(
@@ -41,89 +46,194 @@ def resume(
     as_json: bool,
     console: ConsoleRequest | None = None,
 ) -> None:
-    """Take a run up again and finish it; a finished one is shown.
+    """Resume a run and finish it; a finished one is shown.
 
-    With a console, nothing is read until someone is in its seat, unless a script accepts.
-
-    Raises PRO-030 to PRO-034, PRO-043, PRO-003 where nothing can be written, and what devices and steps
-    raise.
+    With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
+    PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
     """
-    request = request_of(folder, accept=accept, answers=answers, as_before=True)
-    with held_left_run(folder) as left:
-        if isinstance(request, CalibrationRun):
-            _resume_calibration(request, left, console, accepted=accept, as_json=as_json)
-            return
-        if left.finished:
-            sealed = is_sealed(left.run.path)
-            if not sealed:  # it was killed between its last line and its seal
-                make_ready(left)
-                left = close_again(left)
-            outcome = _as_it_ended(request, left)
-            if not sealed:
-                leave_report(left.run.path, name_it=False)
-                seal_run(left.run.path)
-                outcome = _with_report(outcome, left.run.path)
-            tell(f"{left.run.name} is finished: nothing remains to be done")
-            show_outcome(outcome, as_json=as_json)
+    request = reopened_request(folder, accept=accept, answers=answers, as_before=True)
+    with held_interrupted_run(folder) as interrupted:
+        if isinstance(request.procedure, CalibrationProcedure):
+            if console is not None:
+                raise UsageMistake(
+                    "--console operates cases, and this is a calibration", action="Omit --console."
+                )
+            from procedures.cli.calibrating.calibration import resume_calibration
+
+            resume_calibration(request, interrupted, accepted=accept, as_json=as_json)
+        elif interrupted.finished:
+            with sealed_again(interrupted) as closed:
+                outcome = outcome_as_recorded(request, closed)
+            tell(f"{interrupted.run.name} is finished: nothing remains to be done")
+            show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
+        else:
+            require_free_devices(request)
+            make_ready(interrupted)
+            finish = partial(finish_case, request, interrupted, accepted=accept)
+            follow(request, interrupted.folder, finish, console, as_json=as_json, waits=not accept)
+
+
+def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
+    """Have an instrument taken out, then bring the arm home, once the findings are accepted.
+
+    Raises the errors of `resume`; the run is unchanged and can be resumed.
+    """
+    request = reopened_request(folder, accept=accept, answers=answers)
+    with held_interrupted_run(folder, only_leaving=True) as interrupted:
+        if (nothing := interrupted.nothing_to_bring_home) is not None:
+            _require_not_left_by_another(interrupted, request)
+            _say(interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json)
             return
         require_free_devices(request)
-        make_ready(left)
-        follow(
-            request,
-            left.run.path,
-            lambda watcher: _operated(request, left, watcher, console, accepted=accept),
+        make_ready(interrupted)
+        with finalize_run(interrupted.folder), following(quiet=as_json) as observers:
+            from procedures.runs.recovery import bring_home
+
+            resumption = Resumption(interrupted, accept, only_leaving=True)
+            with open_run(request, interrupted.folder, observers, resumption) as engine:
+                moved = bring_home(engine, interrupted)
+        words = "the arm is home" if moved else "the arm was already home"
+        _say(interrupted, words, moved=moved, as_json=as_json)
+
+
+def _require_not_left_by_another(interrupted: InterruptedRun, request: RunRequest) -> None:
+    """Raise PRO-032 with the run whose `home` brings the arm there, PRO-043 while that one still runs."""
+    theatre = request.config
+    if theatre is not None and (away := arm_not_home(last_moved(theatre), interrupted.folder)) is not None:
+        require_free_devices(request)
+        raise RecoveryRefused(away, action="Nothing was moved.")
+
+
+def _say(
+    interrupted: InterruptedRun, words: str, *, moved: bool, as_json: bool, home: Literal[True] | None = True
+) -> None:
+    """Print the outcome; `home` is None if no arm was asked."""
+    if as_json:
+        print_json({"run": interrupted.folder.name, "home": home, "moved": moved})
+    else:
+        say(words)
+
+
+def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
+    """Acknowledge the faults of a run's devices, in its journal.
+
+    Raises the errors of `home` and of `acknowledge_theatre`.
+    """
+    request = reopened_request(folder)
+    with held_interrupted_run(folder, only_leaving=True) as interrupted:
+        by = _person(by)
+        path = interrupted.folder
+        if interrupted.parked:
+            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
+            return
+        require_free_devices(request)
+        if request.config is not None:
+            _require_own_fault(request.config, path)
+        make_ready(interrupted)
+        resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
+        with finalize_run(path), open_run(request, path, RunObservers(), resumption) as engine:
+            _recover_all(
+                engine.setting.workcell.devices,
+                lambda: engine.faults.acknowledge(by),
+                by,
+                as_json=as_json,
+                run=path.name,
+            )
+
+
+def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
+    """Acknowledge the faults of a theatre's devices.
+
+    Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
+    """
+    from procedures.runs.theatre_lock import held_theatre, require_free_theatre
+    from ronna_hw.theatre import Theatre
+
+    by = _person(by)
+    require_free_theatre(file)
+    _require_own_fault(file, None)
+    with Theatre.from_file(file) as theatre, held_theatre(file, None, only_leaving=True):
+        devices = theatre.devices
+        _recover_all(
+            devices,
+            lambda: dict(acknowledged(devices, lambda name: devices[name].recover(by))),
+            by,
             as_json=as_json,
+            theatre=theatre.file.theatre,
         )
 
 
-def _resume_calibration(
-    request: CalibrationRun, left: LeftRun, console: ConsoleRequest | None, *, accepted: bool, as_json: bool
+def _require_own_fault(theatre: Path, run: Path | None) -> None:
+    """Raise PRO-044 if another run that can be resumed had the devices last.
+
+    Only its own journal can say that what it localized before the fault is in doubt.
+    """
+    if (last := resumable_run(theatre, run)) is not None:
+        raise FaultOfRun(
+            f"run {last.name} on this theatre is unfinished: after a fault it must ask which results are "
+            "still valid",
+            action=f"Use ronna-procedure acknowledge {shlex.quote(str(last))} --by 'YOUR NAME'.",
+        )
+
+
+def _person(by: str | None) -> str:
+    """Return the name of the person acknowledging, typed if not given: a login is no person's name.
+
+    Raises DEV-006.
+    """
+    if by is None and on_terminal(sys.stdin) and on_terminal(sys.stderr):
+        by = str(typer.prompt("Name of the person acknowledging", err=True))
+    return require_person(by or "")
+
+
+def _recover_all(
+    devices: Mapping[str, DeviceView],
+    acknowledge: Callable[[], dict[str, str]],
+    by: str,
+    *,
+    as_json: bool,
+    **about: str,
 ) -> None:
-    if console is not None:
-        raise UsageMistake("--console operates cases, and this is a calibration", action="Omit --console.")
-    from procedures.cli.calibrating.resuming import resume_calibration
+    """Connect to every device, which moves nothing, and recover faults seen then or once configured.
 
-    resume_calibration(request, left, accepted=accepted, as_json=as_json)
-
-
-def _operated(
-    request: CaseRequest, left: LeftRun, watcher: Watcher, console: ConsoleRequest | None, *, accepted: bool
-) -> FinishedRun:
-    if console is None:
-        return _go_on(request, left, watcher, accepted=accepted)
-    from procedures.cli.console.attaching import with_console
-
-    with with_console(watcher, left.run.path, console, waits=not accepted) as operated:
-        return _go_on(request, left, operated, accepted=accepted)
-
-
-def _go_on(request: CaseRequest, left: LeftRun, watcher: Watcher, *, accepted: bool) -> FinishedRun:
-    if not left.untouched and _nothing_remains(request, left):
-        return _as_it_ended(request, close_left(left, clinical_input(request, left.run.path)))
-    return run_case(request, left.run.path, watcher, Resumption(left, accepted))
-
-
-def _nothing_remains(request: CaseRequest, left: LeftRun) -> bool:
-    """Whether only the last line is missing: what ends a case that runs would have ended this one."""
-    order = order_of_case(request, left.run.path)
-    return Course(order, left.restored(order)).over and not left.arm.place.is_out
+    A device that does not respond keeps no other from being recovered; its error is raised at the end.
+    """
+    problems: dict[str, RonnaError] = {}
+    for name, device in devices.items():
+        try:
+            device.connect()
+        except RonnaError as problem:
+            problems[name] = problem
+    done = acknowledge()
+    for name, device in devices.items():
+        if device.observe().state is Lifecycle.CONNECTED:
+            try:
+                device.configure()
+            except RonnaError as problem:
+                if device.observe().state is not Lifecycle.FAULT:
+                    problems[name] = problem
+    done |= acknowledge()
+    _show(done, problems, by, as_json=as_json, **about)
+    *others, last = [None, *problems.values()]
+    for one in others[1:]:
+        tell(str(one))
+    if last is not None:
+        raise last
 
 
-def _as_it_ended(request: CaseRequest, left: LeftRun) -> FinishedRun:
-    folder, journal = left.run.path, left.run.journal
-    order = order_of_case(request, folder)
-    moment_s = theatre_time_s(journal[-1])
-    outcome = finished(
-        request,
-        left.restored(order),
-        order.trajectories,
-        moment_s,
-        wall_time_s(journal),
-        load_truth(folder) if is_sealed(folder) else None,
-    )
-    return _with_report(outcome, folder)
-
-
-def _with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
-    report = folder / REPORT_FILE
-    return outcome.model_copy(update={"report": str(report) if report.exists() else None})
+def _show(
+    done: Mapping[str, str],
+    problems: Mapping[str, RonnaError],
+    by: str,
+    *,
+    as_json: bool,
+    nothing: str = "no device is in fault",
+    **about: str,
+) -> None:
+    """Print the faults that were recovered, or why there was `nothing` to recover."""
+    if as_json:
+        unreached = {name: str(problem) for name, problem in problems.items()}
+        print_json({**about, "acknowledged": done, "unreached": unreached})
+    else:
+        rows = [f"acknowledged by {by}: {name}: {fault}" for name, fault in done.items()] or [nothing]
+        say("\n".join(rows))

@@ -1,26 +1,31 @@
-"""`ronna-procedure list`, `show` and `lineage`: what runs there are, and what one did and came to."""
+"""`ronna-procedure list`, `show`, `lineage` and `watch`: runs, their results and their course."""
 
 from __future__ import annotations
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.runs.folders import runs_in
-from procedures.engine.run_lock import holder_of_run
+from procedures.cli.case.case_view import entry_of, in_words, lost_in_words
+from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
+from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.ending import Ending, resumes, run_ending
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from ronna_hw.command_line.terminal import print_json, print_table, say
+from procedures.runs.folders import holder_of_run, runs_in
+from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
+from ronna_hw.evidence.inspection import inspected
 from ronna_hw.text import counted, printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
     """Print the runs of a folder, oldest first.
 
-    Only what the rows come from is compared; an error from a changed file is omitted.
+    Only the sources of the rows are compared; an error from a changed file is omitted.
     """
     rows = [_listed(run) for run in runs_in(folder)]
     if as_json:
@@ -82,8 +87,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     """Print results and their ancestors. Raises PRO-033 for a run that was changed."""
-    from procedures.engine.lineage import lineage_mermaid, lineage_text
-    from procedures.engine.run_folder import read_run
+    from procedures.engine.run_folder import lineage_mermaid, lineage_text, read_run
 
     run = read_run(folder)
     say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
@@ -105,7 +109,7 @@ def _largest(row: dict[str, Any]) -> str:
 
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
-    """A run in plain data: what `list` and `show` print."""
+    """Return a run as plain data, for `list` and `show`."""
     run = reading.run
     ending = run_ending(run.journal)
     running = holder_of_run(reading.folder) if ending.word == "killed" else None
@@ -137,3 +141,59 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         ],
         "max_application_error_mm": max(errors_mm.values(), default=None),
     }
+
+
+def watch(run: Path, *, as_json: bool) -> None:
+    """Show the present state, then each event, until the run has ended. Raises CLI-005, PRO-018.
+
+    For a run that is over, files that are not as it left them are named first.
+    """
+    followed = FollowedRun(run)
+    if followed.over:
+        for change in inspected(run).changes:
+            tell(f"NOT AS THE RUN LEFT IT: {change}")
+    if as_json:
+        _write(followed, lambda event: event.model_dump_json(ensure_ascii=True))
+    elif on_terminal(sys.stderr):
+        from procedures.cli.case.live_display import LiveDisplay
+
+        display = LiveDisplay(message_console(), errors=True)
+        with display.shown():
+            for events in followed.batches():
+                display.show(events)
+        for _style, line in display.view.lines():
+            tell(line)
+    else:
+        _write(followed, line_of)
+    if not followed.closed:
+        tell("the run was ended without being closed")
+
+
+def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> None:
+    for events in followed.batches():
+        for event in events:
+            if (line := line_of(event)) is not None:
+                sys.stdout.write(line + "\n")
+        sys.stdout.flush()
+
+
+def line_of(event: Event) -> str | None:
+    """Return the line of an event for a person; None for one that only changes the picture."""
+    line = _line(event)
+    return line and printable(line)
+
+
+def _line(event: Event) -> str | None:
+    if (entry := entry_of(event)) is not None:
+        return f"{entry.mark} {entry.text}"
+    match event.what:
+        case CaseState() as case:
+            return in_words(case)
+        case SignalsLost() as lost:
+            return lost_in_words(lost)
+        case Questioned(subject=subject, value=value):
+            return f"? {subject}: {value}"
+        case Refusal(step=step, unmet=unmet):
+            return f"✗ {step} refused: {'; '.join(unmet)}"
+        case _:
+            return None

@@ -1,1 +1,1 @@
-"""`ronna-stereo`: its options, what it writes and what it prints."""
+"""`ronna-stereo`: commands and what they print."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -12,7 +13,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
 
 if TYPE_CHECKING:
-    from procedures.engine.engine import Engine
+    from procedures.engine.case import Case
     from procedures.reporting.calibration_figures import HeadCheckFigures
     from ronna_hw.config import Calibrations
 
@@ -61,10 +62,10 @@ def calibrate_head(
     finite_ball(ball)
     request = asked.request(context)
     from procedures.cli.calibrating.calibration import calibrate
-    from procedures.cli.stereo.files import KIND
+    from procedures.runs.calibrations import STEREO_HEAD
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(KIND, Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball), request)
+    calibrate(STEREO_HEAD, Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball), request)
 
 
 @app.command()
@@ -87,8 +88,6 @@ def check(
     from procedures.calibration.errors import NotTheBaseline
     from procedures.calibration.observations import read_strict
     from procedures.calibration.self_check import BASELINE_FILE
-    from procedures.cli.case.leaving_report import leaving_report
-    from procedures.cli.stereo import files
 
     file = baseline / BASELINE_FILE if baseline.is_dir() else baseline
     if baseline.is_dir() and not file.exists():
@@ -98,12 +97,15 @@ def check(
         )
     then = read_strict(Baseline, file)
     then.require_complete()
-    from procedures.cli.calibrating.running import new_folder, run_steps
+    from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.reporting.calibration_figures import write_figures
+    from procedures.runs.calibrations import head_check_figures
+    from procedures.runs.finishing import finalize_run
+    from procedures.runs.folders import new_run_folder
+    from procedures.runs.request import Measurement
     from procedures.steps.calibration.head_looks import VisitedBaseline
     from procedures.steps.calibration.recipe import head_check
 
-    folder = new_folder(asked.out, "check")
     found: list[HeadCheckFigures] = []
 
     def in_use(of_theatre: Calibrations) -> Calibrations:
@@ -111,20 +113,20 @@ def check(
             return of_theatre.model_copy(update={"stereo_head": then.stereo_head})
         return of_theatre
 
-    def judge(engine: Engine) -> None:
-        result = compare_with_baseline(engine.case.get(VisitedBaseline).result.looks, then)
-        figures = files.check_figures(result, then)
+    def conclude(case: Case) -> None:
+        result = compare_with_baseline(case.get(VisitedBaseline).result.looks, then)
+        figures = head_check_figures(result, then)
         write_figures(figures, folder)
         found.append(figures)
         result.require()
 
-    with leaving_report(folder, with_truth=False):
-        title = "Check of the stereo head"
+    steps = head_check(then, visits)
+    measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
+    request = replace(theatre, procedure=measurement)
+    folder = new_run_folder(request, asked.out, "check")
+    with finalize_run(folder, with_truth=False):
         try:
-            with terminal.progress_bar("measuring the ball") as bar:
-                run_steps(
-                    theatre, folder, head_check(then, visits), bar, title=title, in_use=in_use, judge=judge
-                )
+            run_with_bar(request, folder, "measuring the ball", conclude)
         finally:
             for figures in found:
                 if asked.as_json:
@@ -154,16 +156,19 @@ def measure(
     `calibrate`.
     """
     theatre = asked.theatre()
-    from procedures.cli.calibrating.running import new_folder, run_steps
-    from procedures.cli.case.leaving_report import leaving_report
+    from procedures.cli.calibrating.calibration import run_with_bar
+    from procedures.runs.finishing import finalize_run
+    from procedures.runs.folders import new_run_folder
+    from procedures.runs.request import Measurement
     from procedures.steps.calibration.recipe import head_look, look_where_it_stands
     from procedures.workcell.stereo_look import Look
 
     steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
-    folder = new_folder(asked.out, "measure")
-    with leaving_report(folder, with_truth=False):
-        with terminal.progress_bar("measuring with the stereo head") as bar:
-            engine = run_steps(theatre, folder, steps, bar, title="A measurement of the stereo head")
+    measurement = Measurement(steps=steps, title="A measurement of the stereo head")
+    request = replace(theatre, procedure=measurement)
+    folder = new_run_folder(request, asked.out, "measure")
+    with finalize_run(folder, with_truth=False):
+        engine = run_with_bar(request, folder, "measuring with the stereo head")
         seen = engine.setting.memory.find(Look)
         assert seen is not None, "the last step keeps its measurement"
         if picture is not None:

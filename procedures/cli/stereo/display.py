@@ -1,4 +1,4 @@
-"""What `ronna-stereo` prints: a calibration, a check, one look."""
+"""Tables of `ronna-stereo`: a check, one look."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from ronna_hw.command_line import terminal
 
 
 def print_check(figures: HeadCheckFigures) -> None:
-    """The three tests of a check."""
+    """Print the three tests of a check."""
     rows = [
         [
             f"{sign.name}, {sign.unit}",
@@ -30,9 +30,9 @@ def print_check(figures: HeadCheckFigures) -> None:
 
 
 def show_look(seen: Look, *, as_json: bool) -> BallFigures:
-    """Print the ball in both images and in the tool frame; returns the figures.
+    """Print the ball in both images and in the tool frame; return the figures.
 
-    Raises what kept the look from giving a point.
+    Raises the error that kept the look from giving a point.
     """
     point = seen.point
     if seen.left is None or seen.right is None:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from procedures.cli.tool.purposes import Purpose
+from procedures.cli.tool.records import Purpose
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -150,7 +150,7 @@ def _require_another_file(config: Path, write: Path) -> None:
 
 
 def _signed(name: str, by: str, days: int) -> dict[str, Any]:
-    """What all dated records have. Raises DEV-006 for no name."""
+    """Return identity, dates and maker of a record. Raises DEV-006 without a name."""
     from ronna_hw.devices.lifecycle import require_person
 
     made = datetime.now(UTC).replace(microsecond=0)
@@ -163,7 +163,7 @@ def _signed(name: str, by: str, days: int) -> dict[str, Any]:
 
 
 def _write(config: Path, write: Path, name: str, record: dict[str, Any], *, as_json: bool) -> None:
-    from procedures.cli.calibrating.files import write_theatre_tables
+    from procedures.runs.calibration_files import write_theatre_tables
 
     write_theatre_tables(config, write, {"tools": {name: record}})
     if as_json:

@@ -6,13 +6,15 @@ import math
 from collections.abc import Sequence
 from datetime import datetime
 from difflib import get_close_matches
+from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.tool.gauge_readings import read_gauge
+import numpy as np
+
 from procedures.planning.errors import NoToolRecord
 from procedures.planning.tool_records import GUIDE, ToolRecords
-from ronna_hw.bounded_input import read_toml
+from ronna_hw.bounded_input import read_bounded, read_toml
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import (
@@ -25,14 +27,70 @@ from ronna_hw.config import (
 )
 from ronna_hw.devices.robot import RobotArm
 from ronna_hw.registry import make_device
-from ronna_hw.tool_record import WITH_TIP, ToolRecord
+from ronna_hw.tool_record import GAUGE_APPROACHES, GAUGE_MOUNTINGS, WITH_TIP, Gauge, ToolRecord
+
+DIALS = ("X", "Y", "Z", "UPPER_X", "UPPER_Y")
+LARGEST_BYTES = 100_000
+# Six standard deviations of an arm's arrival, a changer's seat and a dial together: farther is misread.
+APART_MM = 0.1
+
+
+def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
+    """Return mean and spread of gauge readings, as fields of the gauge. Raises CLI-001."""
+    lines = read_bounded(path, LARGEST_BYTES).decode("utf-8-sig", "replace").splitlines()
+    read = [_numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()]
+    if len(read) < GAUGE_APPROACHES:
+        raise UsageMistake(
+            f"--gauge-mm: {path.name} has {len(read)} approaches",
+            expected=f"at least {GAUGE_APPROACHES}, in {GAUGE_MOUNTINGS} mountings",
+            action="One line for each approach: the five dials in mm.",
+        )
+    lowest_mm, highest_mm = gauge.plausible_mm
+    middle = np.median([numbers for _, numbers in read], axis=0).tolist()
+    for where, numbers in read:
+        for dial, reading_mm, usual_mm in zip(DIALS, numbers, middle, strict=True):
+            if not lowest_mm <= reading_mm <= highest_mm:
+                raise UsageMistake(
+                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
+                    action="Read the dials again; if their travel differs, set `travel_mm` of the gauge.",
+                )
+            if abs(reading_mm - usual_mm) > APART_MM:
+                raise UsageMistake(
+                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    expected=f"within {APART_MM:g} mm of the others, whose median is {usual_mm:g}",
+                    action="Seat tool and mandrel anew, and read all approaches again.",
+                )
+    values = np.array([numbers for _, numbers in read])
+    x, y, z, upper_x, upper_y = values.mean(axis=0).round(6).tolist()
+    return {
+        "reading_mm": [x, y, z],
+        "upper_reading_mm": [upper_x, upper_y],
+        "approaches": len(values),
+        "spread_mm": round(float(np.sqrt(values.var(axis=0, ddof=1).mean())), 6),
+    }
+
+
+def _numbers(where: str, line: str) -> tuple[str, list[float]]:
+    """Return the numbers of one line, named for messages; none may be outside every dial's travel."""
+    try:
+        numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
+    except ValueError:
+        numbers = []
+    if len(numbers) != len(DIALS):
+        raise UsageMistake(
+            f"--gauge-mm: {where}: {line.strip()[:40]!r}",
+            expected=f"five numbers, {' '.join(DIALS)}",
+            action="Write them with decimal points, and spaces between them.",
+        )
+    return where, numbers
 
 
 def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
-    """The record as the file holds it, with flange and tip of the file; `readings` are those of its gauge.
+    """Return a record as the file holds it, with its flange and tip; `readings` are those of its gauge.
 
     Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread, or a name
-    that differs from a known one by capitals alone, TOOL-002 for a `guide` that is none.
+    that the file already has.
     """
     theatre = read_theatre_file(config)
     record = {key: value for key, value in given.items() if value not in (None, {})}
@@ -65,7 +123,7 @@ def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | N
 
 
 def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
-    """What a record says of its tip: which calibration, and where that has it."""
+    """Return the record's statement on its tip: which calibration, and where that has it."""
     return {
         "tip": calibrations.tool_tip.identifier,
         "tip_in_head": calibrations.tip_in_head.model_dump(mode="json"),
@@ -73,7 +131,7 @@ def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
 
 
 def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> UsageMistake | None:
-    """What is wrong with a gauge where this theatre's arm cannot be; without an arm nobody can say."""
+    """Return why this theatre's arm cannot reach a gauge; nothing without an arm."""
     config = theatre.robot.get(MASTER)
     arm = (
         None if config is None or joints_deg is None else make_device(f"robot.{MASTER}", config, HostClock())
@@ -94,9 +152,9 @@ def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> U
 
 
 def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> dict[str, Any]:
-    """The record of a tool for the tip calibration of now; `signed` are its new identity, dates and maker.
+    """Return a tool's record for the present tip calibration; `signed` has its new identity, dates and maker.
 
-    `readings` is the file of the dials as read with it. Raises TOOL-002, CFG-001, CLI-001.
+    `readings` is the file of dial readings with it. Raises TOOL-002, CFG-001, CLI-001.
     """
     theatre = read_theatre_file(config)
     with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
@@ -120,7 +178,7 @@ def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> 
 
 
 def tip_moved(config: Path, name: str) -> tuple[float, float] | None:
-    """How far, mm and rad, the file's tip is from where the tool's record has it; None if it does not say."""
+    """Return how far, mm and rad, the file's tip is from the tool's record; None if that does not say."""
     theatre = read_theatre_file(config)
     recorded = theatre.tools[name].tip_in_head
     if recorded is None or theatre.calibration is None:
@@ -129,19 +187,19 @@ def tip_moved(config: Path, name: str) -> tuple[float, float] | None:
 
 
 def dials_moved(config: Path, name: str, record: dict[str, Any]) -> float | None:
-    """By how much, mm, the dials at the mandrel's end differ from the tool's record; None without a gauge."""
+    """Return how far, mm, the dials at the mandrel's end differ from the record; None without a gauge."""
     former = read_theatre_file(config).tools[name].gauge
     return None if former is None else math.dist(former.reading_mm, record["gauge"]["reading_mm"])
 
 
 def left_out(config: Path, name: str, record: dict[str, Any]) -> list[str]:
-    """Tables that the file's record of that name has, and the new one has not."""
+    """Return tables of the file's record of that name that the new one lacks."""
     former = read_toml(config, BadTheatreFile).get("tools", {}).get(name, {})
     return [f"[tools.{name}.{key}]" for key in former if key not in record]
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
-    """One line of the list."""
+    """Return one row of the list."""
     return {
         "name": name,
         "identifier": record.identifier,
@@ -152,3 +210,14 @@ def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[st
         "expires": f"{record.expires:%Y-%m-%d}",
         "valid": record.created <= now <= record.expires and record.flange == flange,
     }
+
+
+class Purpose(StrEnum):
+    """Purposes of a tool, as choices of an option; see `ronna_hw.tool_record.ToolPurpose`."""
+
+    STEREO_HEAD = "stereo_head"
+    NEEDLE_GUIDE = "needle_guide"
+    DRILL_GUIDE = "drill_guide"
+    DRILL = "drill"
+    GRIPPER = "gripper"
+    POINTER = "pointer"

@@ -1,7 +1,6 @@
-"""What happens in a case, as one numbered stream for every reader: journal, terminal, console, links."""
+"""The events of a case, as one numbered stream for every reader: journal, terminal, console, links."""
 
-from procedures.engine.events.event import Event
-from procedures.engine.events.happenings import (
+from procedures.engine.events.event_types import (
     Advisory,
     Answered,
     Bodies,
@@ -11,6 +10,7 @@ from procedures.engine.events.happenings import (
     DeviceAge,
     DeviceFact,
     DeviceState,
+    Event,
     Fault,
     Happening,
     JournalLine,

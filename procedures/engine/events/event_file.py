@@ -12,11 +12,15 @@ import fcntl
 import os
 import threading
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 
-from procedures.engine.events.event import Event
-from procedures.engine.events.happenings import SignalsLost
-from procedures.engine.events.stream import EventStream
+from procedures.engine.errors import EventsUnreadable
+from procedures.engine.events.event_types import VERSION, Event, JournalLine, SignalsLost
+from procedures.engine.events.stream import CurrentState, EventStream
+from procedures.journal.journal import Entry
+from ronna_hw.bounded_input import check_json, values_in
+from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.logs import logger
 
 EVENTS_FILE = "events.jsonl"
@@ -26,15 +30,16 @@ SIGNALS_BYTES = 8 << 20  # of signals of one program; some ten hours of an arm, 
 LARGEST_BYTES = 100_000_000  # of the file: a dozen programs with all their signals
 LOCK_TRIES, LOCK_AGAIN_S = 20, 0.01  # host time between two tries
 WAITING_LINES = 10_000  # facts that wait for a full disk; a case has some thousands
-
 _log = logger(part="events")
+MOST_VALUES_OF_JOURNAL = 1_000_000  # in its lines together: nothing else is nested freely; a case has 13,000
+LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
 class EventFile:
     """Writes the events of a program to the file of its run, in a thread of its own."""
 
     def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
-        """Never raises: a file that cannot be written is logged, and the case continues without it."""
+        """Start the thread. Never raises: a failure to write is logged, and the case continues."""
         self._path = folder / EVENTS_FILE
         self._reader = events.subscribe()
         self._signals_left = signals_bytes
@@ -111,7 +116,7 @@ class EventFile:
                 self._lost += 1
 
     def _tell_lost(self, *, at_once: bool) -> None:
-        """It bears number and time of the last event: of the stream itself it is none."""
+        """Report lost signals, under the number and time of the last event: it is not part of the stream."""
         now_s = time.monotonic()
         due = at_once or now_s - self._lost_reported_s >= LOST_PERIOD_S
         if due and self._lost > self._lost_reported and (last := self._last) is not None:
@@ -119,7 +124,7 @@ class EventFile:
             self._waiting.append(_line(last.model_copy(update={"what": SignalsLost(count=self._lost)})))
 
     def _write(self) -> None:
-        """Write whole lines or nothing; what did not go in waits for the next time."""
+        """Write whole lines or nothing; the rest waits for the next time."""
         if self._file is None or not self._waiting:
             self._waiting.clear()
             return
@@ -149,7 +154,7 @@ class EventFile:
 
 
 def _lock(file: int) -> None:
-    """Take the writer's lock; a follower that looks whether there is a writer holds it for an instant."""
+    """Take the writer's lock; a follower that looks for a writer holds it for an instant."""
     for _ in range(LOCK_TRIES):
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -160,3 +165,91 @@ def _lock(file: int) -> None:
 
 def _line(event: Event) -> bytes:
     return event.model_dump_json().encode() + b"\n"
+
+
+class FollowedRun:
+    """A run followed by its event file, read-only; any number of programs may do so."""
+
+    def __init__(self, folder: Path, sleep: Callable[[float], None] = time.sleep) -> None:
+        """Raises CLI-005 for a folder without events."""
+        self._path = folder / EVENTS_FILE
+        if not self._path.is_file():
+            raise PathProblem(
+                f"{folder} has no {EVENTS_FILE}", expected="the folder of a run that has started"
+            )
+        self._sleep = sleep
+        self._offset = self._lines = self._values = 0
+        self.closed = False  # whether the run came to its own end
+
+    @property
+    def over(self) -> bool:
+        """Whether the run's own program has let go of the file, however it ended."""
+        with self._path.open("rb") as file:
+            try:
+                fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
+            except BlockingIOError:
+                return False
+        return True
+
+    def batches(self, *, whole: bool = False) -> Iterator[Sequence[Event]]:
+        """Yield the present state, or the `whole` course so far, then each event. Raises PRO-018."""
+        over = self.over
+        course = self._read()
+        if whole:
+            yield _in_order(course)
+        else:
+            current = CurrentState()
+            for event in course:
+                current.take_in(event)
+            yield current.events
+        while not over:
+            self._sleep(LOOK_AGAIN_S)
+            over = self.over  # before the last look
+            if events := self._read():
+                yield events
+
+    def _read(self) -> list[Event]:
+        """Return lines written since the last call; an incomplete line waits."""
+        with self._path.open("rb") as file:
+            if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
+                raise EventsUnreadable(
+                    f"{self._path} is too large", expected=f"at most {LARGEST_BYTES} bytes"
+                )
+            file.seek(self._offset)
+            content = file.read(LARGEST_BYTES)
+        content = content[: content.rfind(b"\n") + 1]
+        self._offset += len(content)
+        return [self._event(line) for line in content.splitlines()]
+
+    def _event(self, line: bytes) -> Event:
+        self._lines += 1
+        try:
+            event = Event.model_validate_json(check_json(line))
+        except ValueError as error:  # also a line out of bounds
+            raise EventsUnreadable(f"line {self._lines} of {self._path} is not an event") from error
+        if event.version != VERSION:
+            raise EventsUnreadable(
+                f"line {self._lines} of {self._path} was written by another version",
+                expected=f"version {VERSION}",
+                got=f"version {event.version}",
+            )
+        if isinstance(event.what, JournalLine):
+            self.closed = event.what.line.get("entry") == Entry.CLOSED
+            self._values += values_in(line)
+            if self._values > MOST_VALUES_OF_JOURNAL:
+                raise EventsUnreadable(
+                    f"too many values in the lines of a journal in {self._path}",
+                    expected=f"at most {MOST_VALUES_OF_JOURNAL}",
+                )
+        return event
+
+
+def _in_order(course: Sequence[Event]) -> list[Event]:
+    """Sort events as they happened: signals are written late, and numbers restart when a run is resumed."""
+    program, latest, placed = 0, 0, list[tuple[int, int, Event]]()
+    for event in course:
+        if not event.what.signal:  # facts are written in their order
+            program += event.number < latest
+            latest = event.number
+        placed.append((program, event.number, event))
+    return [event for _, _, event in sorted(placed, key=lambda one: one[:2])]

@@ -13,14 +13,83 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from datetime import UTC, datetime
 
-from procedures.engine.events.current_state import CurrentState
-from procedures.engine.events.event import Event
-from procedures.engine.events.happenings import Happening, JournalLine
+from procedures.engine.events.event_types import (
+    Answered,
+    Bodies,
+    CaseState,
+    DeviceState,
+    Event,
+    Fault,
+    Happening,
+    JournalLine,
+    MeasuringVolume,
+    Order,
+    Questioned,
+    Refusal,
+    Seat,
+    SignalsLost,
+    StepState,
+    Waiting,
+)
+from procedures.journal.journal import Entry
+
+LAST_LINES = 3  # of the journal, that a display shows
+LAST_ERROR = "last error"
+
+
+class CurrentState:
+    """The latest event of everything that has a present value, and the last lines of the journal."""
+
+    def __init__(self) -> None:
+        self._events: dict[str, Event] = {}
+        self._lines = 0
+
+    @property
+    def events(self) -> tuple[Event, ...]:
+        """In the order in which they happened."""
+        return tuple(self._events.values())
+
+    def take_in(self, event: Event) -> None:
+        """Let an event replace those that it makes obsolete."""
+        match event.what:
+            case Answered(question=number):
+                self._events.pop(f"question {number}", None)
+                return
+            case StepState(state="begun"):  # what was wrong before is past
+                self._events.pop(LAST_ERROR, None)
+            case JournalLine():
+                self._lines += 1
+            case _:
+                pass
+        if (key := self._key(event)) is not None:
+            self._events.pop(key, None)
+            self._events[key] = event
+
+    def _key(self, event: Event) -> str | None:
+        """Return the key under which only the latest event holds; None for one that does not last."""
+        match event.what:
+            case Questioned(question=number):
+                return f"question {number}"
+            case StepState(step=step):
+                return f"step {step}"
+            case DeviceState(device=device):
+                return f"device {device}"
+            case CaseState() | Order() | Waiting() | Seat() | Bodies() | MeasuringVolume() | SignalsLost():
+                return event.what.kind
+            case JournalLine(line=line):
+                opening = line.get("entry") in (Entry.OPENED, Entry.RESTARTED)
+                return "opened" if opening else f"line {self._lines % LAST_LINES}"
+            case Fault() | Refusal():
+                return LAST_ERROR
+            case what if what.signal:
+                return event.subject
+            case _:
+                return None
 
 
 @dataclass(frozen=True)
 class Batch:
-    """What has happened since the reader last looked, in order; `lost` signals were replaced meanwhile."""
+    """Events since the last read, in order; `lost` signals were replaced meanwhile."""
 
     events: tuple[Event, ...]
     lost: int
@@ -52,7 +121,7 @@ class Reader:
             return batch
 
     def deliver(self, event: Event) -> None:
-        """Take an event in. For the stream alone."""
+        """Take an event in; for the stream alone."""
         with self._arrived:
             if event.what.signal:
                 self._lost += event.subject in self._signals
@@ -62,14 +131,14 @@ class Reader:
             self._arrived.notify_all()
 
     def end(self) -> None:
-        """Nothing more will come. For the stream alone."""
+        """End the reading; for the stream alone."""
         with self._arrived:
             self._ended = True
             self._arrived.notify_all()
 
 
 class EventStream:
-    """Where everything that happens in a case is published, from any thread."""
+    """The stream to which everything in a case is published, from any thread."""
 
     def __init__(self, now_s: Callable[[], float] = lambda: 0.0) -> None:
         """`now_s` is the theatre's time."""
@@ -97,7 +166,7 @@ class EventStream:
         self.publish(JournalLine(line=json.loads(line)))
 
     def subscribe(self) -> Reader:
-        """A new reader: first a snapshot of what holds at present, then every change."""
+        """Return a new reader: first a snapshot of the present state, then every change."""
         with self._lock:
             reader = Reader(self._current.events)
             self._readers.append(reader)
@@ -106,12 +175,12 @@ class EventStream:
         return reader
 
     def hold_time(self) -> None:
-        """From here on every event bears the present time: the theatre's clock is about to close."""
+        """Stop the time of events: the theatre's clock is about to close."""
         now_s = self._now_s()
         self._now_s = lambda: now_s
 
     def end(self) -> None:
-        """Nothing more will happen."""
+        """End the stream."""
         with self._lock:
             self._ended = True
             for reader in self._readers:

@@ -1,1 +1,1 @@
-"""A run computed again from what its devices answered, compared with its records; no device is touched."""
+"""Replay: a run computed again from its recorded answers, without devices, and compared with its records."""

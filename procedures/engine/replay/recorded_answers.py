@@ -1,11 +1,13 @@
-"""The tape read back: for each section, what each call on each device gave, in order."""
+"""The tape of a run: its sections as written, and the recorded answers of each call of each device."""
 
 from __future__ import annotations
 
+import json
 from collections import defaultdict, deque
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from datetime import datetime
 from pathlib import Path
 from typing import Annotated, NamedTuple
 
@@ -13,8 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
+from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded
+from procedures.journal.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.bounded_input import parse_json, read_json_lines
+from ronna_hw.clock import Clock
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import DeviceError, RonnaError, concrete_errors
 from ronna_hw.host.files import open_regular
@@ -28,9 +33,10 @@ from ronna_hw.recording.reading_coding import (
     as_recorded,
     unpack_pixels,
 )
-from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER
+from ronna_hw.recording.reading_tape import PIXELS_FILE, READINGS_FILE, READINGS_FOLDER, ReadingTape
 
 Count = Annotated[int, Field(gt=0, le=LARGEST_BYTES)]
+BEGINS = (Entry.INTENT, Entry.HOME)
 
 
 class _Strict(BaseModel):
@@ -38,14 +44,14 @@ class _Strict(BaseModel):
 
 
 class CalibrationOpening(_Strict):
-    """Of what is no clinical case: its steps, and the records that were in use."""
+    """Steps of a calibration, and the records that were in use."""
 
     recipe: dict[str, object]
     records: dict[str, object]
 
 
 class Opening(_Strict):
-    """What a replay must know besides the answers. A run of steps alone says little."""
+    """Facts that a replay needs besides the answers. A run of steps alone has few."""
 
     theatre_file: str | None = None
     paced: bool = False
@@ -68,7 +74,7 @@ class _Raised(_Strict):
     got: str | None = None
 
     def again(self) -> RonnaError:
-        """An error of the class that was raised, where it is known here."""
+        """Return an error of the class that was raised, if it is known here."""
         known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
         kind = next(known, DeviceError)
         error = kind.__new__(kind)  # some take other arguments than their base
@@ -77,7 +83,7 @@ class _Raised(_Strict):
 
 
 class _AnswerLine(_Strict):
-    """A line of the tape: an answer, as it was given."""
+    """An answer as a line of the tape."""
 
     section: int
     device: str
@@ -90,7 +96,7 @@ class _AnswerLine(_Strict):
 
 
 class _PixelsAt(_Strict):
-    """Where the pixels of an image are."""
+    """Place of the pixels of an image."""
 
     at: Annotated[int, Field(ge=0, lt=2**63)]
     count: Annotated[Count, Field(alias="bytes")]
@@ -100,7 +106,7 @@ class _PixelsAt(_Strict):
 
 @dataclass(frozen=True)
 class RecordedAnswer:
-    """What a call gave or raised, the state it left, and what the device then knew of itself."""
+    """The value or error of a call, the state it left, and what the device then knew of itself."""
 
     state: Lifecycle
     value: object = None
@@ -110,7 +116,7 @@ class RecordedAnswer:
 
 @dataclass
 class RecordedAnswers:
-    """What the devices of one run answered. `moment_s` is the theatre time of the last that was given."""
+    """The answers of the devices of one run; `moment_s` is the theatre time of the last one given."""
 
     opening: Opening
     _pixels: Path
@@ -120,14 +126,14 @@ class RecordedAnswers:
     _section: Mapping[tuple[str, str], deque[_AnswerLine]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
-        """From here on the answers are those of that section, whose process may have had its own clock."""
+        """Begin a section, whose process may have had its own clock."""
         self._section = self._sections.get(section, {})
         given_s = (line.theatre_time_s for lines in self._section.values() for line in lines)
         self.moment_s = min(given_s, default=self.moment_s)
 
     @contextmanager
     def peeking(self) -> Iterator[None]:
-        """Within, answers are given and stay: who asks now asked before the step began, off the tape."""
+        """Give answers without using them up, to callers that asked before the step began."""
         self.peeks = True
         try:
             yield
@@ -135,7 +141,7 @@ class RecordedAnswers:
             self.peeks = False
 
     def look(self, device: str, name: str) -> object:
-        """The next value of a property, or the last once more: how often it is read does not matter.
+        """Return the next value of a property, or the last one again, however often it is read.
 
         Raises PRO-024.
         """
@@ -146,7 +152,7 @@ class RecordedAnswers:
         return self.value_of(device, name, line.answer, LOOKS[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
-        """The next answer to that call, which returns that kind. Raises PRO-024."""
+        """Return the next answer of that kind to that call. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
@@ -165,7 +171,7 @@ class RecordedAnswers:
         return RecordedAnswer(line.state, value, properties)
 
     def value_of(self, device: str, call: str, plain: object, kind: object) -> object:
-        """A recorded answer as the call gave it, with its pixels. Raises PRO-024 for what is damaged."""
+        """Return the value of a recorded answer, with its pixels. Raises PRO-024 for damaged ones."""
         try:
             return _value(kind, plain, self._get_pixels)
         except (ValueError, KeyError, TypeError) as error:
@@ -184,7 +190,7 @@ class RecordedAnswers:
 
 
 def read_answers(run: Path) -> RecordedAnswers:
-    """Read a run's tape; a torn last line is left out. Raises PRO-024 when there is none."""
+    """Read a run's tape without a torn last line. Raises PRO-024 if there is none."""
     sections: dict[int, dict[tuple[str, str], deque[_AnswerLine]]] = defaultdict(lambda: defaultdict(deque))
     opening: Opening | None = None
     for line in _lines(run / READINGS_FOLDER):
@@ -198,14 +204,14 @@ def read_answers(run: Path) -> RecordedAnswers:
 
 
 class ValueAt(NamedTuple):
-    """An answer that was no error, and when it was given."""
+    """An answer that was no error, and its time."""
 
     theatre_time_s: float
     value: object
 
 
 def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ValueAt]]:
-    """Section, device, call and answer of all calls that raised nothing, as they came. Raises PRO-024."""
+    """Yield section, device, call and answer of all calls without an error, in order. Raises PRO-024."""
     answers = read_answers(run)
     for line in _lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
@@ -215,7 +221,7 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ValueAt]]:
 
 
 def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
-    """Openings and answers, in order; what a process was writing when it was killed is left out."""
+    """Yield openings and answers in order, without a line that was torn by a kill."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
@@ -247,3 +253,48 @@ def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
 
 def _value(kind: object, plain: object, get: GetPixels) -> object:
     return None if kind is None else as_recorded(kind, plain, get)
+
+
+def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
+    """Return a function for every line of the journal, called by the thread that runs the steps.
+
+    The answers of devices to a step, or on the way home, are one section, numbered by its first line.
+    """
+
+    def follow(line: bytes) -> None:
+        content = json.loads(line)
+        if content["entry"] in BEGINS:
+            tape.begin(content["sequence"])
+        elif content["entry"] in ENDS_OF_A_STEP:
+            tape.end()
+
+    return follow
+
+
+def opening_line(
+    folder: Path,
+    theatre_file: Path,
+    clock: Clock,
+    clinical: ClinicalInput | None,
+    began: datetime,
+    calibration: Mapping[str, object] | None = None,
+) -> dict[str, object]:
+    """Return the facts that a replay needs besides the answers; paths inside the run folder are relative.
+
+    `calibration` has the steps of a calibration and the records that were in use.
+    """
+
+    def placed(path: Path) -> str:
+        inside, whole = folder.resolve(), path.resolve()
+        return str(whole.relative_to(inside) if whole.is_relative_to(inside) else whole)
+
+    return {
+        "theatre_file": placed(theatre_file),
+        "paced": clock.paced,
+        "series": None if clinical is None else placed(clinical.series),
+        "plan": None if clinical is None else placed(clinical.plan),
+        "strategy": None if clinical is None else clinical.strategy.name,
+        "measure_targets": clinical is not None and clinical.measure_targets,
+        "began": began.isoformat(),
+        "calibration": calibration,
+    }

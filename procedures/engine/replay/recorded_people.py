@@ -1,28 +1,36 @@
-"""Operator, room and clock of a replay: they repeat their recorded answers, and do nothing."""
+"""Operator, staff, clock and devices of a replay: they repeat their recorded answers, and do nothing."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Collection, Sequence
+from contextlib import AbstractContextManager
+from typing import cast
 
 from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import GO_ON
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Task, Topic
+from ronna_hw.devices.capabilities import ByteSink
+from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, activated
+from ronna_hw.devices.robot import OperatingMode
+from ronna_hw.errors import RonnaError
+from ronna_hw.recording.reading_coding import ANSWERS, LOOKS, PROPERTIES, answers_of
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
+KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
+KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
+READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 
 
 class RecordedOperator:
-    """Answers as the journal has it, question by question."""
+    """Answers question by question as recorded in the journal."""
 
     def __init__(self) -> None:
         self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
 
     def begin(self, section: Sequence[Line]) -> None:
-        """From here on the answers are among these lines."""
+        """Begin a section with these lines."""
         self._confirmations, motions = [], 0
         for line in section:
             motions += line["entry"] == Entry.MOTION
@@ -38,7 +46,7 @@ class RecordedOperator:
         return False
 
     def ask(self, question: Question) -> str:
-        """The recorded answer to the next question of that name. Raises PRO-024 when it was not asked."""
+        """Return the recorded answer to the next question of that name. Raises PRO-024 without one."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
@@ -49,26 +57,26 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Nobody hears, nobody changes tools: the controller's inputs are recorded, and what was read off."""
+    """Staff of a replay, who repeat their readings; the controller's recorded inputs name the tools."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []
 
     def begin(self, work: Sequence[Line]) -> None:
-        """From here on what hands did is among these lines."""
+        """Begin a section with these lines."""
         self._work = list(work)
 
     def announce(self, step: str) -> None:
-        """As `Room`."""
+        """Do nothing."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """As `Room`."""
+        """Do nothing."""
 
     def prepare_stand(self, holds: str) -> None:
-        """As `Room`."""
+        """Do nothing."""
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """What was read off after the next task of that name. Raises PRO-024 when it was not done."""
+        """Return the readings of the next task of that name. Raises PRO-024 if it was not done."""
         for place, line in enumerate(self._work):
             if line["task"] == task.name:
                 del self._work[: place + 1]
@@ -91,4 +99,96 @@ class RecordedClock:
         return self._answers.moment_s
 
     def sleep(self, duration_s: float) -> None:
-        """As `Clock`."""
+        """Return at once."""
+
+
+def replayed(device: Device, answers: RecordedAnswers) -> Device:
+    """Return a stand-in for a device that is made but not opened: its public names, its recorded answers."""
+    own = vars(_Replayed)
+    names = [name for name in dir(device) if not name.startswith("_") and name not in own]
+    calls = answers_of(device)
+    members = {name: _member(name, calls) for name in names if name in KEPT or not _is_property(device, name)}
+    return cast("Device", type("Replayed", (_Replayed,), members)(device, answers))
+
+
+class _Replayed:
+    """A device whose state and newest reading follow the answers."""
+
+    def __init__(self, device: Device, answers: RecordedAnswers) -> None:
+        self._device = device
+        self._answers = answers
+        self.last_properties: dict[str, object] = {
+            "serials": ("", ""),
+            "notices": (),
+            "operating_mode": OperatingMode.AUTOMATIC,
+        }
+        self._known: LastKnown[object] = LastKnown(Lifecycle.DISCONNECTED, None, None)
+
+    @property
+    def state(self) -> Lifecycle:
+        return self._known.state
+
+    @property
+    def fault(self) -> RonnaError | None:
+        return self._known.fault
+
+    def observe(self) -> LastKnown[object]:
+        return self._known
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Device]:
+        return activated(cast("Device", self), timeout_s)
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        self._known = LastKnown(Lifecycle.CONFIGURED, None, self._known.reading)
+
+    def stop(self, *_how: object) -> None:
+        """Do nothing."""
+
+    def close(self) -> None:
+        """Do nothing."""
+
+    def record_bytes(self, sink: ByteSink | None) -> None:
+        """Do nothing."""
+
+    def answer(self, call: str) -> object:
+        """Return the next recorded answer to that call, or raise its error."""
+        given = self._answers.next(self._device.name, call, answers_of(self._device)[call])
+        if self._answers.peeks and given.error is None:
+            return given.value
+        fault = given.error if given.state is Lifecycle.FAULT else None
+        newest = given.value if call in READINGS and given.error is None else self._known.reading
+        self._known = LastKnown(given.state, fault, newest)
+        self.last_properties.update(given.properties)
+        if given.error is not None:
+            raise given.error
+        return given.value
+
+
+def _member(name: str, calls: Collection[str]) -> object:
+    if name in calls:
+        return _call(name)
+    if name in PROPERTIES:
+        return property(lambda self: self.last_properties[name])
+    if name in KNOWN_UNOPENED:
+        return property(lambda self: getattr(self._device, name))
+    if name in LOOKS:
+        return property(lambda self: self._answers.look(self._device.name, name))
+    return _refusal(name)
+
+
+def _is_property(device: Device, name: str) -> bool:
+    return isinstance(getattr(type(device), name, None), property)
+
+
+def _call(name: str) -> Callable[..., object]:
+    def answered(self: _Replayed, *_arguments: object, **_more: object) -> object:
+        return self.answer(name)
+
+    return answered
+
+
+def _refusal(name: str) -> Callable[..., object]:
+    def refuse(self: _Replayed, *_arguments: object, **_more: object) -> object:
+        raise NotRecorded(f"{self._device.name}.{name} is not recorded")
+
+    return refuse

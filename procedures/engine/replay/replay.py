@@ -1,30 +1,26 @@
-"""Runs the steps of a finished or broken-off run again, in the journal's order, on its recorded answers."""
+"""Replay of an ended or killed run: its steps in the journal's order, on its recorded answers."""
 
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from datetime import datetime
+from enum import StrEnum
 from pathlib import Path
 
 from procedures.engine.case import Case
 from procedures.engine.context import CaseSetting, ClinicalInput, StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded
-from procedures.engine.left_run import step_key
-from procedures.engine.order import CaseOrder
-from procedures.engine.replay.comparison import ReplayedRecord, Verdict, compared
-from procedures.engine.replay.recorded_answers import RecordedAnswers
-from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom
-from procedures.engine.replay.replayed_device import replayed
-from procedures.engine.replay.sections import BEGINS
-from procedures.engine.run_folder import RunFolder
-from procedures.engine.step import StepKey, StepSpec
+from procedures.engine.order import CaseOrder, StepKey, StepSpec
+from procedures.engine.replay.recorded_answers import BEGINS, RecordedAnswers
+from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom, replayed
+from procedures.engine.run_folder import RunFolder, step_key
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.clock import Clock
@@ -35,12 +31,79 @@ from ronna_hw.records import Record
 from ronna_hw.registry import make_device
 from ronna_hw.theatre import Theatre
 
+MOST_DIFFERENCES = 5  # that are named
+# What another processor's arithmetic may change in a number, by the unit that its field's name ends with.
+# Measured on five cases recorded on one kind and computed again on another: up to 5e-6 mm and 7e-9 rad.
+ROUNDING = {"_mm": 1e-5, "_rad": 1e-7, "_wxyz": 1e-7}
+ROUNDING_SHARE = 1e-3  # of any other number; a covariance in those cases: 1e-4
 ShowRecord = Callable[[int, int], None]  # records done, of how many
+
+
+class Verdict(StrEnum):
+    """Verdict of a replay on one record."""
+
+    EQUAL = "equal"
+    ROUNDED = "rounded"
+    DIFFERENT = "different"
+    NOT_RECORDED = "not recorded"
+
+
+@dataclass(frozen=True)
+class ReplayedRecord:
+    """One record and its verdict; `why` names fields that differ, or the obstacle to its computation."""
+
+    record: str
+    step: str
+    verdict: Verdict
+    why: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class _Difference:
+    text: str
+    rounding: bool = False
+
+
+def compared(step: str, recorded: Record, again: Record) -> ReplayedRecord:
+    """Compare payloads: equal if every bit is, rounded within another processor's arithmetic."""
+    found = list(_differences(recorded.payload, again.payload, ""))
+    true = [one for one in found if not one.rounding]
+    verdict = Verdict.DIFFERENT if true else Verdict.ROUNDED if found else Verdict.EQUAL
+    why = tuple(one.text for one in (true or found)[:MOST_DIFFERENCES])
+    return ReplayedRecord(recorded.identifier, step, verdict, why)
+
+
+def _differences(was: object, now: object, where: str, field: str = "") -> Iterator[_Difference]:
+    if isinstance(was, Mapping) and isinstance(now, Mapping):
+        for name in dict.fromkeys((*was, *now)):
+            inside = f"{where}.{name}" if where else str(name)
+            if was.get(name) is None and now.get(name) is None:
+                continue  # an optional field that one of both versions did not know
+            if name not in was or name not in now:
+                yield _Difference(f"{inside}: {'recorded' if name in was else 'computed'} only")
+            else:
+                yield from _differences(was[name], now[name], inside, str(name))
+    elif isinstance(was, list | tuple) and isinstance(now, list | tuple) and len(was) == len(now):
+        for place, (one, other) in enumerate(zip(was, now, strict=True)):
+            yield from _differences(one, other, f"{where}[{place}]", field)
+    elif was != now:
+        rounding = isinstance(was, float) and isinstance(now, float) and _rounded(field, was, now)
+        yield _Difference(f"{where}: {_short(was)} recorded, {_short(now)} computed", rounding)
+
+
+def _rounded(field: str, was: float, now: float) -> bool:
+    limits = [limit for unit, limit in ROUNDING.items() if field.endswith(unit)]
+    return abs(was - now) <= (limits[0] if limits else ROUNDING_SHARE * max(abs(was), abs(now)))
+
+
+def _short(value: object) -> str:
+    text = repr(value)
+    return text if len(text) <= 40 else f"{text[:37]}..."
 
 
 @dataclass(frozen=True)
 class ReplayInput:
-    """What a run was begun with."""
+    """Order, inputs and theatre with which a run was begun."""
 
     order: CaseOrder
     clinical: ClinicalInput | None  # of what is no calibration
@@ -55,10 +118,10 @@ def replay(
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
 ) -> tuple[ReplayedRecord, ...]:
-    """Every record of the run, in order, with what came of computing it again.
+    """Return a verdict on every record of the run, in order.
 
-    Later steps read what was computed again, not what was recorded: a difference shows in all that follows.
-    Opens no device and writes to a temporary folder only.
+    Later steps read recomputed results, not recorded ones: a difference shows in all that follow. Opens no
+    device and writes to a temporary folder only.
     """
     with tempfile.TemporaryDirectory(prefix="ronna-replay-") as folder:
         again = _Replay(run, given, answers, Path(folder))
@@ -70,7 +133,7 @@ def replay(
 
 
 class _RecordedStops:
-    """Where the run's arm was stopped between two motions: the next one is a first motion here as well.
+    """Stops of the run's arm between two motions: the next one is a first motion here as well.
 
     It is asked before each motion, like a guard, and is always met.
     """
@@ -83,7 +146,7 @@ class _RecordedStops:
         self._before = 0
 
     def begin(self) -> None:
-        """From here on motions are those of the next section."""
+        """Begin the motions of the next section."""
         self._before = self._workcell.history.motions
 
     def unmet(self) -> None:
@@ -193,7 +256,7 @@ class _Replay:
 
 
 def _begun(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
-    """The step with preconditions that use up none of its answers; what they cannot be told was met then."""
+    """Return the step with preconditions that use up no answers; what they cannot read was met then."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         try:

@@ -13,11 +13,11 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.relocalization.servo import SEARCH_RADIUS_MM
-from procedures.results.result import StepResult
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.trajectory import tool_orientation
 from procedures.workcell import MountedTool, Workcell

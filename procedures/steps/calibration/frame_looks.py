@@ -21,10 +21,10 @@ from procedures.calibration.frame_calibration import (
 from procedures.calibration.hand_eye import LEAST_LOOKS
 from procedures.calibration.head_model import pose_record
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import reachable_joints
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import carries

@@ -12,12 +12,12 @@ from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_variants
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.triangulation import check_serial
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import (
     BALL_PICTURE,
     SPARE,

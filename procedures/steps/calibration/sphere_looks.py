@@ -23,10 +23,10 @@ from procedures.calibration.arm_model import (
 from procedures.calibration.errors import NoBall, PosesOutOfReach
 from procedures.calibration.pose_set import PlannedLook, centred_looks, order_by_orientation
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import (
     BALL_PICTURE,
     BallPlace,

@@ -26,11 +26,10 @@ from procedures.calibration.tip_calibration import (
     tips_of,
 )
 from procedures.engine.context import StepContext
-from procedures.engine.hands import IN_DIVOT
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.questions import IN_DIVOT
+from procedures.journal.results import StepResult
+from procedures.operator.question import Task, Topic
 from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool

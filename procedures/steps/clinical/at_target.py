@@ -13,15 +13,13 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, guide_at_rest
 from procedures.guards.room_watch import RoomWatch
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose, StepResult
 from procedures.operator.errors import GuardUnmet, NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, StepResult
+from procedures.operator.question import Question, Task, Topic
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.room import ROOM_READS, check_room, head_must_show

@@ -13,17 +13,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.errors import PatientMoved
 from procedures.guards.room_reading import RoomReading, room_reading
-from procedures.operator.question import YES, Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult, Values
+from procedures.operator.question import YES, Question, Task, Topic
 from procedures.planning.errors import PlaceUnfit
 from procedures.planning.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
 from procedures.registration.movement import shift_of
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult, Values
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

@@ -8,12 +8,12 @@ from __future__ import annotations
 
 from procedures.engine.context import StepContext
 from procedures.engine.errors import ToolUnchecked
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.room_reading import read_room
 from procedures.guards.room_watch import RoomLook, RoomWatch
 from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.positioning import REFUSED

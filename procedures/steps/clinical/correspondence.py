@@ -8,13 +8,13 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.room import Task
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import FramedPose, StepResult, Values
+from procedures.operator.question import Task
 from procedures.registration.correspondence import Match, MatchStatus
 from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark
 from procedures.registration.verification import TwoWayTable, verify_two_way
-from procedures.results.result import FramedPose, StepResult, Values
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
 from procedures.steps.clinical.coarse_match import coarse_match, matched, mirror_images, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

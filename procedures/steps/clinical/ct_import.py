@@ -7,12 +7,12 @@ import hashlib
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import dicom_files
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
-from procedures.results.errors import GateFailed
-from procedures.results.result import Matrix3, StepResult
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import Matrix3, StepResult
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
 

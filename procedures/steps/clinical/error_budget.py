@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
-from procedures.operator.evidence import Evidence
+from procedures.journal.results import Numbers6
+from procedures.operator.question import Evidence
 from procedures.planning.guide import held_trajectory
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import TwoWayTable, register
@@ -34,7 +35,6 @@ from procedures.registration.target_prediction import (
     chi_square_of_shared,
     unnoticed_point,
 )
-from procedures.results.result import Numbers6
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving

@@ -7,11 +7,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Candidate, Marker
 from procedures.imaging.pictures import marker_pictures
-from procedures.results.result import Matrix3, StepResult, Values
+from procedures.journal.results import Matrix3, StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3

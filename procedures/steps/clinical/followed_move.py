@@ -17,9 +17,9 @@ from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import RoomReading, room_reading
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import HEAD_NOTICEABLE_MM
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import FramedPose
 from procedures.registration.movement import RigidMove, rigid_move, same_points, shift_of
-from procedures.results.errors import StepRefused
-from procedures.results.result import FramedPose
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization

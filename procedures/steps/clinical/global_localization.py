@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose, Numbers6, StepResult
+from procedures.operator.question import Topic
 from procedures.registration.movement import LEAST_POINTS
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp

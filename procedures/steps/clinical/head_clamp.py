@@ -5,14 +5,13 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.room_reading import FRAMES
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import Task, Topic
 from procedures.planning.plan_model import PatientPosition
 from procedures.registration.movement import LEAST_POINTS
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.conditions import away_from_head

@@ -12,11 +12,11 @@ from pathlib import Path
 
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
+from procedures.journal.results import StepResult
 from procedures.planning.plan_file import read_plan
-from procedures.results.result import StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan

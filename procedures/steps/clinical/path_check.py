@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import FramedPose, Numbers6, StepResult, Values
 from procedures.operator.question import words
 from procedures.planning.free_angle import TurnedPaths, advice, alternatives, choose_free_angles, unreached
 from procedures.planning.guide import held_trajectories
@@ -22,7 +23,6 @@ from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.motions import PreviewedMotion, previews_of
 from procedures.planning.target_error import choose_best_strategies
 from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
-from procedures.results.result import FramedPose, Numbers6, StepResult, Values
 from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

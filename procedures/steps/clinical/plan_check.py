@@ -9,19 +9,18 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import patient_identifier
 from procedures.imaging.volume import Volume
-from procedures.operator.question import ReadBack
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
+from procedures.operator.question import ReadBack, Topic
 from procedures.planning.errors import WrongMarkerCount
 from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan_bytes
 from procedures.planning.plan_lock import lock_plan
 from procedures.planning.plan_model import Plan, PlannedTrajectory
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
 from procedures.steps.branches import FEWEST_SPHERES, GO_ON, SPHERE_COUNT
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import (

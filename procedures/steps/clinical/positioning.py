@@ -8,15 +8,14 @@ from contextlib import contextmanager, suppress
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.guide_displacement import guide_at_rest
 from procedures.guards.room_watch import RoomWatch
-from procedures.operator.question import YES
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose, Numbers6, StepResult
+from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
 from procedures.planning.guide import held_trajectory
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose, Numbers6, StepResult
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan

@@ -11,9 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import unnoticed_mm
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import FramedPose
+from procedures.operator.question import Topic
 from procedures.planning.guide import (
     DIRECTION,
     INSTRUMENT,
@@ -25,8 +27,6 @@ from procedures.registration import Registration, RoomPoint, TwoWayTable, regist
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import OwnErrors, UnnoticedPoint, predict_target_error
-from procedures.results.errors import GateFailed
-from procedures.results.result import FramedPose
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget import (

@@ -17,10 +17,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
-from procedures.results.errors import GateFailed
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
 from procedures.steps.clinical.path_check import CheckedPaths, in_one_line, motions_over_spheres
 from procedures.steps.clinical.results import LeftOutSphere, Relocalization

@@ -16,8 +16,8 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, model_validator
 
 from procedures.engine.context import StepContext
 from procedures.guards.stability import SeenUnchanged, Subject
+from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult, Values
 from procedures.registration import TwoWayTable
-from procedures.results.result import FramedPose, Matrix3, Numbers6, StepResult, Values
 from ronna_hw.calibration import Numbers3
 
 Array = NDArray[np.float64]

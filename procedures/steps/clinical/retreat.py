@@ -5,9 +5,9 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.operator.topic import Topic
-from procedures.results.result import Numbers6, StepResult
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.journal.results import Numbers6, StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import LinkHealth, link_health

@@ -6,10 +6,10 @@ from pydantic import Field
 
 from procedures.calibration.validity import require_valid
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.journal.results import Numbers6, StepResult, Values
+from procedures.operator.question import Topic
 from procedures.relocalization.triangulation import check_serial
-from procedures.results.result import Numbers6, StepResult, Values
 from procedures.workcell import MountedTool
 from procedures.workcell.tools import require_this_arm
 from ronna_hw.collision_config import CollisionConfig
@@ -76,9 +76,9 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
     workcell.check_mounted(MountedTool.STEREO_HEAD)
-    if context.setting.left_away is not None:
+    if context.setting.arm_not_home is not None:
         subject = "take the arm's present position as its home, where tools are exchanged and the case parks"
-        context.confirm(Topic.RESUME, subject, context.setting.left_away)
+        context.confirm(Topic.RESUME, subject, context.setting.arm_not_home)
     return Outcome(
         CheckedSetUp(
             identities=identities,

@@ -11,10 +11,10 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec
+from procedures.journal.results import FramedPose, Matrix3, Numbers6, StepResult
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import Saturated
-from procedures.results.result import FramedPose, Matrix3, Numbers6, StepResult
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import refused_by_name

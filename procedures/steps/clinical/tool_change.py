@@ -5,10 +5,10 @@ from __future__ import annotations
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.guards.stability import CAREFUL_FRAMES
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.steps.clinical.results import LinkHealth, link_health
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp

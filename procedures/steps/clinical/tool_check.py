@@ -14,13 +14,11 @@ import numpy as np
 from pydantic import Field
 
 from procedures.engine.context import StepContext
-from procedures.engine.hands import IN_GAUGE
-from procedures.engine.step import Outcome, Phase, StepSpec
+from procedures.engine.order import Outcome, Phase, StepSpec
+from procedures.engine.questions import IN_GAUGE
 from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM
-from procedures.operator.question import NO, YES
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
-from procedures.results.result import Numbers6, StepResult
+from procedures.journal.results import Numbers6, StepResult
+from procedures.operator.question import NO, YES, Task, Topic
 from procedures.steps.branches import TOOL_BESIDE_GAUGE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.room import ROOM_READS, check_room, doubt

@@ -10,8 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from procedures.engine.context import StepContext
-from procedures.operator.question import YES
-from procedures.operator.topic import Topic
+from procedures.operator.question import YES, Topic
 from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell import MountedTool

@@ -9,12 +9,10 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
+from procedures.journal.results import Values
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import NO, YES
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import NO, YES, Task, Topic
 from procedures.planning.guide import depth_stop_mm
-from procedures.results.result import Values
 from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, from_stage
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import require_recent

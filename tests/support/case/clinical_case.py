@@ -14,14 +14,12 @@ from scipy.spatial.transform import Rotation
 from procedures.engine.case import Stored
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import order_of
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.engine.order import Outcome, Phase, Scope, StepSpec, order_of
+from procedures.journal.results import StepResult
+from procedures.operator.question import Question, Topic
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.outline import SphereImage, SphereStatus
-from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory

@@ -8,7 +8,7 @@ from typing import Any, get_args
 from pydantic import BaseModel
 
 from procedures.engine.order import Steps
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 
 UNITS = ("_mm", "_mm2", "_mm_s", "_rad", "_deg", "_s", "_us", "_px", "_px2", "_nats", "_wxyz", "_kg", "_N")
 WITHOUT_UNIT = {

@@ -1,17 +1,19 @@
 """A small finished run to spoil, with all that a run can leave."""
 
+from __future__ import annotations
+
 from pathlib import Path
 
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 
-from procedures.cli.case.leaving_report import seal_run
-from procedures.engine.closing import close_run
 from procedures.engine.context import StepContext
-from procedures.engine.left_run import read_left_run
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.runs.finishing import seal_run
+from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.manifest import closed_files, seal
 
@@ -57,7 +59,7 @@ def changed_files(folder: Path) -> set[str]:
 
 def gone_home(run: Path) -> None:
     """What `home` leaves: the run taken up in spite of the changes, closed and sealed."""
-    left = read_left_run(run, only_leaving=True)
+    left = read_interrupted_run(run, only_leaving=True)
     journal = Journal.taken_up(run, left.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     close_run(run, journal, 0.0, "left", None)

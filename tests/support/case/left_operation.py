@@ -21,12 +21,10 @@ from prepared_results import (
 from run_again import broken_off, opened_again
 
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import LeftRun
-from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.step import Scope, StepSpec
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.engine.order import CaseOrder, Scope, StepSpec, order_of
+from procedures.journal.results import StepResult
+from procedures.operator.question import Question, Topic
+from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
 from ronna_hw.config import Calibrations
@@ -56,7 +54,7 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
     return order_of([*steps, positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP], [FIRST])
 
 
-def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, LeftRun]:
+def left_after(cell: ClinicalCell, last: str) -> tuple[ClinicalCell, Engine, InterruptedRun]:
     order = case_order(cell)
     cell.engine(order).run_to(order.find(last))
     broken_off(cell)
@@ -81,7 +79,7 @@ def other_frame(cell: ClinicalCell) -> None:
 
 def left_with_an_instrument_inside(
     cell: ClinicalCell, order: CaseOrder
-) -> tuple[ClinicalCell, Engine, LeftRun]:
+) -> tuple[ClinicalCell, Engine, InterruptedRun]:
     """Killed while someone works through the guide."""
     ask = cell.operator.ask
 

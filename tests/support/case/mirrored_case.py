@@ -78,20 +78,20 @@ def spoil(folder: Path, kind: str) -> None:
 
 def main() -> None:
     """Run `ronna-procedure` with these arguments on a patient whose CT is spoilt."""
-    from procedures.cli.case.simulated_case import SimulatedCase
     from procedures.cli.procedure import main as procedure
+    from procedures.runs.simulated_theatre import SimulatedTheatre
 
     kind, *sys.argv[1:] = sys.argv[1:]
-    await_patient = SimulatedCase.await_patient
+    await_patient = SimulatedTheatre.await_patient
 
     # The simulator's own command has no such fault: the type checker is told that both lines reach into it.
-    def await_spoilt(case: SimulatedCase) -> None:
+    def await_spoilt(case: SimulatedTheatre) -> None:
         await_patient(case)
         assert case._phantom is not None
         arguments = list(map(str, case._phantom.args))  # type: ignore[arg-type]
         spoil(Path(arguments[arguments.index("--out") + 1]), kind)
 
-    SimulatedCase.await_patient = await_spoilt  # type: ignore[assignment,method-assign]
+    SimulatedTheatre.await_patient = await_spoilt  # type: ignore[assignment,method-assign]
     procedure()
 
 

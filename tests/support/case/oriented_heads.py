@@ -12,12 +12,11 @@ from prepared_results import checked_plan, localized_fiducials
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.context import StepContext
-from procedures.operator.question import Question
-from procedures.operator.room import Task
+from procedures.journal.results import FramedPose, StepResult
+from procedures.operator.question import Question, Task
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.planning.plan_model import FiducialKind, PatientPosition
-from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.correspondence import STEP, Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization

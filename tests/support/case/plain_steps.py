@@ -6,9 +6,8 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from procedures.engine.context import StepContext
-from procedures.engine.order import CaseOrder, Steps, order_of
-from procedures.engine.step import Outcome, Phase, Scope, StepSpec
-from procedures.results.result import StepResult
+from procedures.engine.order import CaseOrder, Outcome, Phase, Scope, Steps, StepSpec, order_of
+from procedures.journal.results import StepResult
 
 
 class Image(StepResult, kind="image"):

@@ -19,12 +19,12 @@ from clinical_case import (
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
+from procedures.journal.results import FramedPose, StepResult
 from procedures.planning.guide import held_trajectories
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
-from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt

@@ -17,9 +17,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import Question
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Task, Topic
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell

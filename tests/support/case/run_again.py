@@ -7,9 +7,9 @@ from typing import TypeVar
 from recording_cell import RecordingCell
 
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import LeftRun, read_left_run
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import Journal
+from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 
 C = TypeVar("C", bound=RecordingCell)
 
@@ -19,9 +19,9 @@ def broken_off(cell: RecordingCell) -> None:
     cell.journal.close()
 
 
-def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, LeftRun]:
+def opened_again(cell: C, order: CaseOrder) -> tuple[C, Engine, InterruptedRun]:
     """New devices, which stand where the old ones stood, and an engine in recovery over what was left."""
-    left = read_left_run(cell.folder)
+    left = read_interrupted_run(cell.folder)
     journal = cell.folder / "journal.jsonl"
     aside = journal.rename(journal.with_name("aside"))
     again = type(cell)(cell.folder, theatre=cell.theatre)

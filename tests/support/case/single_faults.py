@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from typing import NamedTuple
 
 from procedures.journal.journal import Entry, Line
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.branches import FOLLOW, GO_ON, LEAVE_OUT
 from sim.world.scene.model import Fiducial, Scene
 

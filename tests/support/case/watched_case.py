@@ -17,7 +17,7 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
 from procedures.guards import patient_watch
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.steps.clinical import at_target, positioning

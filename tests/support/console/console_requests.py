@@ -17,8 +17,8 @@ from starlette.websockets import WebSocket
 from console.app import add_order_routes
 from console.guard import Guard, Sessions
 from console.hub import Hub
-from procedures.cli.console.desk import Desk
-from procedures.engine.orders import AnyOrder, Reply
+from procedures.runs.operator_station import OperatorStation
+from procedures.runs.orders import AnyOrder, Reply
 
 PORT = 8765
 HOST = f"127.0.0.1:{PORT}"
@@ -41,7 +41,7 @@ class Response:
 class Console:
     """A guarded console whose engine is a desk in the same process."""
 
-    desk: Desk = field(default_factory=lambda: Desk(waits=False))
+    desk: OperatorStation = field(default_factory=lambda: OperatorStation(waits=False))
     sessions: Sessions = field(default_factory=Sessions)
     reached: list[str] = field(default_factory=list)  # paths that came through the guard
 

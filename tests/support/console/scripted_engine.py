@@ -28,7 +28,7 @@ from procedures.engine.events import (
     Pose,
     Seat,
 )
-from procedures.engine.orders import Claim, Reply, read_order
+from procedures.runs.orders import Claim, Reply, read_order
 
 PERIOD_S = 0.05
 FACT_EVERY = 5  # poses

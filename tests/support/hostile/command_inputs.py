@@ -27,11 +27,11 @@ from console.planning.plan_editor import PlanEditor
 from console.planning.structure_panel import import_structure
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
-from procedures.cli.calibrating.kinds import kind_of
-from procedures.cli.case.fault_script import check_fault_script, never_began
-from procedures.cli.case.request import CalibrationRun
-from procedures.engine.orders import read_order
 from procedures.planning.marker_sites import head_of_scene, propose_template
+from procedures.runs.calibrations import kind_of
+from procedures.runs.orders import read_order
+from procedures.runs.request import CalibrationProcedure, RunRequest
+from procedures.runs.request_checks import check_fault_script, never_began
 from procedures.steps.calibration.recipe import Calibrated
 from ronna_hw.clock import open_clock
 from ronna_hw.command_line.options import LEVELS_VARIABLE, set_log_levels_from_environment
@@ -143,7 +143,9 @@ def _calibration(path: Path) -> None:
     for of in Calibrated:
         kind = kind_of(of)
         with contextlib.suppress(RonnaError):
-            computed(kind, CalibrationRun(recipe={}, days=1), kind.read_looks(path))
+            computed(
+                kind, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), kind.read_looks(path)
+            )
 
 
 def _head(path: Path) -> None:

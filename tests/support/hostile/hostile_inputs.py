@@ -68,14 +68,14 @@ from drivers.ndi_polaris.replies import decode_bx, decode_tx
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
 from drivers.ndi_polaris.tool_definition import decode_definition
 from drivers.ndi_polaris.tool_description import read_description
-from procedures.cli.case.answers import read_answers
-from procedures.cli.case.request_file import read_request
-from procedures.cli.case.scene_choice import SceneChoice
-from procedures.engine.events.followed_run import FollowedRun
-from procedures.engine.theatre_note import TheatreNote, read_note
+from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging import read_series
 from procedures.imaging.picks import read_picks
 from procedures.planning.plan_file import read_plan
+from procedures.runs.answers import read_answers
+from procedures.runs.request import SceneChoice
+from procedures.runs.request_file import read_request
+from procedures.runs.theatre_note import TheatreNote, read_note
 from ronna_hw.bounded_input import InputRefused, parse_json
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction

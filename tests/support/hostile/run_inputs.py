@@ -21,13 +21,13 @@ from prepared_results import (
 
 from procedures.engine.run_folder import typed
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.journal.results import FramedPose, StepResult
 from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
 from procedures.reporting.case_figures import read_case_figures
 from procedures.reporting.files import SUMMARY_FILE, load_check
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
-from procedures.results.result import FramedPose, StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.path_check import ClosestApproach, MotionPreview
 from procedures.steps.clinical.results import ErrorShare, LeftOutSphere

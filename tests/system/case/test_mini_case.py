@@ -22,7 +22,7 @@ from waiting import HANG_LIMIT_S
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.guards.room_reading import FRAMES as ROOM_FRAMES
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.results.result import FramedPose
+from procedures.journal.results import FramedPose
 from procedures.workcell.tracker_look import FRAMES
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.evidence.inspection import inspected

@@ -12,7 +12,7 @@ from kills import Killed, killed_at, taken_up
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.workcell.motions import MotionKind
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
 from sim.world.scene.model import read_scene

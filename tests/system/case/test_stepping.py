@@ -12,10 +12,9 @@ from shared_by_workers import made_once
 from user_commands import Commands, in_this_process
 from waiting import HANG_LIMIT_S
 
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import read_request
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
+from procedures.runs.request_file import read_request
 
 MOVING = "relocalization:T1"
 
@@ -88,8 +87,7 @@ def test_a_stepped_case_has_every_option_of_a_case(stepped: tuple[str, str, Path
     said, _, run = stepped
     assert "target_measurement:T1" in said
     asked = read_request(run)
-    assert isinstance(asked, CaseRequest)
-    assert asked.keep_raw
+    assert asked.case.keep_raw
     assert "arm" in tomllib.loads((run / "theatre" / "theatre.toml").read_text())["calibration"]
 
 

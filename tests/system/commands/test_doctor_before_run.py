@@ -251,7 +251,7 @@ def _refusal(file: Path, folder: Path) -> RonnaError | None:
             workcell = Workcell(theatre, journal)
             setting = SimpleNamespace(
                 today=lambda: datetime.now(UTC),
-                left_away=None,
+                arm_not_home=None,
                 starts=frozenset(),
                 settings=theatre.file.procedure,
                 surroundings=theatre.file.cell_with_tools,

@@ -24,7 +24,7 @@ from procedures.calibration.errors import (
     Unobservable,
 )
 from procedures.calibration.validity import require_together
-from procedures.cli.arm.files import KIND, records_of
+from procedures.runs.calibrations import ARM, arm_records
 from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
@@ -56,7 +56,7 @@ def test_the_record_makes_predicted_errors_smaller_without_any_setting(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     _, _, result = identified
-    written = ArmCalibration.model_validate(records_of(result)["arm"])
+    written = ArmCalibration.model_validate(arm_records(result)["arm"])
     sizes = ErrorSizes.stated(ProcedureSettings(), written)
     assert sizes.links < 0.4
     assert sizes.tool_mm < 0.05
@@ -237,9 +237,9 @@ def test_backlash_that_no_look_reveals_is_named_and_refused() -> None:
 
 
 def test_looks_of_an_unknown_arm_are_refused(tmp_path: Path) -> None:
-    KIND.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
+    ARM.write_looks(LookingArm.of(3).looks(0, 12, SPHERES_MM).model_copy(update={"arm": "kr3"}), tmp_path)
     with pytest.raises(BadObservations, match=r"CAL-005.*there is no arm named 'kr3'"):
-        KIND.read_looks(tmp_path)
+        ARM.read_looks(tmp_path)
 
 
 def test_looks_in_nearly_one_orientation_leave_others_undetermined_and_are_refused() -> None:

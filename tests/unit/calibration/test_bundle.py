@@ -17,10 +17,10 @@ from procedures.calibration.errors import BadObservations, DegeneratePoses, Does
 from procedures.calibration.observations import OBSERVATIONS_FILE
 from procedures.calibration.pose_set import PlannedLook, calibration_looks
 from procedures.cli.calibrating.calibration import computed
-from procedures.cli.case.request import CalibrationRun
-from procedures.cli.stereo.files import KIND
 from procedures.relocalization.errors import HeadTurned
 from procedures.relocalization.triangulation import check_head
+from procedures.runs.calibrations import STEREO_HEAD
+from procedures.runs.request import CalibrationProcedure, RunRequest
 from ronna_hw.arm.errors import LimitError
 from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED
@@ -182,7 +182,7 @@ def test_a_head_that_moved_on_the_mount_leaves_the_tip_where_it_is(head: TrueHea
     assert second.smallest_slip_mm is not None
     assert second.smallest_slip_mm < 0.1
     assert second.tool_tip == tip
-    (warning,) = KIND.figures(second).warnings()
+    (warning,) = STEREO_HEAD.figures(second).warnings()
     assert "the head has moved on the mount" in warning
 
 
@@ -223,8 +223,8 @@ def test_a_ball_that_moves_is_refused(head: TrueHead) -> None:
 def test_observations_round_trip_through_their_file(head: TrueHead, tmp_path) -> None:
     observed = observation_set(head, looks_at(head, count=3))
     (tmp_path / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
-    assert KIND.read_looks(tmp_path) == observed
-    assert KIND.read_looks(tmp_path / OBSERVATIONS_FILE) == observed
+    assert STEREO_HEAD.read_looks(tmp_path) == observed
+    assert STEREO_HEAD.read_looks(tmp_path / OBSERVATIONS_FILE) == observed
 
 
 @pytest.mark.parametrize("content", [None, "no json", '{"schema": 1}', '{"observations": [{}]}'])
@@ -232,7 +232,7 @@ def test_a_file_without_valid_observations_is_refused(tmp_path, content: str | N
     if content is not None:
         (tmp_path / OBSERVATIONS_FILE).write_text(content)
     with pytest.raises(BadObservations, match="CAL-005"):
-        KIND.read_looks(tmp_path)
+        STEREO_HEAD.read_looks(tmp_path)
 
 
 @pytest.mark.parametrize("variance_px2", [0.0, -1e300])
@@ -241,4 +241,4 @@ def test_looks_from_which_nothing_can_be_computed_are_refused(head: TrueHead, va
     left = first.left.model_copy(update={"covariance_px2": ((variance_px2, 0.0), (0.0, 1e-4))})
     observed = observation_set(head, [first.model_copy(update={"left": left}), *others])
     with pytest.raises(BadObservations, match="CAL-005: nothing can be computed"):
-        computed(KIND, CalibrationRun(recipe={}, days=1), observed)
+        computed(STEREO_HEAD, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), observed)

@@ -8,10 +8,10 @@ import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
 
-from procedures.cli.case.leaving_report import seal_run
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import write_request
 from procedures.journal.journal import Entry
+from procedures.runs.finishing import seal_run
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 
 
 @pytest.fixture
@@ -20,7 +20,7 @@ def run(tmp_path: Path) -> Path:
     folder = tmp_path / "runs" / "20260101T000000-abcd"
     folder.parent.mkdir()
     cell = RecordingCell(folder)
-    write_request(CaseRequest(out=folder.parent), folder)
+    write_request(RunRequest(procedure=CaseProcedure()), folder)
     cell.journal.write(Entry.OPENED, 0.0, theatre="a test", banner="", strategy="ocs", seed=None)
     engine = cell.engine(plain_order("T1"))
     engine.run_to(engine.order.find("fit:T1"))

@@ -16,13 +16,13 @@ from recording_cell import ENDPOINTS
 from scipy.spatial.transform import Rotation
 from user_commands import in_this_process, one_error
 
-from procedures.cli.calibrating.files import write_theatre
 from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
-from procedures.cli.tool.purposes import Purpose
+from procedures.cli.tool.records import Purpose
 from procedures.planning.errors import ForeignTool
 from procedures.planning.tool_records import ToolRecords
+from procedures.runs.calibration_files import write_theatre
 from ronna_hw.config import parse_theatre, read_theatre_file
 from ronna_hw.tool_record import ToolPurpose
 from sim.theatre.theatre_file import theatre_content

@@ -15,9 +15,9 @@ from starlette.routing import Route
 from console.case_view import CaseView, RecordedCase, StepRow
 from console.figures import Figures, figures_at
 from console.hub import Hub
-from procedures.cli.case.leaving_report import seal_run
-from procedures.operator.evidence import Evidence
+from procedures.operator.question import Evidence
 from procedures.reporting.case_figures import CaseFigures, PredictionFigure, SphereFigure, TrajectoryFigure
+from procedures.runs.finishing import seal_run
 
 PLACE = (1.0, 2.0, 3.0)
 FIGURES = CaseFigures(

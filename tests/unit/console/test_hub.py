@@ -26,7 +26,7 @@ from procedures.engine.events import (
     Pose,
     Seat,
 )
-from procedures.engine.orders import AnyOrder, Reply, read_order
+from procedures.runs.orders import AnyOrder, Reply, read_order
 
 OPERATOR = Session(Role.OPERATOR, "session-1")
 

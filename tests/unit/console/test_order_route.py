@@ -18,7 +18,8 @@ from recording_cell import RecordingCell
 from waiting import eventually
 
 from console.guard import ORDERS_PER_SECOND
-from procedures.cli.console.desk import Desk, Wish
+from procedures.runs.operator_station import OperatorStation, PendingOrder
+from procedures.runs.orders import Next
 
 ORDERS = [
     {"kind": "claim", "name": "Ana"},
@@ -44,8 +45,10 @@ def console() -> Console:
 class Waiting(Console):
     """A console whose engine waits between steps, with Ana in the seat."""
 
-    desk: Desk = field(default_factory=lambda: Desk(waits=False, now_s=lambda: 0.0))  # the seat never lapses
-    wishes: list[Wish | None] = field(default_factory=list)
+    desk: OperatorStation = field(
+        default_factory=lambda: OperatorStation(waits=False, now_s=lambda: 0.0)
+    )  # the seat never lapses
+    wishes: list[PendingOrder | None] = field(default_factory=list)
     cookie_of_ana: str = ""
 
 
@@ -54,10 +57,10 @@ def waiting_in(folder: Path) -> Iterator[Waiting]:
     folder.mkdir(exist_ok=True)
     console = Waiting()
     console.desk.attach(RecordingCell(folder).engine(plain_order()))
-    thread = threading.Thread(target=lambda: console.wishes.append(console.desk.wish("image")))
+    thread = threading.Thread(target=lambda: console.wishes.append(console.desk.next_order("image")))
     thread.start()
     try:
-        eventually(lambda: console.desk._waiting_for == "image")
+        eventually(lambda: console.desk.waiting_for == "image")
         console.cookie_of_ana = console.operator()
         assert console.order(console.cookie_of_ana, kind="claim", name="Ana").status == 200
         yield console
@@ -104,7 +107,7 @@ def test_next_is_carried_out_once_and_only_for_the_step_that_was_shown(waiting: 
     repeated = waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-01")
     assert repeated.refused == "this order was already given"
     assert waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-02").status == 200
-    eventually(lambda: waiting.wishes == [Wish("next", by="Ana")])
+    eventually(lambda: [one and (type(one.order), one.by) for one in waiting.wishes] == [(Next, "Ana")])
 
 
 def test_more_orders_per_second_than_a_person_gives_are_refused(waiting: Waiting) -> None:

@@ -16,15 +16,15 @@ from bounded_cost import bounded_cost
 
 from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.tool_description import read_description
-from procedures.cli.case.answers import read_answers
 from procedures.engine.errors import AnswersUnfit, EventsUnreadable
-from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.event_file import FollowedRun
 from procedures.imaging.errors import PicksUnreadable
 from procedures.imaging.picks import read_picks
 from procedures.planning.errors import PlaceUnfit, PlanMistakes, PlanUnreadable
 from procedures.planning.plan_file import read_plan
 from procedures.planning.proposed_place import read_place
 from procedures.reporting.calibration_figures import RESULT_FILE, load_figures
+from procedures.runs.answers import read_answers
 from ronna_hw.bounded_input import InputRefused, inflate, parse_json, parse_toml, parse_xml, read_bounded
 from ronna_hw.config import BadTheatreFile, read_theatre_file
 from ronna_hw.errors import RonnaError

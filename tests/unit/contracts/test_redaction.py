@@ -7,8 +7,8 @@ from typing import Any
 
 import pytest
 
+from procedures.journal.errors import StepRefused
 from procedures.planning.errors import NotReachable, PlanUnreadable
-from procedures.results.errors import StepRefused
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError

@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 from reference_tables import REFERENCE
 
-from procedures.cli.case.answers import read_answers
 from procedures.planning.plan_file import read_plan
+from procedures.runs.answers import read_answers
 
 
 @pytest.mark.parametrize(

@@ -30,8 +30,8 @@ from prepared_results import (
 )
 from recording_cell import mini_theatre_file
 
-from procedures.composition.guarding import guard
 from procedures.reporting.report import write_report
+from procedures.runs.engine_setup import add_guards
 from procedures.steps.clinical import correspondence, global_localization, registration
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
@@ -157,7 +157,7 @@ def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_wher
     before = (checked_paths(cell), *coarse(), checked_plan(), localized_fiducials())
     engine = cell.begin(*before, RELOCALIZATION)
     file = mini_theatre_file(tmp_path, simulated=True)
-    guard(engine, file, read_theatre_file(file))
+    add_guards(engine, file, read_theatre_file(file))
     led_here: set[tuple[str, ...]] = set()
     ran: set[str] = set()
     move, carry_out = cell.arm.move_joints, SupervisedMotion.carry_out

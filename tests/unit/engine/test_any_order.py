@@ -16,13 +16,12 @@ from recording_cell import HOME, RecordingCell, RecordingOperator
 
 from procedures.engine.case import Case
 from procedures.engine.context import StepContext
-from procedures.engine.order import order_of
+from procedures.engine.order import Outcome, Scope, StepKey, StepSpec, order_of
 from procedures.engine.run_folder import read_run
-from procedures.engine.step import Outcome, Scope, StepKey, StepSpec
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.operator.question import Topic
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import Record

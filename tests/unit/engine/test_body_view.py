@@ -5,8 +5,7 @@ from __future__ import annotations
 import pytest
 from recording_cell import HOME, RecordingCell
 
-from procedures.engine.body_view import BodyView
-from procedures.engine.device_watch import DeviceWatch
+from procedures.engine.display_feed import BodyView, DeviceWatch
 from procedures.engine.events import Bodies, EventStream, LinkHealth, Pose
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Part, Surroundings

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from recording_cell import RecordingCell
 
-from procedures.engine.camera_view import camera_views
+from procedures.engine.display_feed import camera_views
 from procedures.relocalization.triangulation import Camera
 
 

@@ -8,9 +8,9 @@ import pytest
 from plain_steps import Fit, Held, Image, plain_order
 
 from procedures.engine.case import Case
-from procedures.engine.course import Course
-from procedures.engine.step import Phase
-from procedures.results.result import StepResult
+from procedures.engine.course import CaseProgress
+from procedures.engine.order import Phase
+from procedures.journal.results import StepResult
 
 REGISTERED = ("image", "localization:T1", "fit:T1", "localization:T2", "fit:T2", "tool_on")
 AT_T1 = ("approach:T1", "held:T1", "back:T1")
@@ -18,15 +18,15 @@ AT_T2 = ("approach:T2", "held:T2", "back:T2")
 
 
 @pytest.fixture
-def course(tmp_path: Path) -> Course:
+def course(tmp_path: Path) -> CaseProgress:
     """Of a case whose image is preoperative, and whose targets are finished once they were held."""
     changed = {Image: {"phase": Phase.PREOPERATIVE}, Held: {"finishes": True}}
     order = plain_order()
     steps = tuple(replace(step, **changed.get(step.result, {})) for step in order.steps)
-    return Course(replace(order, steps=steps), Case(tmp_path))
+    return CaseProgress(replace(order, steps=steps), Case(tmp_path))
 
 
-def do(course: Course, *names: str, **results: StepResult) -> None:
+def do(course: CaseProgress, *names: str, **results: StepResult) -> None:
     """Steps one after the other; `results` takes the place of what a step leaves, by its name."""
     for name in names:
         key = course.order.find(name)
@@ -51,7 +51,7 @@ def do(course: Course, *names: str, **results: StepResult) -> None:
     ],
 )
 def test_the_mandatory_successor_comes_next_or_else_the_first_step_not_done(
-    course: Course, done: tuple[str, ...], following: str | None
+    course: CaseProgress, done: tuple[str, ...], following: str | None
 ) -> None:
     do(course, *done)
     assert course.upcoming == (following and course.order.find(following))
@@ -60,14 +60,14 @@ def test_the_mandatory_successor_comes_next_or_else_the_first_step_not_done(
 
 @pytest.mark.parametrize("left_before", ["held:T1", "back:T1"])
 def test_an_interrupted_sequence_at_a_target_restarts_with_its_approach(
-    course: Course, left_before: str
+    course: CaseProgress, left_before: str
 ) -> None:
     do(course, *REGISTERED, *AT_T1[: AT_T1.index(left_before)])
     course.latest = None
     assert str(course.upcoming) == "approach:T1"
 
 
-def test_no_step_follows_for_a_trajectory_that_was_left_out(course: Course) -> None:
+def test_no_step_follows_for_a_trajectory_that_was_left_out(course: CaseProgress) -> None:
     do(course, "image", "localization:T1")
     do(course, "fit:T1", fit=Fit(not_for=("T1",)))
     do(course, *REGISTERED[3:])
@@ -77,13 +77,13 @@ def test_no_step_follows_for_a_trajectory_that_was_left_out(course: Course) -> N
     assert course.why_not_now(approach) == ("T1 was left out: the error is too large",)
 
 
-def test_a_superseded_step_that_is_not_next_is_shown_as_superseded(course: Course) -> None:
+def test_a_superseded_step_that_is_not_next_is_shown_as_superseded(course: CaseProgress) -> None:
     do(course, *REGISTERED[:5], "image")
     states = [course.status(key) for key in course.order.sequence[:6]]
     assert states == ["done", "next", "superseded", "superseded", "superseded", ""]
 
 
-SUPERSEDING: dict[str, Callable[[Course, str], object]] = {
+SUPERSEDING: dict[str, Callable[[CaseProgress, str], object]] = {
     "void": lambda course, name: course.void(course.order.find(name)),
     "repeat": do,
 }
@@ -100,7 +100,7 @@ SUPERSEDING: dict[str, Callable[[Course, str], object]] = {
     ],
 )
 def test_a_later_move_does_not_undo_finished_targets(
-    course: Course, what: str, step: str, standing: set[str]
+    course: CaseProgress, what: str, step: str, standing: set[str]
 ) -> None:
     do(course, *REGISTERED, *AT_T1, "approach:T2")
     assert course.finished == ("T1",)
@@ -109,7 +109,7 @@ def test_a_later_move_does_not_undo_finished_targets(
     assert {key.trajectory for key in approaches if course.case.stands(key)} == standing
 
 
-def test_no_step_follows_a_move_when_every_target_is_finished(course: Course) -> None:
+def test_no_step_follows_a_move_when_every_target_is_finished(course: CaseProgress) -> None:
     do(course, *REGISTERED, *AT_T1, *AT_T2)
     tool_on = course.order.find("tool_on")
     course.void(tool_on)

@@ -1,12 +1,14 @@
 """What is published about devices while they are only observed."""
 
+from __future__ import annotations
+
 from types import SimpleNamespace
 from typing import Any
 
 from recording_cell import HOME, RecordingArm
 from waiting import eventually
 
-from procedures.engine.device_watch import DeviceWatch
+from procedures.engine.display_feed import DeviceWatch
 from procedures.engine.events import DeviceAge, DeviceState, EventStream, Pose
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle

@@ -11,14 +11,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import Questioned
-from procedures.engine.step import Outcome
-from procedures.journal.errors import JournalNotWritable
+from procedures.engine.order import Outcome
+from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry, JournalValue, read_journal
+from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
+from procedures.operator.question import Question, Topic
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.records import BadRecord, read_record
 

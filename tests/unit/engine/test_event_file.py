@@ -9,11 +9,10 @@ from pathlib import Path
 import pytest
 from bounded_cost import bounded_cost
 
-from procedures.cli.runs.watching import line_of
+from procedures.cli.runs.showing import line_of
 from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events import CaseState, Event, EventStream, JournalLine, Pose, SignalsLost, StepState
-from procedures.engine.events.event_file import EVENTS_FILE, EventFile
-from procedures.engine.events.followed_run import FollowedRun
+from procedures.engine.events.event_file import EVENTS_FILE, EventFile, FollowedRun
 from ronna_hw.command_line.errors import PathProblem
 
 

@@ -11,7 +11,7 @@ from procedures.engine.events import (
     Refusal,
     StepState,
 )
-from procedures.engine.events.current_state import LAST_LINES
+from procedures.engine.events.stream import LAST_LINES
 
 
 def pose(joint_rad: float, arm: str = "master") -> Pose:

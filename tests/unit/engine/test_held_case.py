@@ -1,14 +1,16 @@
 """A held case: a fault is acknowledged by name, the arm leaves the head, and steps continue."""
 
+from __future__ import annotations
+
 import pytest
 from plain_steps import plain_order
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.operator.question import Topic
 from procedures.workcell import Insertion, MountedTool
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState

@@ -7,8 +7,8 @@ from recording_cell import RecordingCell
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory
-from procedures.engine.step import Outcome
-from procedures.results.result import StepResult
+from procedures.engine.order import Outcome
+from procedures.journal.results import StepResult
 
 
 def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) -> Engine:

@@ -6,7 +6,7 @@ from recording_cell import RecordingCell
 
 from procedures.engine.errors import UnknownStep
 from procedures.engine.order import CaseOrder, order_of
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
 from procedures.steps.catalogue import CLINICAL_STEPS
 from ronna_hw.log_output import LOG_FILE, keep_log
 

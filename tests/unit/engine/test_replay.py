@@ -17,18 +17,14 @@ from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTh
 from drivers.kuka_rsi.errors import MotionStopped
 from procedures.engine.context import ClinicalInput, StepContext
 from procedures.engine.errors import NotRecorded
-from procedures.engine.order import CaseOrder
-from procedures.engine.replay.comparison import ReplayedRecord, Verdict
-from procedures.engine.replay.recorded_answers import read_answers, read_in_order
-from procedures.engine.replay.replay import ReplayInput, replay
-from procedures.engine.replay.replayed_device import KEPT
-from procedures.engine.replay.sections import section_follower
+from procedures.engine.order import CaseOrder, Outcome
+from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
+from procedures.engine.replay.recorded_people import KEPT
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
-from procedures.engine.step import Outcome
+from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
+from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair

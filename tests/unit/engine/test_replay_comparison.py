@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from procedures.engine.replay.comparison import Verdict, compared
+from procedures.engine.replay.replay import Verdict, compared
 from ronna_hw.records import Record
 
 RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5, 0.0]], "joints_rad": [0.009]}

@@ -10,13 +10,13 @@ from finished_runs import changed_files
 from plain_steps import Image, plain_order
 from recording_cell import RecordingCell
 
-from procedures.composition.made_engine import _theatre_inputs
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.left_run import read_left_run
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
 from procedures.journal.journal import Entry, Journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.runs.engine_setup import theatre_inputs
+from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, RunChanged, read_chain
 from ronna_hw.evidence.manifest import WITH_PORTS, input_hashes, theatre_files
@@ -127,7 +127,7 @@ def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up
     assert [str(problem) for problem in inspected(run).changes] == [f"{TOOL}: changed"]
     assert inspected(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
     with pytest.raises(RunChanged):
-        read_left_run(run)
+        read_interrupted_run(run)
 
 
 def test_a_theatre_file_with_the_ports_of_a_program_that_never_took_the_run_up_is_no_change(
@@ -173,5 +173,5 @@ def test_a_theatre_file_that_was_added_is_no_input_of_who_takes_the_run_up(run: 
     cell.journal.write(Entry.OPENED, 0.0, run=run.name)
     cell.engine(plain_order("T1")).close("left")
     (run / "theatre" / "backup.toml").write_text("from elsewhere")
-    inputs = _theatre_inputs(run, read_left_run(run, only_leaving=True))
+    inputs = theatre_inputs(run, read_interrupted_run(run, only_leaving=True))
     assert list(inputs) == [TOOL]

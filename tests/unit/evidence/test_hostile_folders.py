@@ -1,5 +1,7 @@
 """Hostile files and folders in a run cost neither memory nor time and forge no line of output."""
 
+from __future__ import annotations
+
 import os
 import subprocess
 import sys
@@ -11,8 +13,8 @@ from bounded_cost import bounded_cost
 from finished_runs import changed_files, gone_home
 from recording_cell import RecordingCell
 
-from procedures.cli.case.leaving_report import seal_run
 from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.runs.finishing import seal_run
 from ronna_hw.evidence.inspection import MOST_NAMES, inspected
 from ronna_hw.evidence.manifest import LARGEST_FILE_BYTES, NOT_AS_LEFT, SEAL_FILE, read_seal, sha256_of
 from ronna_hw.records import Record, write_record

@@ -1,5 +1,7 @@
 """Resuming a finished run or sending its arm home does not vouch for changed files."""
 
+from __future__ import annotations
+
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,10 +11,10 @@ from finished_runs import changed_files, gone_home, sealed, without_last_lines
 from user_commands import in_this_process
 
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.cli.runs.report import make_report
-from procedures.engine.closing import close_run
-from procedures.engine.left_run import read_left_run
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
+from procedures.runs.finishing import make_report
+from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspected
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
@@ -44,7 +46,7 @@ def with_edited_readings(run: Path) -> Path:
 
 def killed_on_its_way_home(run: Path) -> None:
     """What a `home` leaves that was killed before its end."""
-    left = read_left_run(run, only_leaving=True)
+    left = read_interrupted_run(run, only_leaving=True)
     journal = Journal.taken_up(run, left.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     journal.close()

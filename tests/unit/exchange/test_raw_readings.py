@@ -12,16 +12,16 @@ import numpy as np
 import pytest
 from user_commands import in_this_process
 
-from procedures.cli.case.leaving_report import seal_run
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import raw_command
 from procedures.engine.errors import NotRecorded
-from procedures.engine.replay.sections import section_follower
+from procedures.engine.replay.recorded_answers import section_follower
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.raw_readings import EXTENT_FILE, TABLES, missing_in_raw, raw_readings, write_raw
 from procedures.journal.journal import Entry, Journal
+from procedures.runs.finishing import seal_run
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
@@ -64,7 +64,7 @@ PAIR = StereoReading(STAMP, Validity.OK, image("L1", 8), image("R1", 12))
 def run_of(folder: Path, *answers: tuple[str, str, object], keep_raw: bool = False) -> Path:
     """A finished run of one step with these answers."""
     folder.mkdir()
-    write_request(CaseRequest(out=folder.parent, keep_raw=keep_raw), folder)
+    write_request(RunRequest(procedure=CaseProcedure(keep_raw=keep_raw)), folder)
     tape = ReadingTape(folder / READINGS_FOLDER, lambda: 3.5, {"paced": True})
     journal = Journal(folder, section_follower(tape))
     journal.write(Entry.OPENED, 0.0, run=folder.name)

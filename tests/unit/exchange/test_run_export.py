@@ -13,12 +13,12 @@ from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Case
-from procedures.engine.step import StepKey
+from procedures.engine.order import StepKey
 from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names
 from procedures.journal.journal import Entry, Journal
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import RAW_FOLDER, hashes_at_closing, seal

@@ -11,13 +11,12 @@ import pytest
 from passing_clock import PassingClock
 from recording_cell import GUIDE, RecordingCell
 
-from procedures.cli.case.operators import ScriptedOperator
 from procedures.engine.order import order_of
 from procedures.guards.default_guards import ArmLink, DiskSpace, ToolStillMounted, WallClock
 from procedures.guards.tracker_guards import FRAME_PATIENCE_S, LineOfSight
 from procedures.operator.errors import GuardUnmet
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
+from procedures.runs.answers import ScriptedOperator
 from procedures.steps.clinical import set_up
 from procedures.workcell import MountedTool
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle

@@ -5,8 +5,7 @@ import pytest
 
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import GuardUnmet, OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 
 
 class Disk:

@@ -4,7 +4,7 @@ import re
 from pathlib import Path
 
 import procedures
-from procedures.operator.topic import DELIBERATE, Topic
+from procedures.operator.question import DELIBERATE, Topic
 
 CONFIRMED_MOTION = re.compile(r"(?:supervised|self)\.confirm\(\s*Topic\.(\w+)")
 

@@ -14,15 +14,15 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, Entry
+from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.reporting.ending import resumes, run_ending
 from procedures.reporting.outcome import RunError
 from procedures.reporting.report import write_report
 from procedures.reporting.run_reading import read_for_report
-from procedures.results.errors import GateFailed, StepRefused
-from procedures.results.result import StepResult
 
 
 def raising(problem: BaseException) -> Work:

@@ -16,7 +16,7 @@ from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope, StepKey
+from procedures.engine.order import Scope, StepKey
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck

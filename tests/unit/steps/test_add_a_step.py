@@ -15,10 +15,9 @@ from force_sensor import UNSCALED_N, ScaledForceSensor
 from prepared_results import mounted_guide
 
 from procedures.engine.machine import mermaid
-from procedures.engine.order import CaseOrder, order_of
+from procedures.engine.order import CaseOrder, StepKey, order_of
 from procedures.engine.run_folder import typed
-from procedures.engine.step import StepKey
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.steps import catalogue as steps_catalogue
 from procedures.steps import clinical
 from ronna_hw.config import DeviceConfig

@@ -9,7 +9,7 @@ import pytest
 from clinical_case import ClinicalCell
 
 from procedures.cli.case.commands import COMMANDS
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps import branches
 from procedures.steps.branches import BRANCHES, Branch, Ending
 from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions

@@ -25,11 +25,10 @@ from procedures.calibration import Baseline, Observation, ObservationSet, Outlin
 from procedures.calibration.arm_model import ArmLooks, SphereLook
 from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use
 from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLooks
-from procedures.engine.order import Steps
+from procedures.engine.order import StepKey, Steps, StepSpec
 from procedures.engine.run_folder import typed
-from procedures.engine.step import StepKey, StepSpec
 from procedures.guards.stability import SeenUnchanged
-from procedures.results.result import FramedPose, StepResult
+from procedures.journal.results import FramedPose, StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall, VisitedBaseline

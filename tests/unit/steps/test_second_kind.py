@@ -32,15 +32,12 @@ from procedures.cli.doctor.report import examine
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.replay.comparison import ReplayedRecord, Verdict
-from procedures.engine.replay.recorded_answers import read_answers
-from procedures.engine.replay.replay import ReplayInput, replay
-from procedures.engine.replay.sections import section_follower
+from procedures.engine.replay.recorded_answers import read_answers, section_follower
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
-from procedures.recovery.comparison import Comparison
-from procedures.recovery.devices import compare_devices
-from procedures.results.errors import StepRefused
+from procedures.runs.comparison import Comparison, compare_devices
 from procedures.steps.clinical import set_up
 from procedures.steps.clinical.set_up import CheckedSetUp
 from ronna_hw.clock import Clock

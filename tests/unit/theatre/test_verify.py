@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from user_commands import in_this_process, one_error
 
-from procedures.cli.case.truth import truth_of
-from procedures.engine.closing import close_run
+from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
+from procedures.runs.simulated_theatre import truth_of
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain

@@ -12,7 +12,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history

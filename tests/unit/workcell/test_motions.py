@@ -16,8 +16,7 @@ from planned_arm import PlannedArm
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.arm_place import ArmPlace, Where

@@ -5,7 +5,7 @@ from collections.abc import Callable
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.results.errors import StepRefused
+from procedures.journal.errors import StepRefused
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.arm_place import AT_PLACE_RAD

@@ -14,8 +14,7 @@ from recording_cell import HOME, RecordingArm, RecordingCell, RecordingOperator
 from procedures.engine.engine import Engine
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.devices.errors import MotionInterrupted

@@ -3,27 +3,19 @@
 from __future__ import annotations
 
 import tomllib
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
-from typing import Any
 
 import pytest
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
 
 from procedures.calibration.errors import OfAnotherTheatre, TooFewPoses
-from procedures.cli.arm.files import KIND
-from procedures.cli.calibrating.calibration import (
-    NOT_COMPARED,
-    CalibrationRequest,
-    calibrate,
-    computed,
-    observe,
-    show,
-)
-from procedures.cli.case.request import CalibrationRun, TheatreRequest
+from procedures.cli.calibrating.calibration import NOT_COMPARED, CalibrationRequest, calibrate, show
+from procedures.engine.case import Case
 from procedures.reporting.calibration_figures import Figure, RecordFigures
+from procedures.runs.calibrations import ARM, computed, conclude
+from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
@@ -49,19 +41,13 @@ def test_the_message_names_the_written_file_or_how_to_write_one(
 
 
 def test_remarks_on_the_measurements_are_reported_also_if_these_yield_no_calibration(
-    monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    def measured(*_: object, judge: Callable[[Any], None], **__: object) -> None:
-        judge(SimpleNamespace(case=None))
-
-    def too_few(_looks: object) -> None:
-        raise TooFewPoses("too few measurements")
-
-    monkeypatch.setattr("procedures.cli.calibrating.calibration.run_steps", measured)
-    kind = replace(KIND, observed=lambda _case: None, remarks=lambda _case: ("30 x no sphere in view",))
-    recipe = Recipe(of=Calibrated.ARM, looks=60, more=12)
+    looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
+    kind = replace(ARM, observed=lambda _case: looks, remarks=lambda _case: ("30 x no sphere in view",))
+    request = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30))
     with pytest.raises(TooFewPoses):
-        observe(kind, recipe, TheatreRequest(), tmp_path, too_few)
+        conclude(kind, request, Case(tmp_path), tmp_path)
     assert capsys.readouterr().err == "30 x no sphere in view\n"
 
 
@@ -83,9 +69,9 @@ def test_measurements_of_another_theatre_are_refused_before_anything_is_computed
     content = parse_theatre(tomllib.loads(theatre.read_text())).calibration
     assert content is not None
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM).model_copy(update={"tool_tip": content.tool_tip})
-    run = CalibrationRun(config=theatre, recipe={}, days=30)
+    run = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30), config=theatre)
     with pytest.raises(expected):
-        computed(replace(KIND, compute=begun), run, looks)
+        computed(replace(ARM, compute=begun), run, looks)
 
 
 @pytest.mark.hazard(3)
@@ -93,11 +79,11 @@ def test_measurements_of_another_theatre_are_refused_before_anything_is_computed
 def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_none(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], config: bool
 ) -> None:
-    for name in ("computed", "leave", "show", "finished_figures"):
+    for name in ("computed", "leave_files", "show", "finished_figures"):
         monkeypatch.setattr(f"procedures.cli.calibrating.calibration.{name}", lambda *_, **__: None)
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
-    KIND.write_looks(looks, tmp_path)
+    ARM.write_looks(looks, tmp_path)
     theatre = tmp_path / "theatre.toml" if config else None
     request = CalibrationRequest(None, tmp_path, theatre, None, 30, tmp_path / "out", as_json=True)
-    calibrate(KIND, Recipe(of=Calibrated.ARM, looks=60, more=12), request)
+    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=60, more=12), request)
     assert (NOT_COMPARED in capsys.readouterr().err) is not config

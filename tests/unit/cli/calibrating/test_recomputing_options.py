@@ -7,7 +7,7 @@ import typer
 from user_commands import in_this_process, one_error
 
 from procedures.cli.arm.command import app as arm
-from procedures.cli.mount.command import app as mount
+from procedures.cli.calibrating.mount import app as mount
 from procedures.cli.stereo.command import app as stereo
 
 HEAD, ARM = (stereo, "calibrate"), (arm, "calibrate")

@@ -15,12 +15,12 @@ from rich.console import Console
 from procedures.cli.case.case_view import CaseView, done_or_note, entry_of
 from procedures.cli.case.display import following
 from procedures.cli.case.live_display import LiveDisplay
-from procedures.cli.runs.watching import line_of
+from procedures.cli.runs.showing import line_of
 from procedures.engine.context import StepContext
 from procedures.engine.events import Event, EventStream, Fault, JournalLine, Refusal
-from procedures.engine.step import Outcome
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.engine.order import Outcome
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
 from ronna_hw.command_line.messages import fail_with
 
 REASON = "the controller is silent"

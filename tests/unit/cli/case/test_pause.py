@@ -3,7 +3,7 @@ from typing import Any
 
 import pytest
 
-from procedures.cli.case.pause import Interrupts
+from procedures.cli.case.display import Interrupts
 
 
 class Engine:

@@ -14,14 +14,13 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.case.piped_lines import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.cli.case.prompt import Prompt
+from procedures.cli.case.stepping import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.result import StepResult
+from procedures.engine.order import Outcome
+from procedures.journal.results import StepResult
+from procedures.operator.question import Question, Topic
 
 LIMIT_S = 10.0
 

@@ -1,5 +1,7 @@
 """A case driven by typed commands: what each command does, and how to continue after a failed step."""
 
+from __future__ import annotations
+
 import io
 import sys
 from pathlib import Path
@@ -8,17 +10,15 @@ import pytest
 from plain_steps import only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
-from procedures.cli.case import outcome
-from procedures.cli.case.opening import Watcher
 from procedures.cli.case.prompt import HELD, Prompt
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.step import Outcome
+from procedures.engine.order import Outcome
+from procedures.journal.errors import GateFailed
+from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
-from procedures.results.result import StepResult
+from procedures.operator.question import Question, Topic
+from procedures.runs.lifecycle import RunObservers, run_to_end
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 
 
@@ -293,7 +293,7 @@ def test_quitting_while_a_device_is_in_fault_ends_the_case_with_that_fault(
     typed = Typed(monkeypatch, "resume", "quit", resumes=True)
     engine = cell.engine(plain_order(image=is_stopped))
     with pytest.raises(GateFailed, match="stopped"):
-        outcome._run(engine, Watcher(held=typed.prompt))
+        run_to_end(engine, RunObservers(held=typed.prompt))
     assert "PRO-001: image cannot start: the arm is in fault" in capsys.readouterr().err
 
 
@@ -323,7 +323,7 @@ def test_quitting_after_a_fault_was_acknowledged_ends_the_case_with_a_fault_that
     typed = Typed(monkeypatch, "acknowledge Ann", "quit", resumes=True)
     engine = cell.engine(plain_order(image=is_stopped))
     with pytest.raises(GateFailed) as ended:
-        outcome._run(engine, Watcher(held=typed.prompt))
+        run_to_end(engine, RunObservers(held=typed.prompt))
     assert ended.value.what == "was: the arm was stopped; acknowledged by Ann"
     assert ended.value.shown
 
@@ -341,7 +341,7 @@ def test_a_failure_after_an_acknowledgement_of_the_same_code_is_no_fault_that_wa
     engine.faults.acknowledge("Ann")
     typed = Typed(monkeypatch, "quit", resumes=True)
     with pytest.raises(GateFailed) as ended:
-        outcome._run(engine, Watcher(held=typed.prompt))
+        run_to_end(engine, RunObservers(held=typed.prompt))
     assert ended.value.what == "the arm was stopped again"
 
 
@@ -352,7 +352,7 @@ def test_a_fault_on_the_way_home_is_acknowledged_at_the_prompt_when_every_step_i
     engine.run_to()
     cell.arm.state = Lifecycle.FAULT
     typed = Typed(monkeypatch, "why", "lst", "acknowledge Ann", "resume", resumes=True)
-    outcome._run(engine, Watcher(held=typed.prompt))
+    run_to_end(engine, RunObservers(held=typed.prompt))
     assert "every step is done; home brings the arm home" in typed.said
     assert "recovered by Ann" in cell.arm.calls
     assert (cell.arm.joints_rad, engine.machine.state) == (HOME, "finished")
@@ -367,7 +367,7 @@ def test_a_held_case_ends_when_its_arm_is_home_and_every_step_is_done(
     engine.run_to()
     refusing = iter([(Topic.PARK,)])  # once
     cell.operator.meanwhile = lambda _question: setattr(cell.operator, "refusing", next(refusing, ()))
-    outcome._run(engine, Watcher(held=Typed(monkeypatch, command, "quit", resumes=True).prompt))
+    run_to_end(engine, RunObservers(held=Typed(monkeypatch, command, "quit", resumes=True).prompt))
     assert cell.entries("home") == [("home", "")] * 2
     assert engine.machine.state == "finished"
 

@@ -9,7 +9,7 @@ import pytest
 
 from procedures.cli.case import operators
 from procedures.cli.case.operators import TerminalRoom
-from procedures.operator.room import Task
+from procedures.operator.question import Task
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS
 
 THREE_DIALS = Task(

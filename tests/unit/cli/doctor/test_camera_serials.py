@@ -7,7 +7,7 @@ from typing import Any, cast
 
 import pytest
 
-from procedures.cli.doctor.camera_serials import advise_on_serials
+from procedures.cli.doctor.inspection import advise_on_serials
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic
 

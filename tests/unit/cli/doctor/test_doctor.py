@@ -13,8 +13,7 @@ import pytest
 
 from procedures.cli.doctor import report as doctor
 from procedures.cli.doctor.calibrations import calibration_diagnostics
-from procedures.cli.doctor.report import Report, examine, show
-from procedures.cli.doctor.verdicts import Verdict
+from procedures.cli.doctor.report import Report, Verdict, examine, show
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import Diagnostic, Inspection, Progress

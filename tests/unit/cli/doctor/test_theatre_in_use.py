@@ -14,13 +14,13 @@ from subprocess import PIPE, Popen
 import pytest
 from user_commands import in_this_process
 
-from procedures.cli.case.request_file import RequestFile
-from procedures.cli.doctor import theatre_use
+from procedures.cli.doctor import theatre_checks
 from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
-from procedures.engine.theatre_lock import held_theatre
-from procedures.engine.theatre_note import TheatreNote, note_file
 from procedures.journal.journal import Entry, Journal
+from procedures.runs.request_file import RequestFile
+from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_note import TheatreNote, note_file
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -43,7 +43,7 @@ def theatre(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def run_on(theatre: Path, folder: Path) -> Iterator[int]:
     """A run on this theatre in this folder; yields the number of the process that holds it."""
-    hold = "import sys; from procedures.engine.theatre_lock import held_theatre; from pathlib import Path\n"
+    hold = "import sys; from procedures.runs.theatre_lock import held_theatre; from pathlib import Path\n"
     hold += "with held_theatre(*map(Path, sys.argv[1:])): print('held', flush=True); sys.stdin.read()"
     words = [sys.executable, "-c", hold, str(theatre), str(folder)]
     with Popen(words, stdin=PIPE, stdout=PIPE, text=True) as run:
@@ -147,14 +147,14 @@ def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not
     with held_theatre(theatre, None):  # as a program leaves it that is killed
         note = TheatreNote(run=run, moved_before=run)
     note_file(theatre).write_text(note.model_dump_json())
-    monkeypatch.setattr(theatre_use, "unfinished_on", lambda _theatre: run)
+    monkeypatch.setattr(theatre_checks, "resumable_run", lambda _theatre: run)
     first, *_ = examine(theatre).diagnostics
     assert (first.subject, first.well) == ("instrument", False)
     assert first.seen == f"run {RUN_NAME} is unfinished: an instrument is still in T1"
     assert f"ronna-procedure home {run}" in first.advice
     tool = Diagnostic("robot.master: mounted tool", False, "PRO-009", "Mount the named tool.")
     message = Diagnostic("robot.master: messages", False, "number 1 is not acknowledged", "Acknowledge it.")
-    tool, message = theatre_use.as_left(theatre, [tool, message])
+    tool, message = theatre_checks.as_left(theatre, [tool, message])
     assert tool.advice == "Do not touch the tool: an instrument is still in T1."
     assert message.advice == f"Remove its cause; then ronna-procedure acknowledge {run} --by 'YOUR NAME'."
 

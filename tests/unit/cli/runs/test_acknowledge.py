@@ -11,15 +11,14 @@ from recording_cell import RecordingCell, mini_theatre_file
 from run_again import broken_off
 from user_commands import in_this_process, one_error
 
-from procedures.cli.case.opening import Watcher, opened_engine
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import write_request
 from procedures.cli.procedure import app
-from procedures.cli.runs import home
-from procedures.composition.procedure import Procedure, Resumption
-from procedures.engine.left_run import read_left_run
-from procedures.engine.theatre_lock import held_theatre
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, read_journal
+from procedures.runs.engine_setup import EngineInput
+from procedures.runs.interrupted_run import Resumption, read_interrupted_run
+from procedures.runs.lifecycle import RunObservers, open_engine
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.runs.request_file import write_request
+from procedures.runs.theatre_lock import held_theatre
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -61,12 +60,14 @@ def test_a_run_whose_every_step_is_done_is_left_by_an_acknowledgement_not_finish
     engine.run_to()
     assert engine.over
     broken_off(cell)
-    acknowledging = Resumption(read_left_run(cell.folder), accepted=False, only_leaving=True, asks=False)
-    opened = opened_engine(
-        CaseRequest(out=tmp_path, config=theatre),
+    acknowledging = Resumption(
+        read_interrupted_run(cell.folder), accepted=False, only_leaving=True, asks=False
+    )
+    opened = open_engine(
+        RunRequest(procedure=CaseProcedure(), config=theatre),
         cell.folder,
-        lambda _theatre: Procedure(engine.order),
-        Watcher(),
+        lambda _theatre: EngineInput(engine.order),
+        RunObservers(),
         resumption=acknowledging,
     )
     with opened:
@@ -81,10 +82,10 @@ def test_a_finished_run_whose_arm_is_still_out_is_not_parked(tmp_path: Path) -> 
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.MOTION, 0.0, what="go")
     cell.journal.write(Entry.CLOSED, 0.0, outcome="done")
-    left = read_left_run(cell.folder)
+    left = read_interrupted_run(cell.folder)
     assert left.finished
     assert not left.parked
-    assert home._nothing_to_do(left) is None
+    assert left.nothing_to_bring_home is None
 
 
 def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
@@ -118,7 +119,7 @@ def test_a_fault_of_an_unfinished_run_is_acknowledged_in_that_run(tmp_path: Path
 def left_on(theatre: Path, run: Path) -> Path:
     """A run on that theatre that has just been opened."""
     run.mkdir()
-    write_request(CaseRequest(out=run.parent, config=theatre), run)
+    write_request(RunRequest(procedure=CaseProcedure(), config=theatre), run)
     Journal(run).close()
     return run
 

@@ -14,24 +14,25 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process
 
-from procedures.cli.case.case_inputs import clinical_input
-from procedures.cli.case.leaving_report import seal_run
-from procedures.cli.case.request import CaseRequest
-from procedures.cli.case.request_file import REQUEST_FILE
 from procedures.cli.procedure import app
-from procedures.cli.runs import report as runs_report
-from procedures.cli.runs.left_runs import close_left, make_ready
-from procedures.cli.runs.report import make_report
 from procedures.engine.events import CaseState
 from procedures.engine.events.event_file import EVENTS_FILE, EventFile
 from procedures.engine.events.stream import EventStream
-from procedures.engine.left_run import read_left_run
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.reporting import report as written_report
 from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import TargetTruth, Truth
+from procedures.runs import finishing
+from procedures.runs.case import clinical_input
+from procedures.runs.finishing import make_report, seal_run
+from procedures.runs.interrupted_run import read_interrupted_run
+from procedures.runs.reopening import close_complete, make_ready
+from procedures.runs.request import CaseProcedure
+from procedures.runs.request_file import REQUEST_FILE
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.errors import EXIT_REFUSED
+from ronna_hw.errors import (
+    EXIT_REFUSED,
+)
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
@@ -139,7 +140,7 @@ def test_a_full_disk_while_sealing_a_run_loses_nothing(
 def test_an_interrupted_report_does_not_leave_the_run_changed(
     run: Path, monkeypatch: pytest.MonkeyPatch, moment: str
 ) -> None:
-    where = written_report if moment == "write_report" else runs_report
+    where = written_report if moment == "write_report" else finishing
     original = getattr(where, moment)
 
     def interrupted(*arguments: Any, **options: Any) -> None:
@@ -194,8 +195,7 @@ def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path
     cell = RecordingCell(folder)
     cell.engine(plain_order()).run_to()
     cell.journal.close()  # killed before its end
-    request = CaseRequest(out=tmp_path, config=tmp_path / "theatre.toml", case=case)
-    close_left(read_left_run(folder), clinical_input(request, folder))
+    close_complete(read_interrupted_run(folder), clinical_input(CaseProcedure(case=case), folder))
     assert inspected(folder).changes == ()
     (case / "plan.toml").write_text("another")
     assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]
@@ -218,14 +218,14 @@ def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, s
     assert f"{run.name} is not reliable: report/truth.json: {what}" in table
 
 
-@pytest.mark.parametrize("take_up", [lambda run: make_ready(read_left_run(run)), make_report])
+@pytest.mark.parametrize("take_up", [lambda run: make_ready(read_interrupted_run(run)), make_report])
 def test_no_session_vouches_for_an_error_that_no_seal_confirms(
     run: Path, take_up: Callable[[Path], object]
 ) -> None:
     truth = Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),))
     kept = store_truth(run, truth)
     seal_run(run)
-    make_ready(read_left_run(run))
+    make_ready(read_interrupted_run(run))
     assert load_truth(run) == truth
     store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
     (run / SEAL_FILE).unlink()

@@ -11,20 +11,18 @@ import pytest
 from recording_cell import mini_theatre_file
 from user_commands import in_this_process, one_error
 
-from procedures.cli.calibrating.running import new_folder
 from procedures.cli.case import display, stepping
-from procedures.cli.case.answers import Answers
 from procedures.cli.case.display import follow_case
-from procedures.cli.case.request import CalibrationRun, CaseRequest, new_run_folder
-from procedures.cli.case.request_file import REQUEST_FILE, read_request
-from procedures.cli.case.scene_choice import SceneChoice
 from procedures.cli.case.stepping import step_through
 from procedures.cli.procedure import app
 from procedures.cli.runs.commands import COMMANDS
-from procedures.cli.runs.left_runs import request_of
 from procedures.engine.errors import BadRequestFile, OtherProgram
-from procedures.engine.run_lock import held_run
 from procedures.operator.errors import OperatorAborted
+from procedures.runs.answers import Answers
+from procedures.runs.folders import held_run, new_run_folder
+from procedures.runs.reopening import reopened_request
+from procedures.runs.request import CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
+from procedures.runs.request_file import REQUEST_FILE, read_request
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from ronna_hw.errors import (
     EXIT_FAILED,
@@ -35,43 +33,49 @@ from ronna_hw.errors import (
 
 
 def test_the_request_is_the_first_file_and_records_what_was_asked_for(tmp_path: Path) -> None:
-    asked = CaseRequest(
-        out=tmp_path, choice=SceneChoice("mini", 7, 4), strategy="nos", speed="1", faults=Path("/a/b.txt")
+    asked = RunRequest(
+        procedure=CaseProcedure(strategy="nos"),
+        choice=SceneChoice("mini", 7, 4),
+        speed="1",
+        faults=Path("/a/b.txt"),
     )
-    folder = new_run_folder(asked)
+    folder = new_run_folder(asked, tmp_path)
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
     assert read_request(folder) == asked
 
 
 def test_a_resumed_run_is_answered_by_the_file_of_its_start_unless_given_another(tmp_path: Path) -> None:
-    asked = CaseRequest(out=tmp_path, answers=Answers(default="first", answers={"approach:T1": "no"}))
-    folder = new_run_folder(asked)
+    asked = RunRequest(
+        procedure=CaseProcedure(), answers=Answers(default="first", answers={"approach:T1": "no"})
+    )
+    folder = new_run_folder(asked, tmp_path)
     assert read_request(folder) == asked
-    assert request_of(folder, as_before=True).answers == asked.answers
+    assert reopened_request(folder, as_before=True).answers == asked.answers
     other = tmp_path / "other.toml"
     other.write_text('default = "silence"')
-    assert request_of(folder, answers=other, as_before=True).answers == Answers(default="silence")
+    assert reopened_request(folder, answers=other, as_before=True).answers == Answers(default="silence")
 
 
 def test_the_answers_of_a_case_do_not_answer_for_the_way_home(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path, answers=Answers(default="first")))
-    assert request_of(folder).answers is None
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure(), answers=Answers(default="first")), tmp_path)
+    assert reopened_request(folder).answers is None
 
 
 def test_answers_in_a_request_that_are_none_are_refused(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     path = folder / REQUEST_FILE
     path.write_text(json.dumps(json.loads(path.read_text()) | {"answers": {"default": "yes"}}))
     with pytest.raises(BadRequestFile, match="default"):
         read_request(folder)
 
 
-def test_the_request_of_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
+def test_the_reopened_request_a_calibration_records_the_recipe_of_its_steps(tmp_path: Path) -> None:
     recipe = Recipe(of=Calibrated.TIP, looks=8, more=3, ball_mm=(500.0, 0.0, 200.0)).model_dump(mode="json")
-    asked = CalibrationRun(
-        choice=SceneChoice("mini", 7, first_day=True), recipe=recipe, days=30, write=Path("/a/tip.toml")
+    asked = RunRequest(
+        procedure=CalibrationProcedure(recipe=recipe, days=30, write=Path("/a/tip.toml")),
+        choice=SceneChoice("mini", 7, first_day=True),
     )
-    folder = new_folder(tmp_path, "tool-tip", asked)
+    folder = new_run_folder(asked, tmp_path, "tool-tip")
     assert [path.name for path in folder.iterdir()] == [REQUEST_FILE]
     assert read_request(folder) == asked
     refused = in_this_process(app, "resume", folder, "--accept", "--console")
@@ -81,7 +85,7 @@ def test_the_request_of_a_calibration_records_the_recipe_of_its_steps(tmp_path: 
 
 @pytest.mark.hazard(2)
 def test_resume_refuses_a_run_of_another_version(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     path = folder / REQUEST_FILE
     content = json.loads(path.read_text())
     path.write_text(json.dumps(content | {"program": "0.0.1"}))
@@ -113,7 +117,7 @@ def test_every_command_on_a_run_refuses_other_folders_with_the_same_error(
 @pytest.mark.hazard(42)
 @pytest.mark.parametrize("command", [("resume", "--accept"), ("report",)], ids=lambda command: command[0])
 def test_a_run_open_in_another_program_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     with held_run(folder):
         refused = in_this_process(app, *command, folder)
     assert refused.returncode == EXIT_REFUSED
@@ -130,26 +134,28 @@ def test_a_command_that_drives_a_case_locks_its_run_before_opening_anything(
 ) -> None:
     refused: list[int] = []
 
-    def opened(_request: CaseRequest, folder: Path, *_: object) -> NoReturn:
+    def opened(_request: RunRequest, folder: Path, *_: object) -> NoReturn:
         refused.append(in_this_process(app, "resume", folder, "--accept").returncode)
         raise OperatorAborted("seen enough")
 
     monkeypatch.setattr(display, "run_case", opened)
-    monkeypatch.setattr(stepping, "opened_case", opened)
+    monkeypatch.setattr(stepping, "open_run", opened)
     with pytest.raises(OperatorAborted):
-        lead(CaseRequest(out=tmp_path), **options)
+        lead(RunRequest(procedure=CaseProcedure()), tmp_path, **options)
     assert refused == [EXIT_REFUSED]
 
 
 @pytest.mark.parametrize("command", ["resume", "home"])
 def test_the_accept_option_is_refused_on_real_devices(tmp_path: Path, command: str) -> None:
     theatre = mini_theatre_file(tmp_path, simulated=False)
-    folder = new_run_folder(CaseRequest(out=tmp_path, config=theatre, case=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure(case=tmp_path), config=theatre), tmp_path)
     refused = in_this_process(app, command, folder, "--accept")
     assert refused.returncode == EXIT_USAGE
     assert "--accept is for a simulated theatre" in one_error(refused.stderr)[0]
 
 
 def test_a_run_in_a_simulated_theatre_of_its_own_file_may_be_accepted_by_option(tmp_path: Path) -> None:
-    asked = CaseRequest(out=tmp_path, config=mini_theatre_file(tmp_path, simulated=True), case=tmp_path)
-    assert request_of(new_run_folder(asked), accept=True) == asked
+    asked = RunRequest(
+        procedure=CaseProcedure(case=tmp_path), config=mini_theatre_file(tmp_path, simulated=True)
+    )
+    assert reopened_request(new_run_folder(asked, tmp_path), accept=True) == asked

@@ -12,17 +12,18 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from user_commands import in_this_process, one_error
 
-from procedures.cli.case.leaving_report import seal_run
-from procedures.cli.case.request import CaseRequest, new_run_folder
 from procedures.cli.procedure import app
 from procedures.cli.runs import resume as runs_resume
 from procedures.cli.runs.showing import draw_lineage
 from procedures.engine import run_folder
 from procedures.engine.run_folder import RunFolder
-from procedures.engine.run_lock import held_run
 from procedures.journal.journal import ONLY_LEAVING, Entry
 from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import Truth
+from procedures.runs import case_outcome
+from procedures.runs.finishing import seal_run
+from procedures.runs.folders import held_run, new_run_folder
+from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
 
@@ -31,7 +32,7 @@ from ronna_hw.records import Record
 def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_it_is_sealed(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], sealed: bool
 ) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     cell = RecordingCell(folder)
     cell.journal.write(Entry.OPENED, 0.0, run=folder.name)
     cell.engine(plain_order()).close("done")
@@ -39,9 +40,10 @@ def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_i
     if sealed:
         seal_run(folder)
     given: list[Truth | None] = []
-    monkeypatch.setattr(runs_resume, "order_of_case", lambda *_: plain_order())
-    monkeypatch.setattr(runs_resume, "finished", lambda *arguments: given.append(arguments[-1]))
-    monkeypatch.setattr(runs_resume, "_with_report", lambda outcome, _folder: outcome)
+    monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: plain_order())
+    monkeypatch.setattr(case_outcome, "finished", lambda *arguments: given.append(arguments[-1]))
+    monkeypatch.setattr(case_outcome, "with_report", lambda outcome, _folder: outcome)
+    monkeypatch.setattr(runs_resume, "with_report", lambda outcome, _folder: outcome)
     monkeypatch.setattr(runs_resume, "show_outcome", lambda *_, **__: None)
     runs_resume.resume(folder, accept=True, answers=None, as_json=False)
     assert given == [kept if sealed else None]
@@ -88,7 +90,7 @@ def test_list_shows_how_a_run_ended_and_show_lists_its_results(run: Path) -> Non
 
 
 def test_show_counts_a_restart_that_ran_no_step_apart_from_those_that_resumed_the_run(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     journal = RecordingCell(folder).journal
     journal.write(Entry.OPENED, 0.0, run=folder.name)
     for only_leaving in (True, True, False):
@@ -102,7 +104,7 @@ def test_show_counts_a_restart_that_ran_no_step_apart_from_those_that_resumed_th
 def test_a_run_that_a_program_has_open_is_not_listed_as_killed(
     tmp_path: Path, held: bool, ended: str
 ) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     RecordingCell(folder).journal.write(Entry.OPENED, 0.0, run=folder.name)
     with held_run(folder) if held else nullcontext():
         (listed,) = json.loads(in_this_process(app, "list", tmp_path, "--json").stdout)["runs"]
@@ -112,14 +114,14 @@ def test_a_run_that_a_program_has_open_is_not_listed_as_killed(
 
 
 def test_home_has_nothing_to_do_when_the_arm_never_moved(tmp_path: Path) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     done = in_this_process(app, "home", folder, "--json")
     assert json.loads(done.stdout) == {"run": folder.name, "home": None, "moved": False}
 
 
 @pytest.mark.parametrize("command", ["show", "verify", "report", "resume"])
 def test_a_folder_of_runs_is_refused_with_the_name_of_the_run_in_it(tmp_path: Path, command: str) -> None:
-    folder = new_run_folder(CaseRequest(out=tmp_path))
+    folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     (folder / "journal.jsonl").touch()
     done = in_this_process(app, command, tmp_path)
     shown = " ".join(one_error(done.stderr))

@@ -17,12 +17,12 @@ from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
 from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
+from procedures.journal.errors import StepRefused
+from procedures.journal.results import StepResult
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
-from procedures.results.errors import StepRefused
-from procedures.results.result import StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.head_looks import (
     LookedAtBall,

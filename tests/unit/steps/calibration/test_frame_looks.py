@@ -11,9 +11,9 @@ from recording_cell import RecordingOperator
 
 from procedures.calibration.errors import PosesOutOfReach
 from procedures.calibration.frame_calibration import FrameLooks, Use, calibrate_frame
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed, StepRefused
+from procedures.operator.question import Topic
 from procedures.steps.calibration import frame_looks
 from procedures.steps.calibration.frame_looks import turning_step
 from procedures.workcell import MountedTool, tracker_look

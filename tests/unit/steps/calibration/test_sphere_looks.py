@@ -9,7 +9,7 @@ from prepared_results import checked_set_up, global_localization
 from recording_cell import theatre_of
 
 from procedures.calibration.errors import NoBall
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.calibration.sphere_looks import ObservedSpheres, looks_step
 from procedures.workcell import MountedTool
 from ronna_hw.calibration import Numbers3

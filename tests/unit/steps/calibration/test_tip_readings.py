@@ -10,10 +10,10 @@ from recording_cell import GUIDE, RecordingOperator
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, ReadingImplausible
 from procedures.calibration.tip_calibration import TipLooks, calibrate_tip
-from procedures.engine.hands import IN_DIVOT
+from procedures.engine.questions import IN_DIVOT
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step

@@ -20,11 +20,11 @@ from prepared_results import (
 )
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope
+from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.stability import Subject
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat, tool_check
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence

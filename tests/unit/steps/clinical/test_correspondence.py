@@ -1,5 +1,7 @@
 """Pairing of CT and measured spheres: a unique answer continues, anything else stops with its reason."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, ROBOT_FROM_CT, SCENE, SPHERES_MM, TRACKER_MM, ClinicalCell
@@ -9,7 +11,7 @@ from recording_cell import RecordingOperator
 from scipy.spatial.transform import Rotation
 
 from procedures.engine.case import Stored
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.plan_model import FiducialKind, PatientPosition
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.errors import HeadElsewhere, NoUniqueMatch

@@ -6,7 +6,7 @@ from clinical_case import ClinicalCell
 from painted_ct import Scan, write_series
 
 from procedures.imaging.series import read_series
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import STEP
 

@@ -11,7 +11,7 @@ import pytest
 from clinical_case import SPHERES_MM, ClinicalCell
 from prepared_results import checked_set_up, clamped_head, locked_cart
 
-from procedures.results.errors import GateFailed
+from procedures.journal.errors import GateFailed
 from procedures.steps.clinical.global_localization import IN_CASE, STEP
 from procedures.workcell import MountedTool
 from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames

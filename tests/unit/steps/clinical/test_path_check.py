@@ -1,5 +1,7 @@
 """Every path is checked before anything moves, for the chosen strategy."""
 
+from __future__ import annotations
+
 import pytest
 from clinical_case import FIRST, LAST, ROBOT_FROM_CT, TRAJECTORIES, ClinicalCell, shifted
 from prepared_results import (
@@ -14,7 +16,7 @@ from recording_cell import RecordingOperator
 from strategy_arms import Stuck
 
 from procedures.engine.case import Stored
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical.path_check import STEP, CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan

@@ -13,13 +13,12 @@ from clinical_case import ROBOT_FROM_CT, SPHERES_MM, ClinicalCell
 from prepared_results import SERIES, checked_plan, checked_set_up, clamped_head, localized_fiducials
 from watched_case import findings
 
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.guards.errors import PatientMoved
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Task, Topic
 from procedures.planning.errors import PlaceUnfit
-from procedures.results.errors import GateFailed, StepRefused
 from procedures.steps.branches import AS_IT_STANDS, HOLD, PLACINGS
 from procedures.steps.clinical import cart_lock, head_clamp
 from procedures.steps.clinical.cart_lock import LockedCart

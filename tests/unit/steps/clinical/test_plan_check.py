@@ -1,5 +1,7 @@
 """The plan belongs to this CT and these spheres, and its trajectories enter this head."""
 
+from __future__ import annotations
+
 from dataclasses import replace
 
 import numpy as np
@@ -13,10 +15,10 @@ from pydicom.dataset import Dataset
 from recording_cell import RecordingOperator
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from procedures.operator.topic import Topic
+from procedures.journal.errors import GateFailed
+from procedures.operator.question import Topic
 from procedures.planning.errors import NotIntoHead, PlanMistakes, WrongMarkerCount, WrongSeries
 from procedures.planning.plan_model import Plan
-from procedures.results.errors import GateFailed
 from procedures.steps.clinical.fiducial_localization import DoubtfulSphere
 from procedures.steps.clinical.plan_check import STEP, CheckedPlan
 

@@ -21,9 +21,9 @@ from recording_cell import RecordingOperator, theatre_of
 
 from procedures.engine.case import Stored
 from procedures.guards.stability import Subject
+from procedures.journal.errors import GateFailed
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed
+from procedures.operator.question import Topic
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.strategies.catalogue import strategy_named

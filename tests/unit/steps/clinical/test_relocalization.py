@@ -12,11 +12,10 @@ from prepared_results import APPROACH_MM, ARRIVING, checked_paths, checked_plan,
 from recording_cell import RecordingOperator
 
 from procedures.engine.case import Stored
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
-from procedures.results.errors import GateFailed, StepRefused
-from procedures.results.result import StepResult
+from procedures.journal.results import StepResult
+from procedures.operator.question import Question, Topic
 from procedures.steps.clinical.relocalization import STEP
 from procedures.steps.clinical.results import Relocalization
 from procedures.strategies.fixed_orientation import NeutralOrientation

@@ -1,5 +1,7 @@
 """On a phantom the stereo head takes the place of the guide and measures a ball at each target."""
 
+from __future__ import annotations
+
 import numpy as np
 import pytest
 from clinical_case import FIRST, ROBOT_FROM_CT, SPHERES_MM, TRAJECTORIES, ClinicalCell
@@ -17,7 +19,7 @@ from recording_cell import RecordingOperator
 
 from procedures.engine.order import order_of
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
+from procedures.operator.question import Topic
 from procedures.planning.errors import NotReachable
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.results import RegisteredRobot

@@ -32,14 +32,13 @@ from prepared_results import (
 from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
-from procedures.engine.step import Scope
+from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from procedures.planning import line_of_sight
 from procedures.planning.errors import NotReachable
-from procedures.results.errors import GateFailed, StepRefused
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide

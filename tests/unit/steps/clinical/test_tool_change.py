@@ -1,14 +1,16 @@
 """The guide is mounted on the parked arm with its stream ended; the tool is then read and confirmed."""
 
+from __future__ import annotations
+
 import pytest
 from clinical_case import HOME_RAD, ClinicalCell
 from prepared_results import checked_plan, checked_set_up, coarse, localized_fiducials
 from recording_cell import GUIDE, RecordingOperator
 
 from procedures.engine.case import Stored
+from procedures.journal.errors import StepRefused
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.topic import Topic
-from procedures.results.errors import StepRefused
+from procedures.operator.question import Topic
 from procedures.steps.clinical.tool_change import STEP, MountedGuide
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool

@@ -13,13 +13,12 @@ from prepared_results import checked_plan, coarse, localized_fiducials, mounted_
 from recording_cell import RecordingOperator
 
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
+from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.room import Task
-from procedures.operator.topic import Topic
+from procedures.operator.question import Task, Topic
 from procedures.planning.errors import ForeignTool, NoToolRecord
 from procedures.planning.tool_records import ToolRecords
-from procedures.results.errors import StepRefused
 from procedures.steps.clinical import positioning
 from procedures.steps.clinical.tool_check import APPROACHES, STEP, CheckedTool
 from procedures.steps.errors import ReadingTooOld, ToolBesideGauge

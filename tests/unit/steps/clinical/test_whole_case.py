@@ -20,12 +20,12 @@ from prepared_results import (
 )
 
 from procedures.engine.events import StepState
-from procedures.engine.step import StepSpec
+from procedures.engine.order import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.topic import Topic
+from procedures.journal.results import StepResult
+from procedures.operator.question import Topic
 from procedures.planning.guide import held_trajectory
 from procedures.planning.motions import GAUGE, HOME
-from procedures.results.result import StepResult
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide

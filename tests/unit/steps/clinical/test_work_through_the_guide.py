@@ -1,5 +1,7 @@
 """The depth stop is verified, then the instrument goes in by stages; nothing moves before it is out."""
 
+from __future__ import annotations
+
 import math
 from contextlib import AbstractContextManager
 from typing import Any
@@ -26,8 +28,7 @@ from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
-from procedures.operator.question import Question
-from procedures.operator.topic import Topic
+from procedures.operator.question import Question, Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM

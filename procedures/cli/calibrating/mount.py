@@ -1,0 +1,79 @@
+"""`ronna-procedure calibrate`: the reference frame on the mount, the tip of the guide."""
+
+from __future__ import annotations
+
+from typing import Annotated
+
+import typer
+
+from procedures.cli.calibrating.options import CalibrationOptions, finite_ball
+from ronna_hw.command_line.options import with_option_records
+
+app = typer.Typer(
+    name="calibrate",
+    help="Calibrate the mounted tools.",
+    epilog="Example: ronna-procedure calibrate tracker-frame --sim --scene mini",
+    no_args_is_help=True,
+    add_completion=False,
+    rich_markup_mode=None,
+)
+
+
+@app.callback()
+def mount() -> None:
+    """Calibrate the mounted tools."""
+
+
+@app.command("tracker-frame")
+@with_option_records
+def tracker_frame(
+    context: typer.Context,
+    asked: CalibrationOptions,
+    looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
+    validation: Annotated[
+        int, typer.Option(min=5, max=50, help="Further poses, held out for validation.")
+    ] = 10,
+) -> None:
+    """Find the tracked frame on the mount: the arm turns it in view of the tracker, which measures each pose.
+
+    Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
+    usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
+    """
+    request = asked.request(context)
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.runs.calibrations import TRACKER_FRAME
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
+
+    calibrate(TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), request)
+
+
+@app.command("tool-tip")
+@with_option_records
+def tool_tip(
+    context: typer.Context,
+    asked: CalibrationOptions,
+    ball: Annotated[
+        tuple[float, float, float] | None,
+        typer.Option(
+            metavar="X Y Z",
+            help="Position of the stand's ball in $ROBROOT, mm, to within 10 [default: the theatre file's].",
+        ),
+    ] = None,
+    readings: Annotated[int, typer.Option(min=8, max=30, help="Orientations for the calibration.")] = 10,
+    validation: Annotated[
+        int, typer.Option(min=2, max=20, help="Further orientations, held out for validation.")
+    ] = 3,
+) -> None:
+    """Find the guide's tip relative to the stereo head: the head measures a ball, then the tip pivots at its
+    position.
+
+    Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
+    """
+    finite_ball(ball)
+    request = asked.request(context)
+    from procedures.cli.calibrating.calibration import calibrate
+    from procedures.runs.calibrations import TOOL_TIP
+    from procedures.steps.calibration.recipe import Calibrated, Recipe
+
+    recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
+    calibrate(TOOL_TIP, recipe, request)

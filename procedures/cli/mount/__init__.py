@@ -1,1 +1,0 @@
-"""`ronna-procedure calibrate`: the mounted tools: the reference frame and the guide."""

@@ -1,0 +1,230 @@
+"""`ronna-procedure verify`, `replay` and `bytes`: changed files, recomputed results, link traffic."""
+
+from __future__ import annotations
+
+import heapq
+import json
+import math
+import sys
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import asdict, replace
+from pathlib import Path
+
+from pydantic import ValidationError
+
+from procedures.engine.context import ClinicalInput
+from procedures.engine.errors import NotRecorded, ReplayDiffers
+from procedures.engine.order import order_of
+from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
+from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
+from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
+from procedures.planning.plan_file import read_plan
+from procedures.steps.calibration.recipe import Recipe
+from procedures.steps.catalogue import clinical_steps
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.strategies.catalogue import strategy_named
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.command_line.terminal import print_json, print_table, progress_bar, say, tell
+from ronna_hw.config import Calibrations, read_theatre_file
+from ronna_hw.devices.capabilities import Direction
+from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.manifest import files_of, unchecked_folders
+from ronna_hw.evidence.unsealed import unsealed_sentences
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, links_of, read_link
+from ronna_hw.recording.reading_tape import READINGS_FILE
+from ronna_hw.text import counted, printable
+
+CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
+ROW_BYTES = 16
+MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, as text2pcap has them
+
+
+def verify(folder: Path, *, as_json: bool) -> None:
+    """Print changed, missing and added files; exits with 3 if there are any.
+
+    Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
+    """
+    found = inspected(folder)
+    problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
+    not_vouched_for = list(unsealed_sentences(found.chain.lines))
+    unchecked = unchecked_folders(folder)
+    checked = sum(1 for _ in files_of(folder))
+    if as_json:
+        print_json(
+            {
+                "run": folder.resolve().name,
+                "whole": not problems,
+                "files": checked,
+                "problems": [asdict(one) for one in problems],
+                "not_vouched_for": not_vouched_for,
+                "not_checked": unchecked,
+                "out_of_reach": found.out_of_reach,
+                "raw_missing": missing,
+            }
+        )
+    else:
+        for problem in problems:
+            say(str(problem))
+        if not problems:
+            intact, since = "intact", ""
+            if not_vouched_for:
+                intact, since = "intact as far as can be said", ", or as they lay when it was resumed"
+            say(f"{folder.resolve().name}: {intact}, {checked} files are as the run left them{since}")
+        for sentence in not_vouched_for:
+            say(sentence)
+        if absent := found.out_of_reach:
+            inputs = counted(len(absent), "input")
+            say(f"not compared: {inputs} outside the run, whose folder is not there: {printable(absent[0])}")
+        if unchecked:
+            say(f"not part of the run, and not checked: {', '.join(unchecked)}")
+        if missing:
+            say(f"{missing}; {WRITES_ALL}")
+    if problems:
+        raise SystemExit(EXIT_REFUSED)
+    if not_vouched_for:
+        raise SystemExit(EXIT_UNCONFIRMED)
+
+
+def replay_run(run_folder: Path, *, as_json: bool) -> None:
+    """Replay a run and print a verdict for each record.
+
+    Raises PRO-024, and PRO-025 for records that are not confirmed.
+    """
+    # Of readings that were edited a replay tells more: which results they change.
+    run = run_of(inspected(run_folder, every_file=False).require_unchanged())
+    answers = read_answers(run_folder)
+    given = _as_set_up(run, _given(run_folder, answers))
+    with progress_bar(f"recomputing {len(run.records)} results") as show:
+        results = replay(run, given, answers, lambda done, of: show(done / of))
+    counts = Counter(result.verdict for result in results)
+    if as_json:
+        totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
+        print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
+    else:
+        print_table("Recomputed results", ("record", "verdict", "why"), [_row(one) for one in results])
+    unlike = [one.record for one in results if one.verdict not in CONFIRMED]
+    if unlike:
+        raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
+
+
+def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
+    opening = answers.opening
+
+    def placed(path: str | None) -> Path:
+        if path is None:
+            raise NotRecorded(f"the first line of {READINGS_FILE} does not say what the run was begun with")
+        return run_folder / path  # an absolute path stays what it is
+
+    if opening.series is None:
+        return _given_calibration(opening.calibration, placed(opening.theatre_file))
+    plan = placed(opening.plan)
+    strategy = strategy_named(opening.strategy or "")
+    order = order_of(
+        clinical_steps(measure_targets=opening.measure_targets),
+        [trajectory.id for trajectory in read_plan(plan).trajectories],
+        localizes_per_trajectory=strategy.localizes_per_trajectory,
+    )
+    clinical = ClinicalInput(placed(opening.series), plan, strategy, opening.measure_targets)
+    return ReplayInput(order, clinical, read_theatre_file(placed(opening.theatre_file)))
+
+
+def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
+    """Put the recorded set-up in the place of today's theatre file."""
+    recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
+    if recorded is None:
+        return given
+    then = typed(recorded, CheckedSetUp)
+    tables = {"calibration": then.calibrations, "tools": then.tools, "flange": then.flange}
+    tables |= {"cell": then.cell, "procedure": then.settings}
+    return replace(given, theatre=given.theatre.model_copy(update=tables))
+
+
+def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Path) -> ReplayInput:
+    if calibration is None:
+        raise NotRecorded(
+            "the run is a check or a single measurement of a calibration, which cannot be replayed"
+        )
+    recipe = Recipe.read(calibration.recipe)
+    try:
+        records = Calibrations.model_validate_json(json.dumps(calibration.records))
+    except ValidationError as error:
+        raise NotRecorded(f"the calibration records: {'; '.join(describe_mistakes(error))}") from error
+    theatre = read_theatre_file(theatre_file)
+    return ReplayInput(order_of(recipe.steps, ()), None, theatre, records, recipe.starts)
+
+
+def _row(one: ReplayedRecord) -> tuple[str, str, str]:
+    return one.record, one.verdict, "; ".join(one.why)
+
+
+def print_bytes(
+    run_folder: Path, link: str | None, from_s: float | None, to_s: float | None, *, as_json: bool
+) -> None:
+    """Print a window of the traffic by time, after the files that are not as the run left them.
+
+    Raises CLI-005 without bytes, CLI-001 for a wrong link or window.
+    """
+    folder = run_folder / BYTES_FOLDER
+    links = links_of(folder)
+    if not links:
+        raise PathProblem(f"{folder} has no recorded link bytes", expected="the folder of a run")
+    wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
+    if not wanted:
+        raise UsageMistake(f"the run has no link {link}", expected=f"one of {', '.join(links)}")
+    begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
+    if begin_s > end_s:
+        raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
+    for change in inspected(run_folder).changes:
+        tell(f"NOT AS THE RUN LEFT IT: {change}")
+    merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)
+    first_s, last_s, printed = math.inf, -math.inf, False
+    for line in merged:
+        first_s, last_s = min(first_s, line.theatre_time_s), max(last_s, line.theatre_time_s)
+        if begin_s <= line.theatre_time_s <= end_s:
+            printed = True
+            sys.stdout.write(_as_json(line) if as_json else _as_dump(line))
+    if not printed:
+        kept = f"{first_s:.1f} to {last_s:.1f} s" if first_s <= last_s else "nothing"
+        tell(f"no bytes in this window; {', '.join(wanted)} recorded {kept}")
+
+
+def _as_json(line: LinkLine) -> str:
+    content: dict[str, object] = {
+        "link": line.link,
+        "host_time": line.host_time.isoformat(timespec="microseconds"),
+        "theatre_time_s": line.theatre_time_s,
+    }
+    if line.direction is None:
+        content["note"] = line.note
+    else:
+        text = "".join(_printable(line.data))
+        content |= {"direction": line.direction, "hex": line.data.hex(), "text": text}
+    return json.dumps(content) + "\n"
+
+
+def _as_dump(line: LinkLine) -> str:
+    """Return lines for text2pcap: # begins comments, I and O give directions.
+
+    The text after the bytes is for people.
+    """
+    head = f"# {printable(line.link)}, theatre {line.theatre_time_s:.6f} s"
+    if line.direction is None:
+        return f"{head}: {printable(', '.join(f'{name} {value}' for name, value in line.note.items()))}\n"
+    rows = "".join(_rows(line.data))
+    moment = f"{line.host_time:%Y-%m-%dT%H:%M:%S.%fZ}"
+    size = f"{line.direction}, {len(line.data)} bytes"
+    return f"{head}, {size}\n{MARKS[line.direction]} {moment}\n{rows}\n"
+
+
+def _rows(data: bytes) -> Iterator[str]:
+    for at in range(0, len(data), ROW_BYTES):
+        row = data[at : at + ROW_BYTES]
+        yield f"{at:06x} {row.hex(' '):<{3 * ROW_BYTES}}  {''.join(_printable(row))}\n"
+
+
+def _printable(data: bytes) -> Iterator[str]:
+    return (chr(byte) if 0x20 <= byte < 0x7F else "." for byte in data)

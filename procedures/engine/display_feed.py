@@ -1,0 +1,296 @@
+"""The state of a case as events for displays: its order, the upcoming step, devices, the arm's bodies."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Mapping
+from types import TracebackType
+from typing import TYPE_CHECKING, Self, cast
+
+import numpy as np
+
+from procedures.engine.device_faults import ARM
+from procedures.engine.events import Bodies as BodiesEvent
+from procedures.engine.events import (
+    Body,
+    CameraView,
+    DeviceAge,
+    DeviceFact,
+    DeviceState,
+    EventStream,
+    Fault,
+    LinkHealth,
+    MeasuringVolume,
+    Order,
+    OrderedStep,
+    Pose,
+    Waiting,
+)
+from procedures.workcell.device_views import DeviceView
+from procedures.workcell.tools import MountedTool
+from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Surroundings
+from ronna_hw.arm.clearance.live_watch import body_segments
+from ronna_hw.arm.kinematics import COLUMN_NAME
+from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
+from ronna_hw.devices.readings import ArmReading, JointVector, StampedReading
+from ronna_hw.devices.sensors import BoundedTracker
+from ronna_hw.errors import RonnaError
+from ronna_hw.frames import Frame
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.workcell import Workcell
+
+HOME = "home"  # comes when every step is done and the arm, or an instrument, is still out
+BEYOND = 1.15  # times the distance of the tool's origin, where both cameras look, so that it lies inside
+DECIMALS = 1  # of a millimetre
+ROTATION_DECIMALS = 5
+LINK_EVERY = 20  # looks from one report of the link to the next
+PERIOD_S = 0.2  # host time between two looks: as often as a person can follow numbers
+SEEN_MOVING_S = 0.05  # where an arm is drawn
+
+
+def publish_order(engine: Engine) -> None:
+    """Publish the steps of the case in their order."""
+    specs = [(key, engine.order.spec(key)) for key in engine.order.sequence]
+    engine.events.publish(
+        Order(
+            steps=tuple(
+                OrderedStep(
+                    step=str(key),
+                    title=spec.title,
+                    phase=str(spec.phase),
+                    moves=spec.moves,
+                    record=engine.case.record_of(key),
+                )
+                for key, spec in specs
+            )
+        )
+    )
+
+
+def publish_waiting(engine: Engine) -> None:
+    """Publish what comes next, and why it may not begin."""
+    key, name = engine.upcoming, comes_next(engine)
+    if key is not None:
+        unmet = engine.why_refused(key)
+    else:
+        fault = engine.faults.described.get(ARM) if name == HOME else None
+        unmet = () if fault is None else (fault,)
+    engine.events.publish(Waiting(upcoming=name, unmet=unmet))
+
+
+def comes_next(engine: Engine) -> str | None:
+    """Return the upcoming step, or the way home if only that remains; None when the case is over."""
+    if (key := engine.upcoming) is not None:
+        return str(key)
+    return HOME if engine.course.over and not engine.over else None
+
+
+def camera_views(head: StereoHeadCalibration) -> tuple[CameraView, ...]:
+    """Return centre and corners of each camera's picture, mm in the tool frame, without distortion."""
+    return (_view("left", head.left), _view("right", head.right))
+
+
+def _view(name: str, camera: CameraCalibration) -> CameraView:
+    tool_from_camera = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse()
+    centre = tool_from_camera.translation_mm
+    depth_mm = BEYOND * float(np.linalg.norm(centre))
+    columns, rows = camera.sensor_px
+    pixels = np.array([(0, 0), (columns, 0), (columns, rows), (0, rows)], dtype=float)
+    slopes = (pixels - camera.principal_point_px) / camera.focal_px
+    corners = tool_from_camera.apply(depth_mm * np.column_stack([slopes, np.ones(len(slopes))]))
+    points = np.vstack([centre, corners]).round(DECIMALS)
+    return CameraView(name=name, points_mm=tuple(points.ravel().tolist()))
+
+
+class BodyView:
+    """The arm's bodies at its last commanded joints. Asks no device."""
+
+    def __init__(self, workcell: Workcell) -> None:
+        self._workcell = workcell
+        self._bodies_of: Surroundings | None = None
+        self._bodies: Bodies | None = None
+        self._published: Bodies | None = None
+        self._looks = 0
+        self._streamed = False  # at the last look
+        self._cameras: tuple[CameraView, ...] = ()
+
+    def at(self, pose: Pose) -> Pose:
+        """Return the pose with the place of each moving body, and of the tool if it has cameras."""
+        bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
+        places = tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
+        changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
+        if self._cameras and self._workcell.tool is MountedTool.STEREO_HEAD:  # not while that is unchecked
+            flange = self._workcell.flange_pose(joints_rad)
+            tool = flange @ self._workcell.flange_from(MountedTool.STEREO_HEAD)
+            x, y, z = tool.translation_mm.tolist()
+            rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
+            changes |= {"tool_mm": _rounded((x, y, z)), "tool_rows": tuple(rows)}
+        return pose.model_copy(update=changes)
+
+    def publish(self, events: EventStream, *, last: bool = False) -> None:
+        """Publish the bodies if they have changed, and now and then the health of the link.
+
+        The latter also once its stream has ended, and at the `last` look while it has not.
+        """
+        if self._current() is not self._published:
+            self._published = self._current()
+            event = _as_event(self._published)
+            events.publish(event.model_copy(update={"cameras": self._cameras}))
+        self._looks += 1
+        streamed, self._streamed = self._streamed, self._workcell.streaming
+        if self._streamed:
+            due = last or self._looks % LINK_EVERY == 0
+        else:
+            due = streamed  # its last cycles
+        if due:
+            self._publish_link(events)
+
+    def _current(self) -> Bodies:
+        surroundings = self._workcell.surroundings
+        if self._bodies is None or surroundings is not self._bodies_of:
+            self._bodies_of = surroundings
+            head = self._workcell.tool is MountedTool.STEREO_HEAD
+            self._cameras = camera_views(self._workcell.calibrations.stereo_head) if head else ()
+            self._bodies = Bodies(self._workcell.arm.kinematics, surroundings or Surroundings())
+        return self._bodies
+
+    def _publish_link(self, events: EventStream) -> None:
+        try:
+            link = self._workcell.link_statistics()
+        except RonnaError:  # its connection has just ended
+            return
+        events.publish(
+            LinkHealth(
+                cycles=link.cycles,
+                late=link.late_cycles,
+                lost=link.lost_cycles,
+                rejected=link.rejected_telegrams,
+                turnaround_median_us=link.turnaround_median_us,
+                turnaround_p99_us=link.turnaround_p99_us,
+            )
+        )
+
+
+def _as_event(bodies: Bodies) -> BodiesEvent:
+    names = (COLUMN_NAME, *(one.name for one in bodies.surroundings.obstacles))
+    heads = (False, *(one.is_head for one in bodies.surroundings.obstacles))
+    moving = zip(bodies.moving_names, bodies.moving_radii_mm, strict=True)
+    return BodiesEvent(
+        moving=tuple(Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
+        fixed=tuple(
+            _fixed(name, capsule, is_head)
+            for name, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
+        ),
+        pairs=tuple(
+            (pair.moving, pair.other) for pair in bodies.pairs if not (pair.enters_head and pair.is_head)
+        ),
+    )
+
+
+def _fixed(name: str, capsule: Capsule, is_head: bool) -> Body:
+    ends_mm = _rounded(capsule.start_mm, capsule.end_mm)
+    return Body(name=name, radius_mm=capsule.radius_mm, ends_mm=ends_mm, is_head=is_head)
+
+
+def _rounded(*points: tuple[float, float, float]) -> tuple[float, ...]:
+    return tuple(round(value, DECIMALS) for point in points for value in point)
+
+
+class DeviceWatch:
+    """Publishes state and fault of every device when they change, the age of its reading, and arm poses.
+
+    It looks in a thread of its own while the `with` block runs, and once more at its end.
+    """
+
+    def __init__(
+        self,
+        devices: Mapping[str, DeviceView],
+        events: EventStream,
+        now_s: Callable[[], float],
+        period_s: float = PERIOD_S,
+        bodies: BodyView | None = None,
+    ) -> None:
+        """`devices` by role; `now_s` is the theatre's time, `period_s` the host's.
+
+        With `bodies` every pose says where the moving bodies are.
+        """
+        self._bodies = bodies
+        self._devices = devices
+        self._events = events
+        self._now_s = now_s
+        self._period_s = period_s
+        self._states: dict[str, DeviceState] = {}
+        self._bounded: set[str] = set()  # trackers whose volume was told
+        self._last_problem = ""  # what it could not see last
+        self._ending = threading.Event()
+        self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
+
+    def look(self, *, last: bool = False) -> None:
+        """Publish all changes of every device."""
+        for role, device in self._devices.items():
+            seen = device.observe()
+            state = DeviceState(
+                device=role,
+                state=str(seen.state),
+                fault=None if seen.fault is None else str(seen.fault),
+                says=tuple(DeviceFact(name=one.name, found=one.found, ready=one.ready) for one in seen.says),
+                notices=device.notices,
+            )
+            if self._states.get(role) != state:
+                self._states[role] = state
+                self._events.publish(state)
+                self._publish_volume(role, device)
+            if not isinstance(seen.reading, StampedReading):
+                continue
+            reading = seen.reading
+            age_s = max(0.0, self._now_s() - reading.stamp.theatre_time_s)
+            count = None if isinstance(reading, ArmReading) else reading.stamp.sequence  # its link has cycles
+            self._events.publish(
+                DeviceAge(device=role, age_s=age_s, validity=reading.validity, readings=count)
+            )
+            if isinstance(seen.reading, ArmReading):
+                joints_rad = seen.reading.joints_rad
+                pose = Pose(arm=role, joints_rad=joints_rad, age_s=age_s)
+                self._events.publish(pose if self._bodies is None else self._bodies.at(pose))
+        if self._bodies is not None:
+            self._bodies.publish(self._events, last=last)
+
+    def _publish_volume(self, role: str, device: DeviceView) -> None:
+        """Publish the measuring volume of a tracker, once it is known."""
+        if role in self._bounded or not isinstance(device, BoundedTracker):
+            return
+        if sections_mm := device.volume_sections_mm:
+            self._bounded.add(role)
+            self._events.publish(MeasuringVolume(device=role, sections_mm=sections_mm))
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ending.set()
+        self._thread.join()
+        self._look(last=True)
+
+    def _look_on(self) -> None:
+        while not self._ending.wait(self._period_s):
+            self._look()
+
+    def _look(self, *, last: bool = False) -> None:
+        """Look again; a failure is reported once and ends nothing else."""
+        try:
+            self.look(last=last)
+        except Exception as problem:
+            if str(problem) != self._last_problem:
+                self._last_problem = str(problem)
+                self._events.publish(_fault(problem))
+
+
+def _fault(problem: Exception) -> Fault:
+    if isinstance(problem, RonnaError):
+        return Fault(code=problem.code, what=str(problem), advice=problem.advice)
+    return Fault(code=type(problem).__name__, what=f"the devices cannot be observed: {problem}")

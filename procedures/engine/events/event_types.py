@@ -1,0 +1,353 @@
+"""Kinds of events: facts, all of which reach a reader, and signals, of which the latest does.
+
+A signal is replaced by the next of the same kind about the same thing (`about`): a slow reader misses poses,
+never a question or a fault.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+from typing import Annotated, ClassVar, Literal, Self
+
+from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, JsonValue, model_validator
+
+from procedures.operator.question import Evidence
+
+VERSION = 1  # of all kinds together; raised when a field changes its meaning or goes
+MOST_STEPS = 800  # seven for each of a plan's trajectories, of which there are at most a hundred
+
+Count = Annotated[int, Field(ge=0, lt=2**63)]  # of which a rate is computed: a longer one is no number there
+
+Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
+
+
+class _Happening(BaseModel):
+    """Base of all kinds of events."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+    signal: ClassVar[bool] = False
+
+    @property
+    def about(self) -> str:
+        """What a signal is about: it replaces the last one of its kind about the same."""
+        return ""
+
+
+class CaseState(_Happening):
+    """The case as a whole entered a state of its state chart."""
+
+    kind: Literal["case"] = "case"
+    state: str = Field(description="For example `operation.relocalization`, `paused`, `held`, `finished`.")
+    reason: str = Field(default="", description="The reason, if there is one.")
+
+
+class StepState(_Happening):
+    """A step began, ended, or lost its result to a repetition."""
+
+    kind: Literal["step"] = "step"
+    step: str = Field(description="Such as `registration:T1`.")
+    state: Literal["begun", "done", "failed", "interrupted", "superseded"]
+    summary: str = Field(default="", description="One line for the operator.")
+    record: str | None = Field(default=None, description="Identifier of the result.")
+
+
+class Progress(_Happening):
+    """Progress of the running step."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["progress"] = "progress"
+    step: str
+    share: float = Field(ge=0, le=1)
+    text: str
+
+
+class Questioned(_Happening):
+    """A question is open."""
+
+    kind: Literal["question"] = "question"
+    question: int = Field(description="Number of the question in this run.")
+    topic: str = Field(description="Stable name of the decision, such as `approach:T1`.")
+    subject: str
+    value: str = Field(description="What is being confirmed, with its numbers.")
+    answers: tuple[str, ...] = Field(description="The accepted answers; no answer counts as the last one.")
+    timeout_s: float | None = Field(
+        description="Host time after which no answer counts as the last one; none: it waits indefinitely."
+    )
+    evidence: tuple[Evidence, ...] = Field(default=(), description="The evidence for the decision.")
+    read_back: str | None = Field(default=None, description="What must be typed with the first answer.")
+    reads: tuple[str, ...] = Field(
+        default=(), description="The readings that must be typed with it, as numbers."
+    )
+    deliberate: bool = Field(
+        default=False, description="Whether the first answer moves the arm or permits it to move."
+    )
+
+
+class Answered(_Happening):
+    """A question was answered."""
+
+    kind: Literal["answer"] = "answer"
+    question: int
+    answer: str
+    by: str = Field(default="", description="Who answered at a console; empty: terminal or script.")
+
+
+class Seat(_Happening):
+    """Somebody took the operator's seat at a console, or left it."""
+
+    kind: Literal["seat"] = "seat"
+    holder: str = Field(description="Name as given; empty: the seat is free.")
+    reason: str = Field(default="", description="Why it is free.")
+
+
+class OrderedStep(BaseModel):
+    """A step in the order of a case."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    step: str = Field(description="Such as `registration:T1`.")
+    title: str
+    phase: str
+    moves: bool
+    record: str | None = Field(
+        default=None,
+        description="Identifier of the result that is already valid, because the run was resumed.",
+    )
+
+
+class Order(_Happening):
+    """The steps of the case in their order."""
+
+    kind: Literal["order"] = "order"
+    steps: tuple[OrderedStep, ...] = Field(max_length=MOST_STEPS)
+
+
+class Waiting(_Happening):
+    """The engine waits between steps for its operator."""
+
+    kind: Literal["waiting"] = "waiting"
+    upcoming: str | None = Field(description="The step that comes next, or `home`; none: the case is over.")
+    unmet: tuple[str, ...] = Field(default=(), description="Why it cannot start.")
+
+
+class DeviceFact(BaseModel):
+    """A fact that a device reports, such as its operating mode, and whether a case can continue with it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    found: str
+    ready: bool = True
+
+
+class DeviceState(_Happening):
+    """State, latched fault and alarms of a device. Not a signal: no change of it is lost."""
+
+    kind: Literal["device"] = "device"
+    device: str
+    state: str
+    fault: str | None = Field(default=None, description="The latched error.")
+    says: tuple[DeviceFact, ...] = Field(default=(), description="Its last unsolicited status.")
+    notices: tuple[str, ...] = Field(default=(), description="Findings that are not errors.")
+
+
+class MeasuringVolume(_Happening):
+    """A tracker's measuring volume: rectangles across its axis, from near to far, in its own frame."""
+
+    kind: Literal["volume"] = "volume"
+    device: str
+    sections_mm: tuple[tuple[float, float, float], ...] = Field(
+        description="Position along z, half-extent along x, half-extent along y."
+    )
+
+
+class DeviceAge(_Happening):
+    """Age of a device's newest reading."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["age"] = "age"
+    device: str
+    age_s: float = Field(description="Theatre time.")
+    readings: Count | None = Field(default=None, description="How many there were since it was activated.")
+    validity: str = Field(default="", description="Of the reading, such as `ok` or `partial`.")
+
+    @property
+    def about(self) -> str:
+        return self.device
+
+
+class Pose(_Happening):
+    """Position of an arm, at a bounded rate."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["pose"] = "pose"
+    arm: str
+    joints_rad: tuple[float, ...] = Field(description="Measured joints.")
+    age_s: float = Field(description="Theatre time since they were measured.")
+
+    @property
+    def about(self) -> str:
+        return self.arm
+
+    bodies_mm: tuple[Ends, ...] = Field(
+        default=(), description="Both ends of the axis of each moving body, in the frame of the robot."
+    )
+    tool_mm: tuple[float, ...] = Field(
+        default=(), description="Origin of the tool, in the frame of the robot; only where it has cameras."
+    )
+    tool_rows: tuple[float, ...] = Field(default=(), description="Its rotation matrix, row by row.")
+
+    @model_validator(mode="after")
+    def _whole_tool(self) -> Self:
+        if (len(self.tool_mm), len(self.tool_rows)) not in ((0, 0), (3, 9)):
+            raise ValueError("a tool has an origin and a rotation matrix, or neither")
+        return self
+
+
+class Body(BaseModel):
+    """A capsule that motions are checked against; the ends of a moving one come with each pose."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    radius_mm: float
+    ends_mm: tuple[float, ...] = Field(default=(), description="Of a fixed one, in the frame of the robot.")
+    is_head: bool = False
+
+
+class CameraView(BaseModel):
+    """The view of a camera of the mounted tool, in the frame of the tool."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    name: str
+    points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")
+
+
+class Bodies(_Happening):
+    """The bodies that are checked against each other before and while the arm moves."""
+
+    kind: Literal["bodies"] = "bodies"
+    moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
+    fixed: tuple[Body, ...]
+    pairs: tuple[tuple[int, int], ...] = Field(
+        description="Moving body, and the other one: a fixed one, or -1 - k for the moving body k. "
+        "Without the head and what may enter it."
+    )
+    cameras: tuple[CameraView, ...] = Field(default=(), description="Of the mounted tool.")
+
+    @model_validator(mode="after")
+    def _can_be_drawn(self) -> Self:
+        moving, fixed = len(self.moving), len(self.fixed)
+        if not all(0 <= first < moving and -moving <= second < fixed for first, second in self.pairs):
+            raise ValueError("a pair names a body that is not there")
+        if any(len(one.ends_mm) != 6 for one in self.fixed):
+            raise ValueError("a fixed body has two ends")
+        if any(len(one.points_mm) != 15 for one in self.cameras):
+            raise ValueError("a camera has a centre and four corners")
+        return self
+
+
+class LinkHealth(_Happening):
+    """Health of the robot link since the arm was last activated; times in host time."""
+
+    signal: ClassVar[bool] = True
+    kind: Literal["link"] = "link"
+    cycles: Count
+    late: int
+    lost: int
+    rejected: int
+    turnaround_median_us: float
+    turnaround_p99_us: float
+
+
+class Advisory(_Happening):
+    """A finding for the operator that stops nothing."""
+
+    kind: Literal["finding"] = "finding"
+    text: str
+
+
+class Refusal(_Happening):
+    """A step may not begin."""
+
+    kind: Literal["refusal"] = "refusal"
+    step: str
+    unmet: tuple[str, ...]
+
+
+class Fault(_Happening):
+    """An error as it was shown."""
+
+    kind: Literal["fault"] = "fault"
+    code: str
+    what: str
+    advice: str = ""
+
+
+class SignalsLost(_Happening):
+    """A follower of the file sees fewer signals than there were. No fact is ever among them."""
+
+    kind: Literal["signals_lost"] = "signals_lost"
+    count: int = Field(ge=1, description="Signals of this program so far that the file does not hold.")
+
+
+class JournalLine(_Happening):
+    """A line of the journal as it was written."""
+
+    kind: Literal["journal"] = "journal"
+    line: dict[str, JsonValue]
+
+
+Happening = Annotated[
+    CaseState
+    | StepState
+    | Progress
+    | Questioned
+    | Answered
+    | Seat
+    | Order
+    | Waiting
+    | DeviceState
+    | DeviceAge
+    | MeasuringVolume
+    | Pose
+    | Bodies
+    | LinkHealth
+    | Advisory
+    | Refusal
+    | Fault
+    | SignalsLost
+    | JournalLine,
+    Field(discriminator="kind"),
+]
+
+
+class Event(BaseModel):
+    """One event with its number and its time, as readers receive it and the file of the run stores it."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+    version: int = VERSION
+    number: int = Field(description="Counts all events of a run from 1.")
+    host_time: AwareDatetime
+    theatre_time_s: float
+    what: Happening
+
+    @property
+    def subject(self) -> str:
+        """Kind and subject: of signals with the same one only the latest matters."""
+        return f"{self.what.kind} {self.what.about}"
+
+
+def shown_digest(question: Questioned) -> str:
+    """Return the SHA-256, in hexadecimal, of everything of a question that is decided on.
+
+    An answer quotes it, so that nobody confirms what was not shown.
+    """
+    content = question.model_dump(
+        mode="json",
+        include={"question", "topic", "subject", "value", "answers", "evidence", "read_back", "reads"},
+    )
+    return hashlib.sha256(json.dumps(content, sort_keys=True, ensure_ascii=False).encode()).hexdigest()

@@ -1,0 +1,72 @@
+"""Results of steps: one frozen, versioned model for each step, kept as JSON.
+
+A step declares its model in its own module. Other steps import the model and ask the context for it; that
+makes it a parent of their own result.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import ClassVar, Self
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from ronna_hw.calibration import Numbers3, Numbers4
+from ronna_hw.frames import Frame, Transform
+
+Numbers6 = tuple[float, float, float, float, float, float]
+Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
+
+
+class Values(BaseModel):
+    """Base of results and their parts: frozen, finite numbers, no unknown fields."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class StepResult(Values):
+    """Base of the results. `kind` names the step; `version` rises when a field changes its meaning."""
+
+    kind: ClassVar[str]
+    version: ClassVar[int]
+
+    def __init_subclass__(cls, *, kind: str, version: int = 1) -> None:
+        super().__init_subclass__()
+        cls.kind, cls.version = kind, version
+
+    def leaves_out(self) -> Mapping[str, str]:
+        """Return the trajectories that this result leaves out of the case, and why."""
+        return {}
+
+    def names_series(self) -> str | None:
+        """Return the DICOM UID of the CT series, for the result that selects it."""
+        return None
+
+
+class FramedPose(Values):
+    """A rigid pose with its frames: `target <- source`."""
+
+    target: Frame = Field(description="Frame that the pose maps into.")
+    source: Frame = Field(description="Frame whose points it maps.")
+    translation_mm: Numbers3 = Field(description="Origin of the source in the target.")
+    quaternion_wxyz: Numbers4 = Field(description="Rotation, scalar first, of norm 1.")
+
+    @classmethod
+    def of(cls, pose: Transform) -> Self:
+        """Return a transform as plain numbers."""
+        return cls(
+            target=pose.target,
+            source=pose.source,
+            translation_mm=pose.translation_mm.tolist(),
+            quaternion_wxyz=pose.quaternion_wxyz.tolist(),
+        )
+
+    @property
+    def transform(self) -> Transform:
+        """The pose as a checked transform."""
+        return Transform.of(
+            self.target,
+            self.source,
+            translation_mm=self.translation_mm,
+            quaternion_wxyz=self.quaternion_wxyz,
+        )

@@ -1,0 +1,1 @@
+"""Open, resume and finish runs: one lifecycle for cases, calibrations and measurements."""

@@ -1,0 +1,169 @@
+"""Files of a calibration: its records, its figures, and a theatre file with the new records.
+
+OUT/<id>/calibration.toml    the new records, to put into the theatre file
+OUT/<id>/result.json         the output of `--json`
+"""
+
+from __future__ import annotations
+
+import shlex
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping
+from datetime import datetime
+from pathlib import Path
+from typing import Any
+
+from procedures.calibration.errors import BadObservations
+from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded, read_toml, toml_of
+from ronna_hw.command_line import terminal
+from ronna_hw.config import BadTheatreFile, Calibrations
+from ronna_hw.records import write_whole
+
+Place = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
+CALIBRATION_FILE = "calibration.toml"
+
+
+def write_records(records: dict[str, Any], folder: Path) -> None:
+    """Write the new records by their names in the theatre file."""
+    import tomli_w
+
+    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
+
+
+def require_records(folders: Iterable[Path]) -> None:
+    """Raise CAL-005 for a folder or file without calibration records."""
+    for folder in folders:
+        file = folder / CALIBRATION_FILE if folder.is_dir() else folder
+        try:
+            content = read_toml(file, BadObservations)
+        except OSError as error:
+            raise BadObservations(f"cannot read {file}: {error.strerror}") from error
+        found = content.get("calibration")
+        unknown = set(found) - set(Calibrations.model_fields) if isinstance(found, dict) else set()
+        if unknown or not found or not isinstance(found, dict):
+            raise BadObservations(
+                f"{file} has no calibration records",
+                expected=f"[calibration.{'|'.join(Calibrations.model_fields)}]",
+                got=", ".join(sorted(unknown)) or "none",
+            )
+
+
+def finished_figures(folder: Path) -> RecordFigures:
+    """Return the figures of a finished calibration. Raises CAL-005."""
+    try:
+        figures = read_figures(folder)
+    except (OSError, ValueError) as error:
+        raise BadObservations(f"cannot read {folder / RESULT_FILE}: {error}") from error
+    if not isinstance(figures, RecordFigures):
+        raise BadObservations(f"cannot read {folder / RESULT_FILE}: it is not of a calibration")
+    return figures
+
+
+def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
+    """Write the theatre file `source` with new calibration records as `target`; comments stay.
+
+    A record that was not `measured` then but only moved keeps its dates from `source`. Records of tools stay
+    as they are: a person must say that a tool's gauge still fits its new tip.
+    """
+    former = read_toml(source, BadTheatreFile).get("calibration", {})
+    dated = {
+        name: record if record["created"] == measured else _dated_as(former.get(name, {}), record)
+        for name, record in records.items()
+    }
+    write_theatre_tables(source, target, {"calibration": dated})
+    tip = records.get("tool_tip", {}).get("identifier")
+    for name, tool in read_toml(target, BadTheatreFile).get("tools", {}).items():
+        if tip is not None and tool.get("tip", tip) != tip:
+            terminal.tell(
+                f"record {tool['identifier']} refers to the former tip, so no case can start with it: "
+                f"read the gauge with this {name}, then ronna-tool renew {name} "
+                f"--config {shlex.quote(str(target))} "
+                "--write FILE --by NAME --gauge-mm FILE"
+            )
+
+
+def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
+    """Write the theatre file `source` with new entries in its tables as `target`; comments stay."""
+    require_same_folder(source, target)
+    content = read_bounded(source, LARGEST_TOML_BYTES)
+    toml_of(content, source.name, BadTheatreFile)
+    text = content.decode("utf-8-sig").replace("\r\n", "\n")
+    write_whole(target, with_tables(text, tables).encode())
+
+
+def require_same_folder(source: Path, target: Path) -> None:
+    """Raise CAL-005 if a theatre file is to be written elsewhere than next to its source."""
+    if target.resolve().parent != source.resolve().parent:
+        raise BadObservations(
+            f"{target} is not in the folder of {source.name}, which its relative paths refer to",
+            action="Name a file in the folder of the theatre file.",
+        )
+
+
+def _dated_as(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+    if former.get("identifier") != record["identifier"]:
+        return record
+    return {**record, "created": former["created"], "expires": former["expires"]}
+
+
+def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
+    """Return the text with these entries of tables, in the place of the former ones or else at the end.
+
+    The outcome is compared with the intended content: if these tables have no headers of their own, comments
+    are lost.
+    """
+    import tomli_w
+
+    meant = tomllib.loads(text)
+    new: dict[Place, str] = {}
+    for name, entries in tables.items():
+        meant[name] = {**meant.get(name, {}), **entries}
+        new |= {(name, key): tomli_w.dumps({name: {key: entry}}) for key, entry in entries.items()}
+    replaced = "".join(_replaced(text, new))
+    try:
+        kept = tomllib.loads(replaced) == meant
+    except tomllib.TOMLDecodeError:
+        kept = False
+    return replaced if kept else tomli_w.dumps(meant)
+
+
+def _replaced(text: str, new: dict[Place, str]) -> Iterator[str]:
+    """Yield the lines without replaced tables, but with comments in front of the next header."""
+    to_write = dict(new)
+    leaving_out, remarks = False, list[str]()
+    for line in text.splitlines(keepends=True):
+        place = _place(line)
+        if place is not None:
+            leaving_out = place[:2] in new
+            yield from remarks
+            remarks.clear()
+            if leaving_out:
+                yield to_write.pop(place[:2], "")
+        if not leaving_out:
+            yield line
+        elif place is None and (not line.strip() or line.lstrip().startswith("#")):
+            remarks.append(line)
+        else:
+            remarks.clear()  # of the record that is replaced
+    yield from remarks
+    for table in to_write.values():
+        yield f"\n{table}"
+
+
+def _place(line: str) -> Place | None:
+    """Return the table whose header a line is."""
+    if not line.lstrip().startswith("["):
+        return None
+    try:
+        inner: Any = tomllib.loads(line)
+    except tomllib.TOMLDecodeError:
+        return None
+    place: list[str] = []
+    while inner:
+        if isinstance(inner, list):
+            inner = inner[0]
+        else:
+            ((name, inner),) = inner.items()
+            place.append(name)
+    return tuple(place)

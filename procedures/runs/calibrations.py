@@ -1,0 +1,395 @@
+"""Calibrations: what each kind observes, its computation, and the records and figures that it leaves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from datetime import timedelta
+from pathlib import Path
+from typing import Any, Generic, TypeVar
+
+import numpy as np
+
+from procedures.calibration import Baseline, CheckResult, HeadResult, ObservationSet, calibrate_head
+from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
+from procedures.calibration.arm_model import LOOKS_FILE as ARM_LOOKS_FILE
+from procedures.calibration.arm_model import ArmLooks
+from procedures.calibration.errors import BadObservations, NotTheBaseline
+from procedures.calibration.frame_calibration import LOOKS_FILE as FRAME_LOOKS_FILE
+from procedures.calibration.frame_calibration import FrameLooks, FrameResult, calibrate_frame
+from procedures.calibration.observations import (
+    OBSERVATIONS_FILE,
+    Measurements,
+    read_strict,
+    require_same_theatre,
+)
+from procedures.calibration.self_check import BASELINE_FILE
+from procedures.calibration.tip_calibration import LOOKS_FILE as TIP_LOOKS_FILE
+from procedures.calibration.tip_calibration import TipLooks, TipResult, calibrate_tip
+from procedures.engine.case import Case
+from procedures.engine.order import order_of
+from procedures.reporting.calibration_figures import (
+    ArmFigures,
+    FrameFigures,
+    HeadCheckFigures,
+    HeadFigures,
+    ParameterFigures,
+    RecordFigures,
+    SignFigures,
+    TipFigures,
+    write_figures,
+)
+from procedures.runs.calibration_files import write_records, write_theatre
+from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.reopening import close_complete
+from procedures.runs.request import RunRequest
+from procedures.steps.calibration.frame_looks import ObservedFrame
+from procedures.steps.calibration.head_looks import ObservedBall
+from procedures.steps.calibration.recipe import Calibrated, Recipe
+from procedures.steps.calibration.sphere_looks import ObservedSpheres
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.command_line.messages import tell
+from ronna_hw.config import Calibrations, read_theatre_file
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE
+from ronna_hw.records import write_whole
+
+Looks = TypeVar("Looks", bound=Measurements)
+Result = TypeVar("Result")
+MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next case"
+
+
+@dataclass(frozen=True)
+class CalibrationKind(Generic[Looks, Result]):
+    """What a kind of calibration observes, computes from that and keeps.
+
+    `observed` takes the looks out of a case whose steps are done, `remarks` what the operator should know of
+    them; `in_use` selects the records that its steps work with, given those of the theatre.
+
+    OUT/<name>-<id>/<looks file>    the observations, kept before anything is computed, for `--from`
+    """
+
+    name: str
+    title: str
+    activity: str
+    looks_type: type[Looks]
+    looks_file: str
+    observed: Callable[[Case], Looks]
+    remarks: Callable[[Case], Sequence[str]]
+    compute: Callable[[Looks, timedelta], Result]
+    records: Callable[[Result], dict[str, Any]]
+    figures: Callable[[Result], RecordFigures]
+    in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
+    keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
+
+    def read_looks(self, path: Path) -> Looks:
+        """Read stored looks from their file or folder. Raises CAL-005, PRO-033 if their run was changed."""
+        file = path / self.looks_file if path.is_dir() else path
+        looks = read_strict(self.looks_type, file)
+        if (file.parent / JOURNAL_FILE).exists():
+            run = inspected(file.parent, every_file=False).require_account()
+            run.require_content(file.name, read_json_bytes(file))
+        return looks
+
+    def write_looks(self, looks: Looks, folder: Path) -> None:
+        """Keep the looks, before anything is computed from them."""
+        write_whole(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
+
+
+def computed(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
+    """Compute from the looks. Raises CAL-020 for looks of another theatre, and errors of the computation."""
+    theatre = None if request.config is None else read_theatre_file(request.config).calibration
+    if theatre is not None:
+        require_same_theatre(looks, theatre)  # a computation may take minutes
+    try:
+        result = kind.compute(looks, timedelta(days=request.calibration.days))
+    except RonnaError:
+        raise
+    except (ValueError, ArithmeticError) as error:  # the former also of a matrix
+        raise BadObservations(f"nothing can be computed from these measurements: {error}") from error
+    if theatre is not None:
+        require_same_theatre(looks, theatre, kind.records(result))
+    return result
+
+
+def leave_files(
+    kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks, result: Result, folder: Path
+) -> None:
+    """Write the files of a calibration, and the theatre file with its records."""
+    kind.keep(looks, result, folder)
+    write_records(kind.records(result), folder)
+    write_figures(kind.figures(result), folder)
+    if request.calibration.write is not None and request.config is not None:
+        write_theatre(request.config, request.calibration.write, kind.records(result), looks.created)
+
+
+def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Case, folder: Path) -> None:
+    """Report the remarks of a calibration whose steps are done, keep its looks, compute, and write its files.
+
+    Remarks come first: the computation may fail for the same reason.
+    """
+    for remark in kind.remarks(case):
+        tell(remark)
+    looks = kind.observed(case)
+    kind.write_looks(looks, folder)
+    leave_files(kind, request, looks, computed(kind, request, looks), folder)
+
+
+def finish_calibration(
+    kind: CalibrationKind[Looks, Result], request: RunRequest, interrupted: InterruptedRun
+) -> None:
+    """Conclude a calibration of which every look was taken; moves nothing and asks no device."""
+    case = interrupted.restored(order_of(Recipe.read(request.calibration.recipe).steps, ()))
+    try:
+        conclude(kind, request, case, interrupted.folder)
+    except RonnaError as problem:
+        close_complete(interrupted, None, "failed", code=problem.code, what=problem.what)
+        raise
+    close_complete(interrupted, None)
+
+
+def every_look_taken(request: RunRequest, interrupted: InterruptedRun) -> bool:
+    """Whether only the computation of a calibration is missing."""
+    order = order_of(Recipe.read(request.calibration.recipe).steps, ())
+    return not interrupted.untouched and all(map(interrupted.restored(order).stands, order.sequence))
+
+
+def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
+    """Keep the looks of the self-check with their head, unless too few were taken, as `baseline.json`."""
+    baseline = Baseline(
+        created=observed.created,
+        stereo_head=result.stereo_head,
+        arm_variant=observed.arm_variant,
+        looks=tuple(look for look in observed.observations if look.orientation is not None),
+    )
+    try:
+        baseline.require_complete()
+    except NotTheBaseline as problem:
+        tell(f"warning: ronna-stereo check cannot use this calibration: {problem.summary}")
+        return
+    write_whole(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
+
+
+def head_records(result: HeadResult) -> dict[str, Any]:
+    """Return the new records by their names in the theatre file."""
+    records = {"stereo_head": result.stereo_head.model_dump()}
+    if result.tool_tip is not None:
+        records["tool_tip"] = result.tool_tip.model_dump()
+    return records
+
+
+def head_figures(result: HeadResult) -> HeadFigures:
+    """Return the figures of a calibration."""
+    fit, head = result.fit, result.stereo_head
+    return HeadFigures(
+        calibration=head.identifier,
+        created=head.created.isoformat(),
+        expires=head.expires.isoformat(),
+        serials=(head.left.serial, head.right.serial),
+        poses=len(fit.used),
+        outliers=tuple(np.flatnonzero(~fit.used).tolist()),
+        image_sigma_px=fit.image_sigma_px,
+        arm_error_mm=fit.arm_error_mm,
+        arm_scatter_mm=fit.arm_scatter_mm,
+        stated_error_mm=head.stated_error_mm,
+        tool_error_mm=result.tool_error_mm,
+        tool_covariance_mm2=result.tool_covariance_mm2.tolist(),
+        tool_shift_mm=result.tool_shift_mm,
+        frame_misfit_mm=result.frame_misfit_mm,
+        smallest_slip_mm=result.smallest_slip_mm,
+        head_moved=result.head_moved,
+        ball_mm=fit.ball_mm.tolist(),
+        flange_from_tool=head.flange_from_tool,
+        residuals_px=fit.residuals_px.tolist(),
+        shifts_mm=fit.shifts_mm.tolist(),
+    )
+
+
+def head_check_figures(result: CheckResult, baseline: Baseline) -> HeadCheckFigures:
+    """Return the figures of a check."""
+    return HeadCheckFigures(
+        calibration=baseline.stereo_head.identifier,
+        baseline_created=baseline.created.isoformat(),
+        passed=result.passed,
+        looks=result.looks,
+        repeatability_mm=result.repeatability_mm,
+        ball_moved_mm=result.ball_moved_mm,
+        signs=tuple(map(SignFigures.model_validate, result.signs)),
+    )
+
+
+STEREO_HEAD = CalibrationKind(
+    name="stereo",
+    title="Calibration of the stereo head",
+    activity="measuring the ball",
+    looks_type=ObservationSet,
+    looks_file=OBSERVATIONS_FILE,
+    observed=lambda case: case.get(ObservedBall).result.observed,
+    remarks=lambda case: case.get(ObservedBall).result.remarks,
+    compute=lambda looks, life: calibrate_head(looks, life=life),
+    records=head_records,
+    figures=head_figures,
+    keep=write_baseline,
+)
+
+
+def arm_records(result: ArmResult) -> dict[str, Any]:
+    """Return the new records by their names in the theatre file."""
+    records = {"arm": result.arm, "stereo_head": result.stereo_head, "tool_tip": result.tool_tip}
+    given = {name: record for name, record in records.items() if record is not None}
+    return {name: record.model_dump(exclude_none=True) for name, record in given.items()}
+
+
+def arm_figures(result: ArmResult) -> ArmFigures:
+    """Return the figures of a calibration."""
+    fit, held = result.fit, result.validation
+    return ArmFigures(
+        calibration=result.arm.identifier,
+        created=result.arm.created.isoformat(),
+        expires=result.arm.expires.isoformat(),
+        arm=result.arm.arm,
+        looks=len(fit.used),
+        outliers=int((~fit.used).sum()),
+        validation_looks=len(held.misses_mm),
+        before_mm=held.before_mm,
+        error_mm=held.error_mm,
+        predicted_mm=held.predicted_mm,
+        model_mm=held.model_mm,
+        scatter_mm=fit.scatter_mm,
+        tool_shift_mm=result.tool_shift_mm,
+        parameters={
+            name: ParameterFigures(value=value, standard_error=error)
+            for name, value, error in zip(fit.model.names, fit.values, fit.learnt, strict=False)
+        },
+    )
+
+
+def without_arm(of_theatre: Calibrations) -> Calibrations:
+    """Leave out the arm's record: an arm is identified from its nominal geometry."""
+    return of_theatre.model_copy(update={"arm": None})
+
+
+ARM = CalibrationKind(
+    name="arm",
+    title="Calibration of the arm",
+    activity="measuring the spheres",
+    looks_type=ArmLooks,
+    looks_file=ARM_LOOKS_FILE,
+    observed=lambda case: case.get(ObservedSpheres).result.observed,
+    remarks=lambda case: case.get(ObservedSpheres).result.remarks,
+    compute=lambda looks, life: calibrate_arm(looks, life=life),
+    records=arm_records,
+    figures=arm_figures,
+    in_use=without_arm,
+)
+
+
+def frame_records(result: FrameResult) -> dict[str, Any]:
+    """Return the new record by its name in the theatre file."""
+    return {"tracker_frame": result.tracker_frame.model_dump()}
+
+
+def frame_figures(result: FrameResult) -> FrameFigures:
+    """Return the figures of a calibration."""
+    fit, record = result.fit, result.tracker_frame
+    return FrameFigures(
+        calibration=record.identifier,
+        created=record.created.isoformat(),
+        expires=record.expires.isoformat(),
+        frame=record.tool,
+        poses=len(fit.used),
+        outliers=int((~fit.used).sum()),
+        validation_poses=len(result.misses_mm),
+        tool_from_marker=record.tool_from_marker,
+        flange_from_marker=fit.flange_from_marker.tolist(),
+        error_mm=fit.error_mm,
+        error_rad=fit.error_rad,
+        arm_error_mm=result.arm_error_mm,
+        stated_error_mm=record.stated_error_mm,
+        scatter_mm=fit.scatter_mm,
+        scatter_rad=fit.scatter_rad,
+        validation_mm=_rms(result.misses_mm.tolist()),
+        validation_rad=_rms(result.misses_rad.tolist()),
+        predicted_mm=result.predicted_mm,
+        predicted_rad=result.predicted_rad,
+        change_mm=result.change_mm,
+        change_rad=result.change_rad,
+    )
+
+
+def _rms(misses: list[list[float]]) -> float:
+    return math.sqrt(sum(math.hypot(*one) ** 2 for one in misses) / len(misses))
+
+
+TRACKER_FRAME = CalibrationKind(
+    name="tracker-frame",
+    title="Calibration of the reference frame",
+    activity="turning the reference frame",
+    looks_type=FrameLooks,
+    looks_file=FRAME_LOOKS_FILE,
+    observed=lambda case: case.get(ObservedFrame).result.observed,
+    remarks=lambda case: case.get(ObservedFrame).result.remarks,
+    compute=lambda looks, life: calibrate_frame(looks, life=life),
+    records=frame_records,
+    figures=frame_figures,
+)
+
+
+def tip_records(result: TipResult) -> dict[str, Any]:
+    """Return the new record by its name in the theatre file."""
+    return {"tool_tip": result.tool_tip.model_dump()}
+
+
+def tip_figures(result: TipResult) -> TipFigures:
+    """Return the figures of a calibration."""
+    fit, record = result.fit, result.tool_tip
+    missed = [math.hypot(*one) ** 2 for one in result.misses_mm.tolist()]
+    return TipFigures(
+        calibration=record.identifier,
+        created=record.created.isoformat(),
+        expires=record.expires.isoformat(),
+        tool_number=record.tool_number,
+        readings=len(fit.misses_mm),
+        validation_readings=len(missed),
+        tip_in_head_mm=fit.tip_mm.tolist(),
+        flange_from_tool=record.flange_from_tool,
+        error_mm=math.sqrt(float(fit.covariance_mm2.trace())),
+        stated_error_mm=record.stated_error_mm,
+        stated_direction_error_rad=record.stated_direction_error_rad,
+        reading_scatter_mm=fit.scatter_mm,
+        validation_mm=math.sqrt(sum(missed) / len(missed)),
+        predicted_mm=result.predicted_mm,
+        gap_mm=fit.gap_mm.tolist(),
+        gap_error_mm=fit.gap_error_mm,
+        change_mm=result.change_mm,
+    )
+
+
+TOOL_TIP = CalibrationKind(
+    name="tool-tip",
+    title="Calibration of the guide's tip",
+    activity="measuring the ball, reading the divot",
+    looks_type=TipLooks,
+    looks_file=TIP_LOOKS_FILE,
+    observed=lambda case: case.get(ReadTip).result.observed,
+    remarks=lambda case: (*case.get(ObservedStand).result.remarks, MOUNT_THE_HEAD),
+    compute=lambda looks, life: calibrate_tip(looks, life=life),
+    records=tip_records,
+    figures=tip_figures,
+)
+
+
+def kind_of(calibrated: Calibrated) -> CalibrationKind[Any, Any]:
+    """Return the kind of a calibration, by what is calibrated."""
+    match calibrated:
+        case Calibrated.HEAD:
+            return STEREO_HEAD
+        case Calibrated.ARM:
+            return ARM
+        case Calibrated.FRAME:
+            return TRACKER_FRAME
+        case Calibrated.TIP:
+            return TOOL_TIP

@@ -1,0 +1,107 @@
+"""The CT, plan and steps of a clinical case, new or interrupted."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.runs.request import CaseProcedure, RunRequest
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
+
+if TYPE_CHECKING:
+    from procedures.engine.context import ClinicalInput
+    from procedures.engine.order import CaseOrder
+    from procedures.planning.plan_lock import HeldPlan
+    from procedures.planning.plan_model import Plan
+    from procedures.runs.engine_setup import EngineInput
+    from procedures.runs.interrupted_run import InterruptedRun, Resumption
+    from ronna_hw.theatre import Theatre
+
+
+def case_folder(case: CaseProcedure, folder: Path) -> Path:
+    """Return the folder of CT and plan of the run in `folder`."""
+    return case.case or folder / "case"
+
+
+def clinical_input(case: CaseProcedure, folder: Path, plan: HeldPlan | None = None) -> ClinicalInput:
+    """Return CT, plan and strategy of a run, with the hash of its plan as held."""
+    from procedures.engine.context import ClinicalInput
+    from procedures.strategies.catalogue import strategy_named
+
+    place = case_folder(case, folder)
+    return ClinicalInput(
+        place / "ct",
+        place / "plan.toml",
+        strategy_named(case.strategy),
+        case.measure_targets,
+        None if plan is None else plan.sha256,
+    )
+
+
+def order_of_case(case: CaseProcedure, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
+    """Return the steps of a run, by its plan as held and its strategy. Raises errors of reading the plan."""
+    from procedures.planning.plan_file import parse_plan_bytes, read_plan
+
+    file = case_folder(case, folder) / "plan.toml"
+    return _order(case, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
+
+
+def recorded_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
+    """Return the steps of an interrupted run by the plan that it checked, whatever became of the file since.
+
+    Raises REC-001, REC-003.
+    """
+    from procedures.steps.clinical.plan_check import CheckedPlan
+
+    checked = interrupted.run.made(CheckedPlan)
+    return _order(case, checked[-1].result.plan if checked else None)
+
+
+def _order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
+    from procedures.engine.order import order_of
+    from procedures.steps.catalogue import clinical_steps
+    from procedures.strategies.catalogue import strategy_named
+
+    return order_of(
+        clinical_steps(measure_targets=case.measure_targets),
+        [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
+        localizes_per_trajectory=strategy_named(case.strategy).localizes_per_trajectory,
+    )
+
+
+def prepare_case(
+    request: RunRequest,
+    folder: Path,
+    theatre: Theatre,
+    resumption: Resumption | None,
+    held: contextlib.ExitStack,
+) -> EngineInput:
+    """Prepare the steps of a case; `held` holds its plan."""
+    from procedures.calibration.validity import options_of, require_valid
+    from procedures.engine.context import this_second
+    from procedures.planning.plan_lock import lock_plan
+    from procedures.planning.tool_records import ToolRecords
+    from procedures.runs.engine_setup import EngineInput
+    from ronna_hw.records import write_whole
+
+    case = request.case
+    if resumption is not None and resumption.only_leaving:
+        return EngineInput(
+            recorded_order(case, resumption.interrupted), clinical=clinical_input(case, folder)
+        )
+    if resumption is None:  # before anybody is asked anything; set_up looks again
+        now, choice = this_second(), request.choice
+        simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}"
+        options = simulated if request.config is None else options_of(request.config)
+        require_valid(theatre.calibrations, now, options)
+        ToolRecords.of(theatre.file).check(theatre.calibrations, now)
+    file = case_folder(case, folder) / "plan.toml"
+    if case.plan is not None and (resumption is None or resumption.interrupted.untouched):
+        write_whole(file, read_bounded(case.plan, LARGEST_TOML_BYTES))  # instead of the phantom's own
+    plan = held.enter_context(lock_plan(file))
+    order = order_of_case(case, folder, plan)
+    if request.answers is not None:
+        request.answers.check_trajectories(order.trajectories)
+    return EngineInput(order, clinical=clinical_input(case, folder, plan))

@@ -1,0 +1,187 @@
+"""A case run or resumed to its end, and its outcome, by its records and by the truth if there is one."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+from datetime import datetime
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.engine.run_folder import targets_in_doubt
+from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
+from procedures.runs.case import clinical_input, order_of_case
+from procedures.runs.finishing import error_of
+from procedures.runs.lifecycle import RunObservers, run_steps
+from procedures.runs.request import RunRequest
+from procedures.runs.request_checks import never_began
+from procedures.runs.simulated_theatre import truth_of
+from ronna_hw.command_line.messages import tell
+from ronna_hw.evidence.journal_reading import read_chain
+
+if TYPE_CHECKING:
+    from procedures.engine.case import Case
+    from procedures.reporting.outcome import FinishedRun, Truth, UnfinishedRun
+    from procedures.runs.interrupted_run import InterruptedRun, Resumption
+
+
+def run_case(
+    request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
+) -> FinishedRun:
+    """Run a whole case, or what remains of it, without its report.
+
+    Raises the errors of steps, PRO-032 if it is not resumed, PRO-013 from the verifier.
+    """
+    began_s = time.monotonic()
+    engine, theatre_s = run_steps(request, folder, observers, resumption)
+    if request.faults is not None and resumption is None:
+        begun = (str(line["step"]) for line in read_chain(folder / JOURNAL_FILE).lines if "step" in line)
+        for one in never_began(request.faults, begun, theatre_s):
+            tell(one)
+    before_s = 0.0 if resumption is None else wall_time_s(resumption.interrupted.run.journal)
+    wall_s = before_s + time.monotonic() - began_s
+    return finished(request, engine.case, engine.order.trajectories, theatre_s, wall_s)
+
+
+def finish_case(
+    request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
+) -> FinishedRun:
+    """Finish an interrupted case; one of which only the last line is missing needs no theatre."""
+    from procedures.engine.course import CaseProgress
+    from procedures.runs.interrupted_run import Resumption
+    from procedures.runs.reopening import close_complete
+
+    folder = interrupted.folder
+    if not interrupted.untouched:
+        order = order_of_case(request.case, folder)
+        if CaseProgress(order, interrupted.restored(order)).over and not interrupted.arm.place.is_out:
+            closed = close_complete(interrupted, clinical_input(request.case, folder))
+            return outcome_as_recorded(request, closed)
+    return run_case(request, folder, observers, Resumption(interrupted, accepted))
+
+
+def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:
+    """Return the outcome of a finished case from its folder, with the report that is there."""
+    from procedures.reporting.files import load_truth
+    from ronna_hw.evidence.manifest import is_sealed
+
+    folder, journal = interrupted.folder, interrupted.run.journal
+    order = order_of_case(request.case, folder)
+    outcome = finished(
+        request,
+        interrupted.restored(order),
+        order.trajectories,
+        theatre_time_s(journal[-1]),
+        wall_time_s(journal),
+        load_truth(folder) if is_sealed(folder) else None,
+    )
+    return with_report(outcome, folder)
+
+
+def with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
+    """Name the report of a run in its outcome, if there is one."""
+    from ronna_hw.evidence.manifest import REPORT_FILE
+
+    report = folder / REPORT_FILE
+    return outcome.model_copy(update={"report": str(report) if report.exists() else None})
+
+
+def wall_time_s(journal: Sequence[Line]) -> float:
+    """Return the host time of the programs of a run, by the dates in its journal."""
+    total_s, began, last = 0.0, None, None
+    for line in journal:
+        if line["entry"] == Entry.RESTARTED and began is not None and last is not None:
+            total_s += (last - began).total_seconds()
+            began = None
+        last = datetime.fromisoformat(str(line["host_time"]))
+        began = began or last
+    return total_s + ((last - began).total_seconds() if began is not None and last is not None else 0.0)
+
+
+def unfinished(request: RunRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
+    """Return the outcome of a run that `problem` ended."""
+    from procedures.reporting.outcome import UnfinishedRun
+
+    return UnfinishedRun(
+        run=folder.name,
+        outcome="interrupted" if isinstance(problem, KeyboardInterrupt) else "failed",
+        seed=request.seed,
+        strategy=request.case.strategy,
+        error=error_of(problem),
+    )
+
+
+def finished(
+    request: RunRequest,
+    case: Case,
+    trajectories: Sequence[str],
+    theatre_time_s: float,
+    wall_s: float,
+    truth: Truth | None = None,
+) -> FinishedRun:
+    """Return the outcome of a finished case, by the kept `truth` if given. Raises PRO-013 of the verifier."""
+    from procedures.reporting.files import store_truth
+    from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
+    from procedures.reporting.run_reading import registrations_of
+    from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
+    from procedures.steps.clinical.plan_check import CheckedPlan
+    from procedures.steps.clinical.results import ConfirmedTarget
+    from procedures.steps.clinical.retreat import Retreated
+    from procedures.steps.clinical.tool_change import MountedGuide
+
+    if truth is None:
+        truth = truth_of(case.folder) if request.config is None else Truth()
+        store_truth(case.folder, truth)
+    left_out = {one.trajectory: one.reason for one in case.left_out}
+    names = [name for name in trajectories if name not in left_out]
+    used = registrations_of(case)
+    registered = {name: next(one.result for one in used if name in one.targets) for name in names}
+    changed = case.find(MountedGuide, None)  # none after a move that came when every target was finished
+    links = [
+        *(() if changed is None else (changed.result.link,)),
+        *(one.result.link for name in names if (one := case.find(Retreated, name)) is not None),
+        *(
+            look.result.link
+            for name in names
+            if (look := case.find(ConfirmedTarget, name)) and look.result.link
+        ),
+    ]
+    depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
+    measured_mm = {name: _measured_error_mm(case, name) for name in names}
+    errors_mm = {one.id: one.application_error_mm for one in truth.targets}
+    in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
+    return FinishedRun(
+        run=case.folder.name,
+        outcome="in doubt" if in_doubt else "done",
+        seed=request.seed,
+        strategy=request.case.strategy,
+        markers=len(case.get(LocalizedFiducials).result.markers),
+        ct=truth.ct,
+        registration=RegistrationOutcome(
+            n=registered[names[0]].pairs, fre_mm=tuple(one.fre_mm for one in registered.values())
+        ),
+        targets=tuple(
+            TargetOutcome(
+                id=name,
+                depth_mm=depth_mm[name],
+                predicted_tre_mm=registered[name].prediction(name).rms_mm,
+                application_error_mm=errors_mm.get(name),
+                measured_error_mm=measured_mm.get(name),
+            )
+            for name in names
+        ),
+        left_out=left_out,
+        in_doubt=in_doubt,
+        mean_application_error_mm=sum(errors_mm.values()) / len(errors_mm) if errors_mm else None,
+        max_application_error_mm=max(errors_mm.values(), default=None),
+        late_cycles=sum(link.late_cycles + link.lost_cycles for link in links),
+        sim_s=round(theatre_time_s, 3),
+        wall_s=round(wall_s, 3),
+    )
+
+
+def _measured_error_mm(case: Case, trajectory: str) -> float | None:
+    from procedures.steps.clinical.target_measurement import MeasuredTarget
+
+    measured = case.find(MeasuredTarget, trajectory)
+    return None if measured is None else measured.result.error_mm

@@ -1,0 +1,323 @@
+"""Comparison of a resumed run with its records: devices, calibrations, tool, CT, plan, patient, robot base.
+
+It connects and reads; nothing here can move the arm. The tracker measures the room again as a step does at
+rest: the spheres on the head as far as it sees them, and the robot's base by the reference frame on the arm,
+in poses with the orientation in which both were recorded.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field
+from functools import partial
+
+from pydantic import BaseModel
+
+from procedures.engine.device_faults import ARM
+from procedures.engine.engine import Engine
+from procedures.guards.errors import BaseShifted, PatientMoved
+from procedures.guards.room_reading import read_room
+from procedures.guards.stability import CAREFUL_FRAMES
+from procedures.imaging.series import read_series
+from procedures.planning.plan_file import read_plan
+from procedures.registration.movement import shift_of
+from procedures.relocalization.triangulation import check_serial
+from procedures.steps.clinical.cart_lock import LockedCart
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.ct_import import ImportedCt
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.inputs import note_same_content
+from procedures.steps.clinical.plan_check import CheckedPlan
+from procedures.steps.clinical.results import RegisteredRobot
+from procedures.steps.clinical.room import build_watch, followed_registration, followed_spheres, frame_at_home
+from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.workcell import MountedTool
+from procedures.workcell.errors import TipOffAxis
+from ronna_hw.calibration import CalibrationExpired, DatedRecord
+from ronna_hw.errors import RonnaError
+from ronna_hw.text import counted
+
+FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
+
+
+@dataclass
+class Comparison:
+    """Findings in plain words. A difference is refused, whatever the operator answers."""
+
+    warnings: list[str] = field(default_factory=list)  # potential harm: read first
+    notes: list[str] = field(default_factory=list)
+    unchanged: list[str] = field(default_factory=list)  # what is as recorded
+    differences: list[str] = field(default_factory=list)
+
+    @property
+    def findings(self) -> list[str]:
+        """Findings for the journal, without the differences."""
+        return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
+
+    def same(self, what: str) -> None:
+        """Add an item that is as recorded."""
+        self.unchanged.append(what)
+
+    def note(self, text: str) -> None:
+        """Add a remark for the operator."""
+        self.notes.append(text)
+
+    def warn(self, text: str) -> None:
+        """Add a warning, to be read before anything else."""
+        self.warnings.append(text)
+
+    def differs(self, what: str, recorded: object, found: object) -> None:
+        """Add an item that is not as recorded."""
+        self.differences.append(f"{what}: recorded {recorded}, found {found}")
+
+    def refuse(self, text: str) -> None:
+        """Add another reason not to resume the run."""
+        self.differences.append(text)
+
+    def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
+        """Add an item as unchanged, or as different with the fields that differ."""
+        if recorded == found:
+            self.same(what)
+        elif recorded is None or found is None:
+            self.differs(what, "none" if recorded is None else "one", "none" if found is None else "one")
+        else:
+            unlike = list(_unlike(recorded, found))
+            self.differs(
+                what,
+                ", ".join(f"{name} {then}" for name, then, _ in unlike),
+                ", ".join(f"{name} {now}" for name, _, now in unlike),
+            )
+
+    def in_lines(self, order: Sequence[str]) -> str:
+        """Return warnings, the work in `order` and the remarks; unchanged items are only counted."""
+        as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
+        return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
+
+
+def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
+    """Yield dotted names of differing fields with both values; for sequences, the number of entries."""
+    for name in type(recorded).model_fields:
+        then, now = getattr(recorded, name), getattr(found, name, None)
+        if then == now:
+            continue
+        if isinstance(then, BaseModel) and isinstance(now, BaseModel):
+            yield from _unlike(then, now, f"{within}{name}.")
+        else:
+            yield f"{within}{name}", _in_short(then), _in_short(now)
+
+
+def _in_short(value: object) -> object:
+    if value and isinstance(value, tuple) and all(isinstance(one, int | float) for one in value):
+        return value
+    return counted(len(value), "entry", "entries") if isinstance(value, list | tuple | dict) else value
+
+
+def compare_devices(
+    engine: Engine,
+    recorded: CheckedSetUp,
+    comparison: Comparison,
+    *,
+    exchange_begun: bool,
+    only_leaving: bool = False,
+) -> None:
+    """Connect and configure every device and compare it with the set-up.
+
+    `exchange_begun` says that a tool exchange began and did not end. With `only_leaving` only the arm is
+    needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
+    """
+    _compare_calibrations(engine, recorded, comparison, only_leaving=only_leaving)
+    if not only_leaving:
+        _compare_theatre_file(engine, recorded, comparison)
+    workcell = engine.setting.workcell
+    for role, device in workcell.devices.items():
+        try:
+            found = DeviceIdentity.of(device.connect())
+            device.configure()
+        except RonnaError as problem:
+            if role == ARM or not only_leaving:
+                raise
+            comparison.note(f"{role}: not needed on the way home ({problem.summary})")
+            continue
+        if (then := recorded.identities.get(role)) == found:
+            comparison.same(f"{role} {found.model}")
+        elif role != ARM and only_leaving:
+            comparison.note(f"{role}: a different one; not needed on the way home: {_named(found)}")
+        else:
+            comparison.differs(role, _named(then) if then else "none", _named(found))
+    if not only_leaving:
+        _compare_cameras(engine, comparison)
+    workcell.compare_place()  # it may have been jogged meanwhile
+    _compare_tool(engine, comparison, exchange_begun=exchange_begun)
+
+
+def _named(identity: DeviceIdentity) -> str:
+    return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
+
+
+def _dated(record: DatedRecord) -> str:
+    return f"{record.identifier} of {record.created:%Y-%m-%d}"
+
+
+def _compare_calibrations(
+    engine: Engine, recorded: CheckedSetUp, comparison: Comparison, *, only_leaving: bool
+) -> None:
+    now = engine.setting.workcell.calibrations
+    then = recorded.calibrations.records
+    for name in then.keys() - now.records.keys():
+        if only_leaving and name not in FOR_MOTION:
+            comparison.note(f"calibration {name}: not needed on the way home, and there is none")
+            continue
+        comparison.differs(f"calibration {name}", _dated(then[name]), "none")
+    for name, record in now.records.items():
+        if record != then.get(name) and only_leaving and name not in FOR_MOTION:
+            comparison.note(
+                f"calibration {name}: a different one; not needed on the way home: {_dated(record)}"
+            )
+            continue
+        if record != then.get(name):
+            before = _dated(then[name]) if name in then else "none"
+            comparison.differs(f"calibration {name}", before, _dated(record))
+            continue
+        try:
+            record.check_valid_at(engine.setting.today())
+        except CalibrationExpired as problem:
+            if name in engine.setting.starts and problem.limit is not None:  # not one dated in the future
+                comparison.same(f"calibration {record.identifier}")
+            elif only_leaving:
+                comparison.note(f"calibration {record.identifier}: {problem.summary}")
+            else:
+                comparison.differs(f"calibration {record.identifier}", "a valid one", problem)
+        else:
+            comparison.same(f"calibration {record.identifier}")
+
+
+def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
+    """Compare the devices, and the sources of depths, clearances and predictions in the theatre file."""
+    setting, tools = engine.setting, engine.setting.workcell.tools
+    for role in recorded.identities.keys() - setting.workcell.devices.keys():
+        comparison.differs(role, _named(recorded.identities[role]), "none")
+    for name in sorted({*recorded.tools, *tools.records}):
+        comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
+    if tools.flange != recorded.flange:
+        comparison.differs("flange", repr(recorded.flange), repr(tools.flange))
+    comparison.compare("the cell", recorded.cell, setting.surroundings)
+    comparison.compare("settings of the procedure", recorded.settings, setting.settings)
+
+
+def _compare_cameras(engine: Engine, comparison: Comparison) -> None:
+    workcell = engine.setting.workcell
+    for side, serial in zip(("left", "right"), workcell.stereo.serials, strict=True):
+        try:
+            check_serial(getattr(workcell.calibrations.stereo_head, side), serial)
+        except RonnaError as problem:
+            comparison.differs(f"{side} camera", "the calibrated one", problem)
+
+
+def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: bool) -> None:
+    workcell = engine.setting.workcell
+    changed = engine.case.find(MountedGuide, None) is not None
+    expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
+    found = workcell.identify_mounted()
+    if found is expected:
+        comparison.same(f"the {found}")
+    elif exchange_begun and not workcell.place.on_axis:
+        comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
+    else:
+        comparison.differs("mounted tool", f"the {expected}", f"the {found}")
+        return
+    if (axis := workcell.place.axis) is not None:
+        try:
+            axis.check_on_axis(workcell.tool_pose())
+        except TipOffAxis as problem:
+            comparison.differs("guide", f"on {axis.trajectory}", problem)
+
+
+def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
+    """Read CT, plan and proposed position again from their recorded paths; unreadable ones differ.
+
+    `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
+    """
+    clinical = engine.setting.clinical
+    if clinical is None:
+        return
+    if imported := engine.case.find(ImportedCt, None):
+        try:
+            volume = read_series(clinical.series)
+        except (RonnaError, OSError) as problem:
+            comparison.differs("CT series", imported.result.series_instance_uid, problem)
+        else:
+            then = imported.result
+            if changed := then.differences(volume):
+                comparison.differs("CT series", then.series_instance_uid, f"a different one: {changed}")
+            else:
+                comparison.same("CT series")
+                if engine.case.find(CheckedPlan, None) is None:
+                    engine.setting.memory.keep(volume)
+    if checked := engine.case.find(CheckedPlan, None):
+        try:
+            plan = read_plan(clinical.plan)
+        except (RonnaError, OSError) as problem:
+            comparison.differs("plan", "the checked plan", problem)
+        else:
+            if plan == checked.result.plan:
+                comparison.same("plan")
+                note_same_content(engine, clinical.plan, checked.record)
+            else:
+                comparison.differs("plan", "the checked plan", "a different one")
+    elif plan_sha256 is not None and clinical.plan_sha256 not in (None, plan_sha256):
+        comparison.differs("plan", f"SHA-256 {plan_sha256}", clinical.plan_sha256)
+    if locked := engine.case.find(LockedCart, None):
+        try:
+            changed = locked.result.differences(clinical.place)
+        except RonnaError as problem:
+            comparison.differs("proposed position", "a readable one", problem)
+        else:
+            if changed:
+                comparison.differs("proposed position", locked.record.identifier, changed)
+            elif locked.result.proposal is not None:
+                comparison.same("proposed position")
+                note_same_content(engine, clinical.place, locked.record)
+
+
+def compare_room(engine: Engine, comparison: Comparison) -> bool:
+    """Compare patient and robot base; False if the tracker sees too little of the head. Raises its errors."""
+    stored = engine.case.find(GlobalLocalization, None)
+    if stored is None:
+        what = "patient" if engine.setting.clinical is not None else "stand"
+        comparison.note(f"{what} and robot base: not recorded yet, nothing to compare")
+        return True
+    workcell, matched = engine.setting.workcell, engine.case.find(Correspondence, None)
+    pairs = None if matched is None else matched.result.pairs
+    watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
+    context = engine.context(engine.order.sequence[0])
+    followed = context.result_among(RegisteredRobot, partial(followed_registration, trajectory=None))
+    watch.follow(followed_spheres(followed))
+    watch.refer(frame_at_home(context))
+    reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
+    head, base = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
+    if head is None:
+        return False
+    try:
+        findings = watch.compare(reading).require()
+    except PatientMoved as moved:
+        if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
+            comparison.differs("room", f"all within {moved.limit}", moved.what)
+        else:  # hence none is valid: the step registration asks whether to follow the move
+            comparison.note(f"patient: {moved.what}; no registration is valid")
+        return True
+    except BaseShifted as moved:
+        comparison.differs("room", f"all within {moved.limit}", moved.what)
+        return True
+    if reading.frame_mm is None and workcell.place.is_home:
+        comparison.differs("robot base", "the frame on the arm in view", "the tracker does not see it")
+        return True
+    comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")
+    if base is None:
+        comparison.note("robot base: not compared in this pose")
+    else:
+        comparison.note(
+            f"robot base: the frame on the arm within {base.moved_mm:.2f} mm of its recorded position"
+        )
+    comparison.notes += findings
+    return True

@@ -1,0 +1,269 @@
+"""The console's process, fed with events and heard for orders. Whatever happens to it, the case continues."""
+
+from __future__ import annotations
+
+import base64
+import contextlib
+import importlib.util
+import socket
+import struct
+import threading
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.engine.errors import ConsoleMissing
+from procedures.engine.events import EventStream
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.operator_station import OperatorStation
+from procedures.runs.order_executor import OrderExecutor
+from procedures.runs.orders import LONGEST_BYTES, Reply, read_order
+from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.command_line.messages import tell, tell_address
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.child_process import ChildProcess, command
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.workcell import Workcell
+    from procedures.workcell.stereo_look import Look
+    from ronna_hw.command_line.viewers_address import ViewersAddress
+
+READY_S = 45.0  # host time; heavy imports, with what a busy computer leaves to a nice process
+STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
+BEAT_S = 0.25  # host time between two signs of life when nothing happens
+BEAT = '{"beat":1}'
+BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
+BETWEEN_S = 0.5  # host time from one picture to the next: drawing takes some ten milliseconds
+HEIGHT_PX = 240
+LOOPBACK = "127.0.0.1"
+NEEDED = ("nicegui", "skimage")  # of the extra `console`
+
+
+class ConsoleLink:
+    """One console for one run, with two threads of its own; neither holds up the engine."""
+
+    def __init__(
+        self,
+        folder: Path,
+        station: OperatorStation,
+        port: int,
+        say: Callable[[str], None] = tell,
+        viewers: ViewersAddress | None = None,
+    ) -> None:
+        """Start the process without waiting for it; port 0 is any free one, `say` tells its address."""
+        self._station = station
+        self._say = say
+        self._ending = False
+        self._writing = threading.Lock()
+        self._feed: threading.Thread | None = None
+        self._socket, theirs = socket.socketpair()
+        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
+        with theirs:
+            arguments = ["--feed", str(theirs.fileno()), "--port", str(port)]
+            if viewers is not None:
+                files = (str(viewers.certificate.resolve()), str(viewers.key.resolve()))
+                arguments += ["--viewers", viewers.address, *files]
+            arguments.append(str(folder.resolve()))
+            self._child = ChildProcess(
+                "console",
+                command("console.serving", *arguments),
+                timeout_s=None,
+                inherited=(theirs.fileno(),),
+            )
+        self._answered = threading.Event()
+        self._followed = threading.Event()
+        self._over = threading.Event()
+        self._start(self._await_ready, "console ready")
+        self._start(self._beat_until_followed, "console beats")
+
+    def follow(self, events: EventStream) -> None:
+        """Send all events from now on."""
+        self._followed.set()
+        self._feed = self._start(lambda: self._send_all(events), "console feed")
+
+    def await_ready(self) -> None:
+        """Wait until the console is ready or has failed.
+
+        It starts alongside the theatre; a case that does not wait may be over before anybody can look at it.
+        """
+        self._answered.wait(READY_S)
+
+    def show_looks(self, workcell: Workcell) -> None:
+        """Send the pictures of the stereo head from now on."""
+
+        pictures = LivePictures(self._send, self._over)
+        workcell.on_look = pictures.look
+        self._start(pictures.send_all, "console pictures")
+
+    def close(self) -> None:
+        """Let the console say that the run has ended, and end it. Never raises."""
+        self._ending = True
+        self._followed.set()
+        self._over.set()
+        if self._feed is not None:
+            self._feed.join(STALLED_S)
+        with contextlib.suppress(OSError):
+            self._socket.shutdown(socket.SHUT_WR)
+        with contextlib.suppress(Exception):
+            self._child.process.wait(timeout=STALLED_S)
+        self._child.stop()
+        self._socket.close()
+
+    def _start(self, work: Callable[[], None], name: str) -> threading.Thread:
+        thread = threading.Thread(target=work, name=name, daemon=True)
+        thread.start()
+        return thread
+
+    def _await_ready(self) -> None:
+        try:
+            ready = self._child.await_ready(READY_S)
+        except (RonnaError, ValueError) as error:
+            if not self._ending:
+                self._say(f"no console: {error}")
+            self._gone()
+            self._answered.set()
+            return
+        tell_address(ready, self._say)
+        self._answered.set()
+        self._hear()
+
+    def _hear(self) -> None:
+        """Take orders until the console ends."""
+        with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
+            while line := lines.readline(LONGEST_BYTES + 1):
+                try:
+                    order = read_order(line)
+                except ValueError:
+                    continue  # the console's own side has refused it
+                self._send(Reply(nonce=order.nonce, refused=self._station.take(order)).model_dump_json())
+        self._gone()
+
+    def _beat_until_followed(self) -> None:
+        """Heartbeats keep the console alive while the theatre opens and there are no events yet."""
+        while not self._followed.wait(BEAT_S) and self._send(BEAT):
+            pass
+
+    def _send_all(self, events: EventStream) -> None:
+        reader, ended = events.subscribe(), False
+        while not ended:
+            reader.wait(BEAT_S)
+            self._station.look()
+            batch = reader.read(0.0)
+            ended = batch.ended
+            lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]
+            if not self._send("\n".join(lines or [BEAT])):
+                return
+            if all(event.what.signal for event in batch.events):
+                time.sleep(BETWEEN_SIGNALS_S)
+
+    def _send(self, text: str) -> bool:
+        try:
+            with self._writing:
+                self._socket.sendall(text.encode() + b"\n")
+        except OSError:
+            if not self._ending:
+                self._child.process.kill()  # it takes nothing: better none than one that shows the past
+            return False
+        return True
+
+    def _gone(self) -> None:
+        if not self._station.gone:
+            self._station.leave()
+            if not self._ending:
+                self._say("the console has ended; this terminal operates the case")
+
+
+class LivePictures:
+    """Draws the latest pair of the stereo head now and then, in a thread of its own; `look` takes no time."""
+
+    def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
+        """`send` takes one line and returns whether more can be sent; `ending` ends the thread."""
+        self._send = send
+        self._ending = ending
+        self._newest: Look | None = None
+        self._arrived = threading.Event()
+
+    def look(self, seen: Look) -> None:
+        """Note the latest pair."""
+        self._newest = seen
+        self._arrived.set()
+
+    def send_all(self) -> None:
+        """Draw and send until `ending`."""
+        while not self._ending.wait(BETWEEN_S):
+            if not self._arrived.is_set():
+                continue
+            self._arrived.clear()
+            if self._newest is not None and not self._send(picture_line(self._newest)):
+                return
+
+
+def picture_line(seen: Look) -> str:
+    """Return a pair of pictures as the line that the console reads."""
+    from procedures.workcell.stereo_look import pair_picture
+
+    content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
+    return f'{{"pair":"{content}"}}'
+
+
+@dataclass(frozen=True)
+class ConsoleRequest:
+    """A console at a loopback port, 0 for any free one, and the address for viewers at other computers."""
+
+    port: int = 0
+    viewers: ViewersAddress | None = None
+
+
+def check_console() -> None:
+    """Raise PRO-040 if the libraries of the console are not installed."""
+    if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
+        raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
+
+
+def check_port(port: int) -> None:
+    """Raise CLI-001 for a port in use, before anything of the case is opened."""
+    with socket.socket() as probe:
+        probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+        try:
+            probe.bind((LOOPBACK, port))
+        except OSError as error:
+            raise UsageMistake(
+                f"--console-port {port} cannot be used: {error.strerror}",
+                action="Give another port, or omit the option to use any free one.",
+            ) from error
+
+
+@contextlib.contextmanager
+def attached(
+    executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
+) -> Iterator[ConsoleLink]:
+    """Serve the console of a run while the block runs; `say` tells its address."""
+    link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
+    try:
+        yield link
+    finally:
+        link.close()
+
+
+@contextlib.contextmanager
+def with_console(
+    observers: RunObservers, folder: Path, console: ConsoleRequest, *, waits: bool
+) -> Iterator[RunObservers]:
+    """Add a console to the observers of a case that runs to its end.
+
+    With `waits`, nothing is done until someone has taken the operator's seat.
+    """
+    executor = OrderExecutor(OperatorStation(waits=waits), runs=True)
+    with attached(executor, folder, console, observers.announce) as link:
+
+        def opened(engine: Engine) -> None:
+            observers.opened(engine)
+            executor.attach(engine)
+            link.follow(engine.events)
+            link.show_looks(engine.setting.workcell)
+            link.await_ready()
+
+        yield replace(observers, opened=opened, executor=executor)

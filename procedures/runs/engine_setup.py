@@ -1,0 +1,251 @@
+"""Builds the engine of a run over a theatre file, with its journal, its recorders and its guards."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.engine.case import Case
+from procedures.engine.context import CaseSetting, this_second
+from procedures.engine.engine import Engine
+from procedures.engine.events import Advisory, EventStream
+from procedures.engine.events.event_file import EventFile
+from procedures.engine.order import StepKey
+from procedures.engine.replay.recorded_answers import opening_line, section_follower
+from procedures.guards import (
+    GuideDisplacement,
+    TrackerLink,
+    UnchangedRecords,
+    patient_watch,
+    sight_guard,
+    standing_guards,
+)
+from procedures.guards.errors import BaseShifted
+from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
+from procedures.operator.question import Operator, Room
+from procedures.runs.interrupted_run import InterruptedRun, Resumption
+from procedures.steps.branches import CART_MOVED, GO_ON
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.inputs import UnchangedInputs
+from procedures.steps.clinical.room import void_moved
+from procedures.steps.clinical.work_progress import work_begun_elsewhere
+from procedures.workcell import Workcell
+from procedures.workcell.arm_history import UNMOVED
+from ronna_hw.clock import Clock
+from ronna_hw.config import DeviceConfig, TheatreFile
+from ronna_hw.devices.lifecycle import Device
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.manifest import input_hashes, theatre_files, truth_so_far
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
+from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.registry import make_device
+from ronna_hw.software import this_software
+from ronna_hw.theatre import Theatre
+
+if TYPE_CHECKING:
+    from procedures.engine.context import ClinicalInput
+    from procedures.engine.order import CaseOrder
+    from procedures.steps.calibration.recipe import Recipe
+    from ronna_hw.config import Calibrations
+
+MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another lock, not another localization
+
+
+@dataclass(frozen=True)
+class EngineInput:
+    """The steps that an engine is to run, and what they work on.
+
+    `calibrations` replace those of the theatre file. A replay makes a calibration's steps from its `recipe`.
+    """
+
+    order: CaseOrder
+    title: str | None = None  # of a procedure that is no clinical case
+    clinical: ClinicalInput | None = None
+    calibrations: Calibrations | None = None
+    recipe: Recipe | None = None
+
+    def as_plain(self, in_use: Calibrations) -> dict[str, object] | None:
+        """Return the recipe and the records in use, for a replay."""
+        if self.recipe is None:
+            return None
+        records = in_use.model_dump(mode="json", exclude_none=True)
+        return {"recipe": self.recipe.model_dump(mode="json"), "records": records}
+
+
+def build_engine(
+    folder: Path,
+    file: Path,
+    prepare: Callable[[Theatre], EngineInput],
+    operator: Operator,
+    room: Room,
+    stack: ExitStack,
+    resumption: Resumption | None,
+    *,
+    on_ending: Callable[[], None],
+    opening: Mapping[str, JournalValue],
+    arm_not_home: str | None = None,
+) -> Engine:
+    """Build the engine with its journal in `folder`, unconnected; `stack` ends its recorders.
+
+    `prepare` is called with the theatre before the journal is opened, so that its errors leave none.
+    `opening` goes into the journal's first line; `arm_not_home` says that another run left the arm away.
+    """
+
+    def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
+        return taped(make_device(name, config, clock), tape)
+
+    theatre = Theatre.from_file(file, make)
+    wanted = prepare(theatre)
+    calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
+    events = EventStream(theatre.clock.now_s)
+    stack.callback(EventFile(folder, events).join)
+    stack.callback(events.end)
+    began = this_second()
+    clinical, recipe = wanted.clinical, wanted.as_plain(calibrations)
+    first = opening_line(folder, file, theatre.clock, clinical, began, recipe)
+    tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, first)
+    stack.callback(tape.close)
+    follow = section_follower(tape)
+
+    def written(line: bytes) -> None:
+        follow(line)
+        events.journal_line(line)
+
+    def before_result() -> dict[str, JournalValue]:
+        tape.settle()  # what stands can be computed again, also after a kill
+        return truth_so_far(folder)
+
+    left = None if resumption is None else resumption.interrupted
+    only_leaving = resumption is not None and resumption.only_leaving
+    history = UNMOVED if left is None else left.arm
+    case = Case(folder) if left is None else left.restored(wanted.order)
+    if left is None or not left.has_journal:
+        journal = Journal(folder, written)
+    else:
+        journal = Journal.taken_up(folder, left.chain, written)
+    flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
+    stack.callback(flight_recorder.close)
+    theatre.record_bytes(flight_recorder)
+    workcell = Workcell(
+        theatre,
+        journal,
+        calibrations=calibrations,
+        calibrating=wanted.calibrations is not None,
+        history=history,  # at once: a run may be closed before it is compared with anything
+    )
+    _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
+    journal.write(
+        Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
+        theatre.clock.now_s(),
+        **({} if left is None else left.as_plain()),
+        **({ONLY_LEAVING: True} if only_leaving else {}),
+        **opening,
+        **truth_so_far(folder),
+        inputs=theatre_inputs(folder, left),
+        run=case.run,
+        software=str(this_software()),
+        theatre=theatre.file.theatre,
+        banner=theatre.file.banner,
+        procedure=wanted.title,
+        strategy=None if clinical is None else clinical.strategy.name,
+        plan_sha256=None if clinical is None else clinical.plan_sha256,
+    )
+    engine = Engine(
+        wanted.order,
+        case,
+        CaseSetting(
+            workcell=workcell,
+            clock=theatre.clock,
+            operator=operator,
+            room=room,
+            settings=theatre.file.procedure,
+            surroundings=theatre.file.cell_with_tools,
+            clinical=clinical,
+            arm_not_home=arm_not_home,
+            starts=frozenset() if wanted.recipe is None else wanted.recipe.starts,
+            began=began,
+        ),
+        journal,
+        events=events,
+        on_ending=on_ending,
+        before_result=before_result,
+        recorders=(flight_recorder, tape),
+        recovering=left is not None and not left.untouched,
+        latest=None if left is None else left.latest,
+    )
+    engine.checkpoint.beside = tape.beside
+    add_guards(engine, file, theatre.file, only_leaving=only_leaving)
+    return engine
+
+
+def theatre_inputs(folder: Path, left: InterruptedRun | None) -> dict[str, JournalValue]:
+    """Return hashes of the theatre in a run's folder, without files changed or added since it was left."""
+    known = () if left is None else left.not_as_left
+    hashes = input_hashes(folder, theatre_files(folder))
+    return {name: sha256 for name, sha256 in hashes.items() if name not in known}
+
+
+def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: bool = False) -> None:
+    """Add the guards of a calibration, or of a case whose theatre file had this content when it began.
+
+    With `only_leaving` the inputs are not compared: whatever has changed, the arm may go home.
+    """
+    setting, guards = engine.setting, engine.checkpoint.guards
+    workcell = setting.workcell
+    workcell.on_stop_failed = lambda failure: engine.events.publish(Advisory(text=failure))
+    folder = engine.case.folder
+    guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    if not only_leaving:
+        guards.append(
+            UnchangedRecords(file, theatre, lambda: engine.running is not None and not workcell.place.on_axis)
+        )
+    link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
+    if setting.clinical is None:
+        guards.append(link)
+        return
+    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    if not only_leaving:
+        inputs = UnchangedInputs(engine, setting.clinical)
+        guards.append(inputs)
+        engine.recorders.append(inputs)
+    void = partial(void_moved, engine.context(StepKey(GlobalLocalization.kind)))
+    guards.append(
+        GuideDisplacement(workcell, setting.clock, setting.memory)
+    )  # before the head: it names the cause
+    guards.append(sight_guard(engine, void))
+    guards.append(link)  # last: it also judges the replies to the guards before it
+    engine.checkpoint.watching = patient_watch(engine, void).watching
+
+
+class MovedCart:
+    """Lets a case continue after its cart has moved, if the operator agrees and the arm is brought home."""
+
+    def __init__(self, engine: Engine) -> None:
+        self._engine = engine
+        self._moves = 0
+
+    def agreed_to_go_on(self, problem: RonnaError) -> bool:
+        """Whether a case stopped by this problem continues by itself. Raises the errors of the way home."""
+        engine = self._engine
+        if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
+            return False
+        self._moves += 1
+        if (following := engine.upcoming) is None:
+            goes_on = "lock it; the work at every target is done: the arm goes home and the case ends"
+        else:
+            goes_on = f"lock it; the arm goes home, and {following} is next"
+        stands = ", ".join(dict.fromkeys(stored.record.kind for stored in engine.case.standing))
+        value = (
+            f"nobody is in the arm's way home; these results remain valid: {stands}",
+            *work_begun_elsewhere(engine),
+        )
+        question = CART_MOVED.question(f"{problem.summary}: {goes_on}", "; ".join(value))
+        if engine.ask(question) != GO_ON:
+            return False
+        if following is None or not engine.setting.workcell.place.is_home:
+            engine.retreat_home()
+        return True

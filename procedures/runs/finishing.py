@@ -1,0 +1,285 @@
+"""The end of a run, however it came: its report, its seal and the way on. None of these hides the cause."""
+
+from __future__ import annotations
+
+import contextlib
+import shlex
+import sys
+from collections.abc import Iterator
+from dataclasses import dataclass
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.runs.folders import forget_if_empty, forget_if_refused, held_run
+from procedures.runs.request import CaseProcedure
+from procedures.runs.request_file import read_request
+from procedures.runs.simulated_theatre import truth_if_any
+from ronna_hw.clock import ClockUnavailable
+from ronna_hw.command_line.errors import as_ronna_error
+from ronna_hw.command_line.messages import on_terminal, tell
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.evidence.manifest import (
+    BESIDE,
+    RAW_FOLDER,
+    REPORT_FILE,
+    REQUEST_FILE,
+    SEAL_FILE,
+    closed_files,
+    is_closed,
+    is_sealed,
+    not_vouched_for,
+    seal,
+)
+from ronna_hw.host.files import remove_folder, walk
+from ronna_hw.host.process import interruptible, interruption_deferred
+from ronna_hw.records import PARTIAL, write_whole
+
+if TYPE_CHECKING:
+    from procedures.reporting.files import PostoperativeResult
+    from procedures.reporting.outcome import RunError
+    from procedures.runs.interrupted_run import InterruptedRun
+
+FORMER = "former"  # raw readings of before, while new ones take their place
+UNFINISHED = """<!DOCTYPE html><html lang="en"><meta charset="utf-8">
+<meta name="viewport" content="width=device-width, initial-scale=1"><title>{run}: not finished</title>
+<h1>{run}: not finished</h1>
+<p>This run has not left its report: it is still running, or it was killed, or the disk was full.
+To write the report: <code>ronna-procedure report {folder}</code></p></html>
+"""
+NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what can still be read."
+
+
+@dataclass
+class Finalized:
+    """The report of a run that has ended, once it is written."""
+
+    report: Path | None = None
+
+
+@contextlib.contextmanager
+def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
+    """Leave report and seal of the run in `folder` at the end of the block, however that ends."""
+    final = Finalized()
+    try:
+        yield final
+    except BaseException as problem:  # also an interruption: every run leaves a report
+        final.report = end_unfinished(folder, problem)
+        raise
+    final.report = leave_report(folder, with_truth=with_truth, name_it=name_report)
+    seal_run(folder)
+
+
+def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
+    """Leave report and seal of a run that `problem` ended, or no folder if it never began."""
+    forget_if_refused(folder, problem)
+    forget_if_empty(folder)
+    report = leave_report(folder, error_of(problem))
+    seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
+    tell_way_on(folder, problem)
+    return report
+
+
+@contextlib.contextmanager
+def sealed_again(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
+    """Leave report and seal of a finished run that was killed before its seal, after the block."""
+    from procedures.runs.reopening import close_again, make_ready
+
+    if is_sealed(interrupted.folder):
+        yield interrupted
+        return
+    make_ready(interrupted)
+    yield close_again(interrupted)
+    leave_report(interrupted.folder, name_it=False)
+    seal_run(interrupted.folder)
+
+
+def begin_report(folder: Path) -> None:
+    """Write a page that says that the run is not finished, in case it is killed.
+
+    A failure is not reported: nothing depends on it, and the end of the run writes there too.
+    """
+    page = UNFINISHED.format(run=escape(folder.resolve().name), folder=escape(shlex.quote(str(folder))))
+    with contextlib.suppress(OSError):
+        write_whole(folder / REPORT_FILE, page.encode())
+
+
+def leave_report(
+    folder: Path, error: RunError | None = None, *, with_truth: bool = False, name_it: bool = True
+) -> Path | None:
+    """Write the report of a run that has ended; None without a folder, or if it cannot be written.
+
+    Asking the verifier for the truth takes a second.
+    """
+    if not folder.is_dir():
+        return None
+    try:
+        from procedures.reporting.report import write_report
+
+        path = write_report(folder, truth=truth_if_any(folder) if with_truth else None, error=error)
+    except Exception as problem:  # the run's own ending is what matters
+        way = f"To write it: ronna-procedure report {shlex.quote(str(folder))}"
+        tell(f"the report could not be written: {as_ronna_error(problem)} {way}")
+        return None
+    if name_it and on_terminal(sys.stderr):
+        tell(f"report {path}")
+    return path
+
+
+def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
+    """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
+
+    Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
+    """
+    from procedures.reporting.files import drop_unconfirmed_truth
+    from procedures.reporting.report import write_report
+
+    with contextlib.nullcontext() if out else held_run(run):
+        found = inspected(run)
+        if out is None:
+            found.require_unchanged(NOT_INTO_IT)
+            drop_unconfirmed_truth(run)
+            if is_closed(found.chain.lines) and not is_sealed(run):
+                from procedures.runs.interrupted_run import read_interrupted_run
+                from procedures.runs.reopening import close_again
+
+                close_again(read_interrupted_run(run))
+        for problem in found.problems:
+            tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
+        if out is not None:
+            return write_report(run, truth=truth_if_any(run), out=out, after=after)
+        beside = run / BESIDE
+        try:
+            write_report(run, truth=truth_if_any(run), out=beside, after=after)
+            with interruption_deferred():
+                _take_over(beside, run)
+                seal_run(run)
+        finally:
+            remove_folder(beside)
+    return run / REPORT_FILE
+
+
+def error_of(problem: BaseException) -> RunError | None:
+    """Return the error that ended a run, for its report and its JSON; None for an interruption."""
+    from procedures.reporting.outcome import RunError
+
+    if not isinstance(problem, Exception):
+        return None
+    error = as_ronna_error(problem)
+    return RunError(code=error.code, what=error.what)
+
+
+def seal_run(folder: Path, *, at_once: bool = False) -> None:
+    """Seal the files of a run, its report included; failures are told, not raised.
+
+    Slow work is skipped if the end must come `at_once`, or when it is interrupted.
+    """
+    if not (folder / JOURNAL_FILE).exists():
+        return
+    if _wants_raw(folder):
+        _keep_raw(folder, at_once=at_once)
+    try:
+        chain = read_chain(folder / JOURNAL_FILE)
+        if is_closed(chain.lines):
+            seal(folder, closed_files(chain.lines), not_vouched_for(chain.lines))
+    except (RonnaError, OSError) as problem:
+        tell(f"the run could not be sealed: {problem}")
+
+
+def _wants_raw(folder: Path) -> bool:
+    with contextlib.suppress(RonnaError, OSError):  # of another version, or of no case
+        procedure = read_request(folder).procedure
+        return isinstance(procedure, CaseProcedure) and procedure.keep_raw
+    return False
+
+
+def _keep_raw(folder: Path, *, at_once: bool) -> None:
+    """Write pictures and frames as files, after each program of a run; former ones stay until then."""
+    way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
+    later = f"the last raw readings were not written; to write them: {way}"
+    if at_once:
+        tell(later)
+        return
+    beside, kept = folder / f".{RAW_FOLDER}{PARTIAL}", folder / RAW_FOLDER
+    try:
+        from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
+
+        _tidy(beside, kept)
+        with interruptible():
+            fresh, whole = write_raw(folder, beside / RAW_FOLDER)
+        if kept.exists():  # the former ones go when these are whole
+            kept.rename(beside / FORMER)
+        fresh.rename(kept)
+        if not whole:
+            tell(f"{kept} stops at {MOST_RAW_BYTES / 1e9:g} GB; RUN/readings has everything")
+    except KeyboardInterrupt:  # the run has ended: only this was left of it
+        tell(later)
+    except Exception as problem:  # a damaged tape must not hide how the run has ended
+        tell(f"raw readings could not be written: {problem}")
+    finally:
+        _tidy(beside, kept)
+
+
+def _tidy(beside: Path, kept: Path) -> None:
+    """Put former readings back if a process was stopped between two renames."""
+    with contextlib.suppress(OSError):
+        if not kept.exists():
+            (beside / FORMER).rename(kept)
+    if kept.exists() or not (beside / FORMER).exists():
+        remove_folder(beside)
+
+
+def tell_way_on(folder: Path, problem: BaseException) -> None:
+    """Tell where the arm is and which commands continue, after an interruption or failure away from home."""
+    if not (folder / REQUEST_FILE).exists():
+        return
+    from procedures.workcell.arm_history import history_left_by
+
+    interrupted = isinstance(problem, KeyboardInterrupt)
+    with contextlib.suppress(RonnaError, OSError):
+        run = shlex.quote(str(folder))
+        history = history_left_by(read_chain(folder / JOURNAL_FILE))
+        if _left_by_another(folder):  # what ends this run names the commands of that one
+            return
+        if history.place.is_out or (interrupted and history.motions):
+            first = _theatre_again(folder) if isinstance(problem, ClockUnavailable) else ""
+            tell(
+                f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "
+                f"ronna-procedure resume {run}"
+            )
+        elif interrupted:
+            tell(f"nothing has moved; continue with ronna-procedure resume {run}")
+
+
+def _theatre_again(folder: Path) -> str:
+    """Return what must come first if a simulated theatre has ended; empty for the run's own theatre."""
+    config = read_request(folder).config
+    if config is None:
+        return ""
+    out = shlex.quote(str(config.parent))
+    return f"its theatre has ended: start it again with ronna-sim theatre --out {out} --continue, then"
+
+
+def _left_by_another(folder: Path) -> bool:
+    """Whether another run on the same theatre left the arm away from home."""
+    from procedures.runs.theatre_lock import last_moved
+    from procedures.runs.theatre_note import arm_not_home
+
+    with contextlib.suppress(RonnaError, OSError):
+        theatre = read_request(folder).config
+        return theatre is not None and arm_not_home(last_moved(theatre), folder) is not None
+    return False
+
+
+def _take_over(made: Path, run: Path) -> None:
+    """Move a report into a run. The seal goes first: killed meanwhile it waits for its seal, and is whole."""
+    if is_sealed(run):
+        (run / SEAL_FILE).unlink()
+    for path, *_ in sorted(walk(made)):
+        place = run / path.relative_to(made)
+        if path.is_file():
+            place.parent.mkdir(exist_ok=True)
+            path.replace(place)

@@ -1,0 +1,133 @@
+"""Folders of runs: made, found, and held by one program at a time, until it ends or is killed."""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import secrets
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from datetime import UTC, datetime
+from pathlib import Path
+
+from procedures.engine.errors import CommandRefused, RunInUse, TheatreNotNoted
+from procedures.engine.events.event_file import EVENTS_FILE
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.runs.request import CaseProcedure, Measurement, RunRequest
+from procedures.runs.request_file import write_request
+from procedures.workcell.errors import AnotherArm
+from ronna_hw.command_line.errors import PathProblem
+from ronna_hw.command_line.options import require_folder
+from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
+from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
+from ronna_hw.host.files import walk
+from ronna_hw.host.port_users import PortUser, holder_of_lock
+from ronna_hw.log_output import LOG_FILE
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER
+from ronna_hw.text import counted, some_of
+
+# One of them makes a folder a run.
+RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)
+
+
+def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
+    """Make `OUT/<id>`, with the request in it if it is one that can be resumed.
+
+    The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
+    """
+    require_folder(out)
+    case = request is not None and isinstance(request.procedure, CaseProcedure)
+    seed = f"s{request.seed}-" if case and request is not None and request.seed is not None else ""
+    name = f"{datetime.now(UTC):%Y%m%dT%H%M%S}-{seed}{secrets.token_hex(2)}"
+    folder = out / (f"{kind}-{name}" if kind else name)
+    made = folder.with_name(f".{folder.name}")  # a run's folder is never seen without its request
+    made.mkdir(parents=True)
+    if request is not None and not isinstance(request.procedure, Measurement):
+        write_request(request, made)
+    return made.rename(folder)
+
+
+@contextmanager
+def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
+    """Make a new case's folder for the length of the block; nothing is left of one that was removed in it."""
+    made = [path for path in (out, *out.parents) if not path.exists()]
+    folder = new_run_folder(request, out)
+    try:
+        yield folder
+    finally:
+        if not folder.exists():
+            for path in made:
+                with suppress(OSError):  # another run has begun there meanwhile
+                    path.rmdir()
+
+
+@contextmanager
+def held_run(folder: Path) -> Iterator[None]:
+    """Hold a run's folder for this program; raises PRO-030 while another one does."""
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        try:
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            holder = holder_of_lock(file)
+            by = "another program" if holder is None else str(holder)
+            raise RunInUse(
+                f"{by} has {folder.name} open",
+                action=f"Operate it where it runs; to follow it from here: ronna-procedure watch {folder}",
+            ) from None
+        yield
+    finally:
+        os.close(file)
+
+
+def holder_of_run(folder: Path) -> PortUser | None:
+    """Return the program that holds a run, if it can be seen; locks nothing."""
+    file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
+    try:
+        return holder_of_lock(file)
+    finally:
+        os.close(file)
+
+
+def runs_in(folder: Path) -> list[Path]:
+    """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
+    if not folder.is_dir():
+        raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
+    return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
+
+
+def require_run(folder: Path) -> None:
+    """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
+    if is_run(folder):
+        return
+    if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
+        raise PathProblem(
+            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
+            action=f"Give one of them: {folder / held[-1]}.",
+        )
+    raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
+
+
+def is_run(folder: Path) -> bool:
+    """Whether a folder is that of a run, however little of it is left."""
+    return any((folder / name).exists() for name in RUN_PARTS)
+
+
+def forget_if_refused(folder: Path, problem: BaseException) -> None:
+    """Remove a run folder that was refused before its journal had a line."""
+    refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (
+        isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
+    )
+    journal = folder / JOURNAL_FILE
+    begun = (journal.exists() and journal.stat().st_size) or any((folder / RECORDS_FOLDER).glob("*"))
+    if refused and not begun:
+        shutil.rmtree(folder, ignore_errors=True)
+
+
+def forget_if_empty(folder: Path) -> None:
+    """Remove a run folder in which nothing but the request and the log was written."""
+    if not any(
+        path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path, *_ in walk(folder)
+    ):
+        shutil.rmtree(folder, ignore_errors=True)

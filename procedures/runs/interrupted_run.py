@@ -1,0 +1,161 @@
+"""A run as it ended or was killed: valid results, the last step, and a step that began and never ended."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from procedures.engine.case import Case, Stored
+from procedures.engine.course import CaseProgress
+from procedures.engine.order import CaseOrder, StepKey
+from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
+from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
+from procedures.workcell.arm_history import ArmHistory, history_left_by
+from ronna_hw.evidence.inspection import Problem, inspected
+from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.evidence.manifest import NOT_AS_LEFT, RECORDS_FOLDER
+from ronna_hw.evidence.unsealed import UNSEALED, unsealed
+from ronna_hw.records import BadRecord, Record
+
+
+@dataclass(frozen=True)
+class InterruptedRun:
+    """The folder of a run that has ended or was killed, read back for whoever resumes it."""
+
+    run: RunFolder
+    chain: Chain
+    changes: tuple[Problem, ...] = ()  # of files on which the way home does not depend
+    not_as_left: Mapping[str, str | None] = field(default_factory=dict)  # hashes of those files
+    unsealed: Mapping[str, int] = field(default_factory=dict)  # unconfirmed files, with their length
+
+    @property
+    def folder(self) -> Path:
+        """The folder of the run."""
+        return self.run.path
+
+    @property
+    def has_journal(self) -> bool:
+        """Whether the journal file exists, with or without a whole line."""
+        return (self.folder / JOURNAL_FILE).exists()
+
+    def as_plain(self) -> dict[str, JournalValue]:
+        """Return what was left unfinished, for the journal that is continued."""
+        plain: dict[str, JournalValue] = {
+            "begun": None if self.begun is None else str(self.begun),
+            "torn_bytes": len(self.chain.torn),
+            "orphans": list(self.orphans),
+        }
+        files = {NOT_AS_LEFT: self.not_as_left, UNSEALED: self.unsealed}
+        return plain | {field: dict(named) for field, named in files.items() if named}
+
+    @property
+    def arm(self) -> ArmHistory:
+        """How the run left arm and instrument. Raises PRO-011 for a line that another version wrote."""
+        return history_left_by(self.chain)
+
+    @property
+    def finished(self) -> bool:
+        """Whether it was closed with every step done."""
+        last = self.run.journal[-1] if self.run.journal else {}
+        return last.get("entry") == Entry.CLOSED and last.get("outcome") == "done"
+
+    @property
+    def parked(self) -> bool:
+        """Whether it is finished, and its arm home."""
+        return self.finished and not self.arm.place.is_out
+
+    @property
+    def nothing_to_bring_home(self) -> str | None:
+        """Why the way home needs no device; None if it does."""
+        if self.parked:
+            return "the run is finished: its arm is parked"
+        if not self.run.lines(Entry.MOTION) and not self.chain.torn:
+            return "the run has moved nothing"
+        return None
+
+    @property
+    def untouched(self) -> bool:
+        """Whether the run begins anew: it has no result and moved nothing, not even by a torn line."""
+        lines = self.run.journal
+        torn = bool(lines and self.chain.torn)
+        return not torn and not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
+
+    @property
+    def latest(self) -> StepKey | None:
+        """The step that was done last; a step that may only follow it may still come."""
+        done = self.run.lines(Entry.RESULT)
+        return step_key(done[-1]) if done else None
+
+    @property
+    def plan_sha256(self) -> str | None:
+        """Hash of the plan when the run was last opened; None if no line says it."""
+        hashes = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
+        return str(hashes[-1]) if hashes else None
+
+    @property
+    def begun(self) -> StepKey | None:
+        """The step that was running when the program was killed."""
+        course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]
+        return step_key(course[-1]) if course and course[-1]["entry"] == Entry.INTENT else None
+
+    @property
+    def orphans(self) -> tuple[str, ...]:
+        """Records that never came into the journal: they are not valid, and are kept."""
+        named = {record.identifier for record in self.run.records}
+        folder = self.folder / RECORDS_FOLDER
+        return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
+
+    def restored(self, order: CaseOrder) -> Case:
+        """Return the case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
+        case = Case(self.folder, self.run.name)
+        course = CaseProgress(order, case)
+        records = iter(self.run.records)
+        for line in self.run.journal:
+            if line["entry"] == Entry.RESULT:
+                key, record = step_key(line), next(records)
+                if key not in order.sequence:
+                    raise BadRecord(f"{record.identifier} belongs to a step that this case does not have")
+                _require_superseded(course.superseded_by(key), key, line)
+                course.accept(key, Stored(record, typed(record, order.spec(key).result)))
+            elif line["entry"] == Entry.VOIDED:
+                key = step_key(line)
+                _require_superseded(course.voided_with(key), key, line)
+                course.void(key)
+            elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again
+                for name in _names(line, "steps"):
+                    case.doubt(order.find(name), str(line.get("fault")))
+        return case
+
+
+@dataclass(frozen=True)
+class Resumption:
+    """An interrupted run that is resumed; `accepted` if a script accepts the findings.
+
+    With `only_leaving` no step is run: the arm goes home, or devices are acknowledged, which `asks` nothing.
+    """
+
+    interrupted: InterruptedRun
+    accepted: bool
+    only_leaving: bool = False
+    asks: bool = True
+
+
+def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> InterruptedRun:
+    """Read a run that is to be resumed.
+
+    Raises PRO-033 if it was changed; with `only_leaving`, if its journal, request or records were.
+    """
+    found = inspected(folder)
+    found = found.require_account() if only_leaving else found.require_unchanged()
+    return InterruptedRun(run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found))
+
+
+def _require_superseded(gone: Sequence[Record], key: StepKey, line: Line) -> None:
+    if [one.identifier for one in gone] != list(_names(line, "supersedes")):
+        raise JournalCorrupt(f"line {line['sequence']} supersedes results that {key} does not")
+
+
+def _names(line: Line, field: str) -> tuple[str, ...]:
+    names = line.get(field, ())
+    return tuple(map(str, names)) if isinstance(names, list) else ()

@@ -1,0 +1,336 @@
+"""One lifecycle for every run: its theatre is opened, its steps are run, and everything ends with it.
+
+Cases, calibrations and measurements differ in the steps that they prepare and in what they conclude; see
+`case` and `calibrations`.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import importlib
+import shutil
+import signal
+import threading
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
+from typing import TYPE_CHECKING, Protocol
+
+from procedures.journal.errors import StepRefused
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import Operator, Room, Task
+from procedures.runs.answers import SilentOperator, operator_selection
+from procedures.runs.finishing import begin_report
+from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
+from procedures.runs.request_file import request_hash
+from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
+from ronna_hw.command_line.messages import fail_with, tell
+from ronna_hw.errors import RonnaError
+from ronna_hw.host.files import require_open_files
+from ronna_hw.host.process import ENDING_SIGNALS, interruption_deferred
+from ronna_hw.log_output import keep_log
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.runs.engine_setup import EngineInput
+    from procedures.runs.interrupted_run import Resumption
+    from procedures.runs.order_executor import OrderExecutor
+    from ronna_hw.theatre import Theatre
+
+OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
+
+
+class HeldPrompt(Protocol):
+    """A prompt at which a person decides how a held case continues."""
+
+    def tell_held(self, engine: Engine, error: RonnaError) -> None:
+        """Show what holds the case, and how to continue."""
+        ...
+
+    def follow(self, engine: Engine) -> bool:
+        """Carry out commands; whether the case continues."""
+        ...
+
+
+class UnattendedRoom:
+    """A room without staff: nobody acts, and nothing is read off."""
+
+    def announce(self, step: str) -> None:
+        """Nobody listens."""
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Nobody mounts it; the step has it confirmed."""
+
+    def prepare_stand(self, holds: str) -> None:
+        """Nobody prepares it; the step has it confirmed."""
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Return no readings."""
+        return ()
+
+
+@dataclass(frozen=True)
+class RunObservers:
+    """People and displays that follow a run while it runs."""
+
+    status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
+    announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
+    opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
+    person: Operator = field(default_factory=SilentOperator)  # at the terminal
+    staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre
+    held: HeldPrompt | None = None  # without one a held case ends
+    at_pause: Operator | None = None  # who answers a pause, if not the person
+    executor: OrderExecutor | None = None  # of a console that operates the case
+
+
+@contextlib.contextmanager
+def open_run(
+    request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
+) -> Iterator[Engine]:
+    """Open the engine of a run, ready for its first step. Whatever happens, everything ends with the block.
+
+    With `resumption` the folder is that of the interrupted run. The plan of a case is held meanwhile.
+    """
+    with contextlib.ExitStack() as held:
+        phantom = None
+        if isinstance(request.procedure, CaseProcedure):
+            phantom = _patient_to_make(request.procedure, folder, resumption)
+        prepare = partial(_prepare, request, folder, resumption, held)
+        with open_engine(request, folder, prepare, observers, resumption, phantom) as engine:
+            yield engine
+
+
+def _prepare(
+    request: RunRequest,
+    folder: Path,
+    resumption: Resumption | None,
+    held: contextlib.ExitStack,
+    theatre: Theatre,
+) -> EngineInput:
+    """Prepare the steps of a run once its theatre is open, before its devices are connected."""
+    from procedures.engine.order import order_of
+    from procedures.runs.engine_setup import EngineInput
+
+    match request.procedure:
+        case CaseProcedure():
+            from procedures.runs.case import prepare_case
+
+            return prepare_case(request, folder, theatre, resumption, held)
+        case CalibrationProcedure(recipe=plain):
+            from procedures.runs.calibrations import kind_of
+            from procedures.steps.calibration.recipe import Recipe
+
+            read = Recipe.read(plain)
+            kind = kind_of(read.of)
+            steps, title, in_use, recipe = read.steps, kind.title, kind.in_use, read
+        case Measurement(steps=steps, title=title, in_use=in_use, recipe=recipe):
+            pass
+        case None:
+            raise AssertionError("the request has no procedure")
+    return EngineInput(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations), recipe=recipe)
+
+
+def _patient_to_make(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
+    """Return the folder in which a simulated patient is still to be made; removes half of one."""
+    from procedures.runs.case import case_folder
+
+    patient = case_folder(case, folder)
+    complete = case.case is None and (patient / "plan.toml").exists()  # the phantom's last file
+    if resumption is not None and case.case is None and not complete:
+        shutil.rmtree(patient, ignore_errors=True)
+    return None if complete else patient
+
+
+@contextlib.contextmanager
+def open_engine(
+    request: RunRequest,
+    folder: Path,
+    prepare: Callable[[Theatre], EngineInput],
+    observers: RunObservers,
+    resumption: Resumption | None = None,
+    phantom: Path | None = None,
+) -> Iterator[Engine]:
+    """Open a theatre and the engine of the steps that `prepare` returns for it; see `open_run`.
+
+    A simulated patient is made in the folder `phantom`.
+    """
+    require_open_files(OPEN_FILES)
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
+        operator = operator_selection(request, observers, resumption)
+        room: Room
+        simulated, away = None, None
+        if request.config is not None:
+            file = request.config
+            away, room = _hold_configured(file, folder, observers, resumption, stack)
+        else:
+            simulated, room = _start_simulated(request, folder, observers, resumption, phantom, stack)
+            file = simulated.theatre.file
+        from procedures.engine.display_feed import publish_order
+        from procedures.runs.engine_setup import build_engine
+
+        engine = build_engine(
+            folder,
+            file,
+            prepare,
+            operator,
+            room,
+            stack,
+            resumption,
+            on_ending=ignore_further_signals,
+            opening={**request_hash(folder), "seed": request.seed},
+            arm_not_home=away,
+        )
+        if simulated is not None:
+            simulated.keep_file()
+        outcome, ended_by = "failed", None
+        try:
+            begin_report(folder)
+            publish_order(engine)
+            observers.opened(engine)
+            with _device_watch(engine, often=observers.executor is not None):
+                yield engine
+            only_acknowledged = resumption is not None and not resumption.asks
+            outcome = "left" if only_acknowledged or not engine.over else "done"
+        except BaseException as problem:  # also an interruption: nothing may cut the way to rest short
+            ignore_further_signals()
+            if isinstance(problem, KeyboardInterrupt):
+                outcome = "interrupted"
+            ended_by = problem if isinstance(problem, RonnaError) else None
+            raise
+        finally:
+            if engine.instrument_in is not None:
+                tell(f"an instrument is still in {engine.instrument_in}: the arm does not move")
+            with interruption_deferred():
+                engine.close(outcome, ended_by)
+
+
+def _hold_configured(
+    file: Path,
+    folder: Path,
+    observers: RunObservers,
+    resumption: Resumption | None,
+    stack: contextlib.ExitStack,
+) -> tuple[str | None, Room]:
+    """Hold the devices of a theatre file; return which run left the arm away from home, and the staff."""
+    from procedures.runs.theatre_lock import held_theatre
+    from procedures.runs.theatre_note import arm_not_home
+    from ronna_hw.config import read_theatre_file
+    from ronna_hw.theatre_kind import is_simulated
+
+    only_leaving = resumption is not None and resumption.only_leaving
+    note = stack.enter_context(held_theatre(file, folder, only_leaving=only_leaving))
+    away = arm_not_home(note, folder)
+    room = observers.staff(is_simulated(read_theatre_file(file)))
+    return away, room if observers.executor is None else observers.executor.staff(room)
+
+
+def _start_simulated(
+    request: RunRequest,
+    folder: Path,
+    observers: RunObservers,
+    resumption: Resumption | None,
+    phantom: Path | None,
+    stack: contextlib.ExitStack,
+) -> tuple[SimulatedTheatre, Room]:
+    """Start the theatre of a run, with its patient, in the run's folder."""
+    simulated = stack.enter_context(
+        SimulatedTheatre(
+            request,
+            folder / "theatre",
+            phantom,
+            continued=resumption is not None and not resumption.interrupted.untouched,
+            on_controller_message=observers.announce,
+        )
+    )
+    for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
+        importlib.import_module(module)  # a second of imports, meanwhile
+    if phantom is not None:
+        observers.status("making the phantom CT")
+        simulated.await_patient()
+    observers.status("opening the theatre")
+    simulated.await_theatre()
+    control = simulated.theatre.control
+    observers.announce(f"control port {control}")
+    return simulated, SimulatedRoom(control)
+
+
+def _device_watch(engine: Engine, *, often: bool) -> contextlib.AbstractContextManager[object]:
+    """Publish the devices and the arm's body while the block runs; `often` enough to see it move."""
+    from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
+
+    workcell = engine.setting.workcell
+    now_s, period_s = engine.setting.clock.now_s, SEEN_MOVING_S if often else PERIOD_S
+    return DeviceWatch(workcell.devices, engine.events, now_s, period_s, BodyView(workcell))
+
+
+def ignore_further_signals() -> None:
+    """Ignore signals from here on: everything ends anyway, and a second one would only cut that short."""
+    if threading.current_thread() is threading.main_thread():
+        for number in ENDING_SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+
+
+def run_steps(
+    request: RunRequest,
+    folder: Path,
+    observers: RunObservers,
+    resumption: Resumption | None = None,
+    conclude: Callable[[Engine], None] = lambda _engine: None,
+) -> tuple[Engine, float]:
+    """Run every step without a valid result, then `conclude`; return the engine and the theatre time.
+
+    An error of `conclude` is how the run has ended. With `resumption`, nothing moves until the findings are
+    accepted. Raises the errors of steps, and PRO-032 for a run that is not resumed.
+    """
+    with open_run(request, folder, observers, resumption) as engine:
+        if resumption is not None and not resumption.interrupted.untouched:
+            from procedures.runs.recovery import recover
+
+            if observers.executor is not None:
+                observers.executor.await_operator()
+            recover(engine, resumption.interrupted)
+        run_to_end(engine, observers)
+        conclude(engine)
+        theatre_time_s = engine.setting.clock.now_s()  # the clock ends with its theatre
+    return engine, theatre_time_s
+
+
+def run_to_end(engine: Engine, observers: RunObservers) -> None:
+    """Run to the end; a step that fails is put before the person at the prompt, if there is one.
+
+    A case that is refused only because a device is still in fault ends with that fault.
+    """
+    held, executor = observers.held, observers.executor
+    failure: RonnaError | None = None
+    acknowledged = 0  # before it
+    run = engine.run_to if executor is None else partial(executor.run_to_end, engine)
+    while True:
+        try:
+            run()
+            if engine.course.over and not engine.over:  # a case has not ended while its arm is out
+                engine.retreat_home()
+            return
+        except OperatorAborted:
+            led_home = executor is not None and executor.has_led_home
+            if held is not None and not led_home:
+                leave_head_if_agreed(engine)
+            raise
+        except RonnaError as error:
+            if held is None or engine.machine.ended:
+                raise
+            held.tell_held(engine, error)
+            if failure is None or not isinstance(error, StepRefused) or not engine.faults.now:
+                failure, acknowledged = error, engine.faults.acknowledgements
+            if not held.follow(engine):
+                failure.shown = True
+                raise engine.faults.as_of_now(failure, acknowledged) from None
+
+
+def leave_head_if_agreed(engine: Engine) -> None:
+    """Take the arm out and home after an abort, if the operator agrees; failures are shown."""
+    try:
+        engine.leave_head()
+    except RonnaError as error:
+        fail_with(error)

@@ -1,0 +1,399 @@
+"""The operator's station at the console: one thread takes orders, the engine's own carries them out.
+
+Only a stop reaches the arm from here. Everything else waits until the engine asks for it: between steps, at a
+checkpoint or with a question.
+"""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections import deque
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+from procedures.engine.events import Seat as SeatEvent
+from procedures.engine.events.event_types import shown_digest
+from procedures.engine.questions import as_shown
+from procedures.operator.checkpoint import ABORT
+from procedures.operator.question import Question, Signature, Topic, misread
+from procedures.runs.orders import (
+    Abort,
+    Acknowledge,
+    AnswerQuestion,
+    AnyOrder,
+    Claim,
+    Next,
+    Pause,
+    Release,
+    Renew,
+    Resume,
+    RunTo,
+    Stop,
+)
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+LEASE_S = 10.0  # host time without a sign of life; a page renews each second
+LOOK_AGAIN_S = 0.2  # host time between two looks at the seat while nothing happens
+NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: seven minutes
+
+
+class Seat:
+    """The operator's seat: one lease, taken under a name, kept by renewing it. Not thread-safe by itself."""
+
+    def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
+        """`now_s` is the host's time."""
+        self._now_s = now_s
+        self._session = self._name = ""
+        self._renewed_s = 0.0
+        self.ever_taken = False
+
+    @property
+    def holder(self) -> str:
+        """Name under which the seat is held; empty when it is free or its lease has run out."""
+        return self._name if self._now_s() - self._renewed_s <= LEASE_S else ""
+
+    @property
+    def lapsed(self) -> bool:
+        """Whether the lease of a holder has run out."""
+        return bool(self._name) and not self.holder
+
+    def claim(self, session: str, name: str) -> str:
+        """Take the seat; return why that is refused, or nothing."""
+        if self.holder and session != self._session:
+            return f"the seat is taken by {self.holder}"
+        self._session, self._name, self._renewed_s = session, name, self._now_s()
+        self.ever_taken = True
+        return ""
+
+    def held_by(self, session: str) -> bool:
+        """Whether that session holds the seat."""
+        return bool(self.holder) and session == self._session
+
+    def renew(self, session: str) -> None:
+        """Renew the lease of that session's holder; else change nothing."""
+        if self.held_by(session):
+            self._renewed_s = self._now_s()
+
+    def free(self) -> None:
+        """Free the seat."""
+        self._session = self._name = ""
+
+
+@dataclass(frozen=True)
+class PendingOrder:
+    """An order to be carried out between steps, and who gave it."""
+
+    order: Next | RunTo | Resume | Abort | Acknowledge
+    by: str
+    vacated: int = 0  # how often the seat had become free when it was given
+
+    @property
+    def aborts(self) -> bool:
+        """Whether the order ends the case."""
+        return isinstance(self.order, Abort)
+
+
+@dataclass
+class _OpenQuestion:
+    """The open question, and its answer so far."""
+
+    question: Question
+    shown: str
+    answer: str | None = None
+    signature: Signature | None = None
+    readings: tuple[float, ...] | None = None
+    misread: int = 0  # how often, not yet in the journal
+    acknowledged_by: str = ""  # who acknowledges faults while it stands
+
+
+class OperatorStation:
+    """The operator at the console as the engine sees him. Every method is thread-safe."""
+
+    def __init__(self, *, waits: bool, now_s: Callable[[], float] = time.monotonic) -> None:
+        """With `waits`, nothing is done and nothing answered before somebody has taken the seat."""
+        self._changed = threading.Condition()
+        self._now_s = now_s
+        self._seat = Seat(now_s)
+        self._waits = waits
+        self._engine: Engine | None = None
+        self._waiting_for: str | None = None  # the upcoming step, while the engine waits between steps
+        self._pending: PendingOrder | None = None
+        self._question: _OpenQuestion | None = None
+        self._nonces: deque[str] = deque(maxlen=NONCES_KEPT)
+        self._taken: deque[tuple[str, str, float | None]] = deque()  # as `changes_of_seat`
+        self._vacated = 0
+        self._gone = False
+        self._stopped = False  # and nobody in the seat has answered since
+
+    def attach(self, engine: Engine) -> None:
+        """Direct orders to this engine."""
+        with self._changed:
+            self._engine = engine
+            if name := self._seat.holder:  # taken while the theatre was being opened
+                engine.events.publish(SeatEvent(holder=name))
+
+    def leave(self) -> None:
+        """Mark the console as gone: other operators take over."""
+        with self._changed:
+            self._gone = True
+            self._seat.free()
+            self._changed.notify_all()
+
+    @property
+    def in_charge(self) -> bool:
+        """Whether the console lives and somebody has taken its seat, or must."""
+        with self._changed:
+            return not self._gone and (self._waits or self._seat.ever_taken)
+
+    @property
+    def stopped(self) -> bool:
+        """Whether somebody at the console stopped the arm, and nobody in its seat has answered since."""
+        with self._changed:
+            return self._stopped
+
+    @property
+    def waiting_for(self) -> str | None:
+        """The upcoming step while the engine waits between steps for an order."""
+        with self._changed:
+            return self._waiting_for
+
+    @property
+    def open_question(self) -> tuple[int, str] | None:
+        """Number of the open question, and the digest of what is shown; None without one."""
+        with self._changed:
+            asked = self._question
+            return None if asked is None else (asked.question.number, asked.shown)
+
+    @property
+    def waits(self) -> bool:
+        """Whether nothing is done until someone has taken the seat."""
+        return self._waits
+
+    @property
+    def gone(self) -> bool:
+        """Whether the console has ended."""
+        with self._changed:
+            return self._gone
+
+    def changes_of_seat(self) -> list[tuple[str, str, float | None]]:
+        """Return session, name and theatre time of each change of the seat since the last call.
+
+        Without a name the seat became free; the time is None before the theatre was open.
+        """
+        with self._changed:
+            self._notice_lapse()
+            changes = list(self._taken)
+            self._taken.clear()
+            return changes
+
+    def look(self) -> None:
+        """Free the seat of an operator whose page is silent, also while the engine is busy."""
+        with self._changed:
+            self._notice_lapse()
+
+    # The thread that reads orders
+
+    def take(self, order: AnyOrder) -> str:
+        """Take an order; returns why it is refused, or nothing."""
+        with self._changed:
+            if order.nonce in self._nonces:
+                return "this order was already given"
+            self._nonces.append(order.nonce)
+            self._notice_lapse()
+            late = order.expires_s is not None and self._now_s() > order.expires_s
+            if late and not isinstance(order, Stop):
+                return "the order came too late"
+            refused = self._refused(order)
+            self._changed.notify_all()
+            return refused
+
+    def _refused(self, order: AnyOrder) -> str:
+        match order:
+            case Claim(session=session, name=name):
+                if refused := self._seat.claim(session, name.strip()):
+                    return refused
+                self._tell_seat(session, name.strip())
+                return ""
+            case Renew(session=session):
+                self._seat.renew(session)
+                return ""
+            case Stop():
+                return self._stop(order.session)
+        if not self._seat.held_by(order.session):
+            return "you are not in the operator's seat"
+        if isinstance(order, Release):
+            self._vacate("the operator left the seat")
+            return ""
+        if self._engine is None:
+            return "the theatre is not open yet"
+        if isinstance(order, AnswerQuestion):
+            return self._answer(order)
+        return self._steer(order, self._engine)
+
+    def _steer(self, order: Pause | Next | RunTo | Resume | Abort | Acknowledge, engine: Engine) -> str:
+        """Have a pause met, or note the order for when the engine next waits between steps."""
+        name, asked, upcoming = self._seat.holder, self._question, self._waiting_for
+        paused = asked is not None and asked.question.topic is Topic.PAUSE
+        match order:
+            case Pause() if upcoming is not None:
+                return "no step is running"
+            case Pause():
+                engine.checkpoint.pause(f"{name} asked for a pause")
+                return ""
+            case Abort() if paused:
+                self._settle(ABORT, Signature(name, order.session, shown=""))  # it quotes nothing
+                return ""
+            case Abort() if upcoming is None:
+                engine.checkpoint.abort()
+                if asked is not None:
+                    self._settle(asked.question.silence)
+            case Acknowledge() if paused and asked is not None and asked.answer is None:
+                asked.acknowledged_by = name
+                return ""
+            case Next() | RunTo() | Resume() | Acknowledge() if upcoming is None:
+                return "the engine is not waiting for an order: a step is running, or a question is open"
+            case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if seen != upcoming:
+                return f"out of date: the next step is now {upcoming}"
+            case RunTo(step=step) if step not in map(str, engine.order.sequence):
+                return f"there is no step {step!r}"
+            case RunTo(step=step) if refused := engine.course.why_not_up_to(engine.order.find(step)):
+                return refused
+        self._pending = PendingOrder(order, name, self._vacated)
+        return ""
+
+    def _stop(self, session: str) -> str:
+        engine = self._engine
+        if engine is None:
+            return "the theatre is not open yet: nothing moves"
+        seated = self._seat.held_by(session)
+        who = self._seat.holder if seated else f"someone outside the operator's seat (session {session})"
+        self._stopped = True
+        engine.checkpoint.pause(f"{who} stopped the arm", firm=True)
+        threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
+        return ""
+
+    def _answer(self, order: AnswerQuestion) -> str:
+        asked = self._question
+        if asked is None or asked.question.number != order.question or asked.answer is not None:
+            return "that question is no longer open"
+        question = asked.question
+        if order.shown != asked.shown:
+            return "the question shown is not the question asked"
+        if order.answer not in question.answers:
+            return f"{order.answer!r} is not an answer"
+        read_back = question.read_back
+        if read_back is not None and order.answer == question.answers[0]:
+            if not order.typed:
+                return f"type {read_back.what}"
+            if not read_back.fits(order.typed):
+                asked.misread += 1
+                return f"what was typed {read_back.wrong}"
+        if question.reads and order.answer == question.answers[0]:
+            if order.readings is None or len(order.readings) != len(question.reads):
+                return f"type {', '.join(question.reads)}"
+            if wrong := [why for one in order.readings if (why := misread(one, question.plausible_mm))]:
+                return "; ".join(wrong)
+            asked.readings = order.readings
+        if question.topic is Topic.PAUSE:
+            self._stopped = False
+        self._settle(order.answer, Signature(self._seat.holder, order.session, asked.shown))
+        return ""
+
+    def _settle(self, answer: str, signature: Signature | None = None) -> None:
+        if self._question is not None and self._question.answer is None:
+            self._question.answer, self._question.signature = answer, signature
+
+    def _notice_lapse(self) -> None:
+        if self._seat.lapsed:
+            self._vacate("the operator's page has not responded for 10 s")
+
+    def _vacate(self, reason: str) -> None:
+        """Free the seat and cancel the pending order, except abort."""
+        self._seat.free()
+        self._vacated += 1
+        if self._pending is not None and not self._pending.aborts:
+            self._pending = None
+        self._tell_seat("", "", reason)
+
+    def _tell_seat(self, session: str, name: str, reason: str = "") -> None:
+        since_s = None
+        if self._engine is not None:
+            since_s = self._engine.events.publish(SeatEvent(holder=name, reason=reason)).theatre_time_s
+        self._taken.append((session, name, since_s))
+
+    # The engine's own thread
+
+    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> str | None:
+        """Return the answer from the console: silence if the time ran out, None if the console has ended.
+
+        `acknowledge` is called, at a pause, with the name of who acknowledges faults.
+        """
+        ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
+        with self._changed:
+            self._question = asked = _OpenQuestion(
+                question, shown_digest(as_shown(question, question.number))
+            )
+            try:
+                while asked.answer is None and not self._gone:
+                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    if left_s <= 0.0:
+                        return question.silence
+                    self._changed.wait(left_s)
+                    self._notice_lapse()
+                    while asked.misread:
+                        asked.misread -= 1
+                        question.misread()
+                    if asked.acknowledged_by:
+                        by, asked.acknowledged_by = asked.acknowledged_by, ""
+                        self._changed.release()  # devices take seconds, and a stop must get through
+                        try:
+                            acknowledge(by)
+                        finally:
+                            self._changed.acquire()
+            finally:
+                self._question = None
+        if asked.signature is not None:
+            question.signed(asked.signature)
+        if asked.readings is not None:
+            question.read(asked.readings)
+        return asked.answer
+
+    def await_seat(self) -> None:
+        """Wait, if required, until someone is in the seat or the console has ended."""
+        with self._changed:
+            while self._waits and not self._seat.holder and not self._gone:
+                self._changed.wait(LOOK_AGAIN_S)
+                self._notice_lapse()
+
+    def next_order(self, upcoming: str, timeout_s: float | None = None) -> PendingOrder | None:
+        """Wait between steps for an order; None if the time ran out or the console has ended."""
+        ends_s = None if timeout_s is None else self._now_s() + timeout_s
+        with self._changed:
+            self._waiting_for = upcoming
+            try:
+                while self._pending is None and not self._gone:
+                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    if left_s <= 0.0:
+                        return None
+                    self._changed.wait(left_s)
+                    self._notice_lapse()
+                order, self._pending = self._pending, None
+                return order
+            finally:
+                self._waiting_for = None
+
+    @property
+    def aborting(self) -> bool:
+        """Whether the end of the case was ordered."""
+        with self._changed:
+            return self._pending is not None and self._pending.aborts
+
+    def occupied_since(self, vacated: int) -> bool:
+        """Whether somebody is in the seat, and it has become free no more often than `vacated` times."""
+        with self._changed:
+            self._notice_lapse()
+            return bool(self._seat.holder) and self._vacated == vacated

@@ -1,0 +1,305 @@
+"""Execution of console orders: step by step, up to a step, or to the end of the case."""
+
+from __future__ import annotations
+
+import select
+import sys
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+from procedures.engine.display_feed import HOME, comes_next, publish_waiting
+from procedures.operator.errors import OperatorAborted
+from procedures.operator.question import NOBODY, READ, Operator, Question, Room, Task, Topic
+from procedures.runs.operator_station import OperatorStation, PendingOrder
+from procedures.runs.orders import Abort, Acknowledge, Next, Resume, RunTo
+from ronna_hw.command_line.messages import fail_with, tell
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+
+WITHOUT = "the console has ended; continuing runs the case from this terminal"
+STOPPED = "the arm was stopped from the console; the case waits for someone in the operator's seat"
+HELD = "the case is held, the arm is at rest; the operator at the console decides how to continue"
+LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
+
+
+def _typed(timeout_s: float) -> bool:
+    return bool(select.select([sys.stdin], [], [], timeout_s)[0])
+
+
+class ConsoleOperator:
+    """Asks at the console while it is in charge, else the operator who would be asked without it.
+
+    A script does not answer after a person stopped the arm: that waits for somebody in the seat.
+    """
+
+    def __init__(
+        self, station: OperatorStation, otherwise: Operator, executor: OrderExecutor, *, script_at_pause: bool
+    ) -> None:
+        self._station = station
+        self._otherwise = otherwise
+        self._executor = executor
+        self._script_at_pause = script_at_pause
+
+    def ask(self, question: Question) -> str:
+        """Return the answer; if the console ends meanwhile, that of the operator who takes its place."""
+        self._executor.note_seat()
+        waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
+        if waits:
+            tell(STOPPED)
+        asked = waits or self._station.in_charge
+        answer = self._station.ask(question, self._executor.acknowledge) if asked else None
+        self._executor.note_seat()
+        if answer is None:  # whoever takes its place reads in another way
+            return question.silence if waits or question.reads else self._otherwise.ask(question)
+        return answer
+
+
+class OrderExecutor:
+    """Carries out orders between steps, on the engine's own thread."""
+
+    def __init__(
+        self, station: OperatorStation, *, runs: bool, typed: Callable[[float], bool] = _typed
+    ) -> None:
+        """With `runs` the case goes on by itself until the operator says otherwise.
+
+        `typed` says whether something can be read from the standard input within that host time.
+        """
+        self._typed = typed
+        self.station = station
+        self.has_led_home = False  # the case was aborted, and led out and home as far as that was confirmed
+        self._runs = runs
+        self._going = runs and not station.in_charge
+        self._vacated = 0  # how often the seat had become free when that was ordered
+        self._rested = False  # since the console ended
+        self._until: str | None = None  # the last step that was ordered; None: all
+        self._engine: Engine | None = None
+
+    @property
+    def in_charge(self) -> bool:
+        """Whether the console operates the case."""
+        return self.station.in_charge
+
+    def operator(self, otherwise: Operator, *, script_at_pause: bool = False) -> Operator:
+        """Return the operator of the case; with `script_at_pause` no person is there without the console."""
+        return ConsoleOperator(self.station, otherwise, self, script_at_pause=script_at_pause)
+
+    def staff(self, otherwise: Room) -> Room:
+        """Return staff whose readings are typed at the console while it is in charge."""
+        return ConsoleRoom(otherwise, self)
+
+    def read(self, task: Task) -> tuple[float, ...] | None:
+        """Return the readings that the operator at the console types; None without a console.
+
+        Empty if nobody reads them off.
+        """
+        if self._engine is None or not self.in_charge:
+            return None
+        read: list[tuple[float, ...]] = []
+        question = Question(
+            Topic.READING,
+            task.subject,
+            f"type {', '.join(task.reads)} as displayed, or {NOBODY} to end the step",
+            (READ, NOBODY),
+            timeout_s=None,
+            reads=task.reads,
+            plausible_mm=task.plausible_mm,
+            read=read.append,
+        )
+        if self._engine.ask(question) != READ:
+            return None if self.station.gone else ()
+        return read[-1]
+
+    def acknowledge(self, by: str) -> None:
+        """Recover the devices that are in fault; tell of those that cannot be recovered yet."""
+        if self._engine is None:
+            return
+        try:
+            for role, fault in self._engine.faults.acknowledge(by).items():
+                tell(f"acknowledged by {by}: {role}: {fault}")
+        except RonnaError as error:
+            self._tell_fault(self._engine, error)
+
+    def attach(self, engine: Engine) -> None:
+        """Direct orders to this engine."""
+        self._engine = engine
+        self.station.attach(engine)
+
+    def note_seat(self) -> None:
+        """Write changes of the seat since the last call into the journal."""
+        for session, name, since_s in self.station.changes_of_seat():
+            if self._engine is not None:
+                self._engine.seated(session, name, since_s)
+
+    def await_operator(self) -> None:
+        """Wait until someone is in a seat that must be taken, or the console has ended."""
+        self.station.await_seat()
+        self.note_seat()
+
+    def run_to_end(self, engine: Engine) -> None:
+        """Run the case as ordered, and home.
+
+        If the console ends, a case that does not continue by itself is left; one that waits for the operator
+        rests until it is continued without the console. Raises OperatorAborted, and the errors of steps and
+        of the way home while nobody operates.
+        """
+        while (name := comes_next(engine)) is not None:
+            self.note_seat()
+            in_charge = self.in_charge  # read first: a console that dies now still has this turn, and waits
+            gone = self.station.gone
+            if gone and not self._runs:
+                return
+            if gone and self.station.waits and not self._rested:
+                self._rested = True
+                engine.checkpoint.pause(WITHOUT)  # met before the step begins
+            if self._must_wait(in_charge=in_charge):
+                self._carry_out(engine, self.station.next_order(self._wait(engine)))
+                continue
+            self._run_step(engine, name)
+
+    def follow_until_typed(self, engine: Engine) -> None:
+        """Carry out orders until something is typed on the standard input, or that ends."""
+        self._wait(engine)
+        while not self._typed(0.0):
+            self.note_seat()
+            in_charge = self.in_charge
+            if self.station.gone or engine.machine.ended or (name := comes_next(engine)) is None:
+                self._typed(LOOK_AGAIN_S)
+            elif self._going and not self._must_wait(in_charge=in_charge):
+                self._run_step(engine, name)
+            else:
+                if self._going:  # whoever ordered it has left the seat
+                    self._going = False
+                    self._wait(engine)
+                self._carry_out(engine, self.station.next_order(name, LOOK_AGAIN_S))
+        self._going = False
+
+    def _must_wait(self, *, in_charge: bool) -> bool:
+        if not in_charge:
+            self._going = self._going or self._runs  # the console is gone, and the case goes on
+            return not self._going
+        return not self._going or not self.station.occupied_since(self._vacated)
+
+    def _wait(self, engine: Engine) -> str:
+        publish_waiting(engine)
+        return comes_next(engine) or ""
+
+    def _run_step(self, engine: Engine, name: str) -> None:
+        try:
+            if name == HOME:
+                engine.retreat_home()
+            else:
+                engine.run_step(engine.order.find(name))
+        except OperatorAborted:
+            if self.in_charge:
+                self._leave(engine)
+            raise
+        except RonnaError as error:
+            error, agreed = self._agreed(engine, error)
+            if agreed and self._until is None:
+                return
+            self._going, self._until = False, None
+            if agreed:  # what was ordered ends here: the steps that come now were not meant
+                self._wait(engine)
+                return
+            if not self.in_charge or engine.machine.ended:
+                raise
+            if name == HOME:
+                self._tell_fault(engine, error)
+            else:  # the engine has published it
+                fail_with(error)
+            if not self.station.aborting:
+                tell(HELD)
+            self._wait(engine)
+            return
+        until = self._until
+        if until == name or (until is not None and not engine.course.remains(until)):
+            self._going, self._until = False, None
+        if not self._going:
+            self._wait(engine)
+
+    def _agreed(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
+        """Return whether the case continues by consent, and else the error of the step or of the way on."""
+        try:
+            return error, engine.goes_on(error)
+        except OperatorAborted:  # on the way home that was agreed
+            if self.in_charge:
+                self._leave(engine)
+            raise
+        except RonnaError as problem:
+            return problem, False
+
+    def _carry_out(self, engine: Engine, pending: PendingOrder | None) -> None:
+        if pending is None:  # nothing yet, or the console has ended
+            return
+        match pending.order:
+            case Abort():
+                self._abort(engine)
+                return
+            case Acknowledge():
+                self.acknowledge(pending.by)
+                self._wait(engine)
+                return
+            case Next():
+                self._until = comes_next(engine)
+            case RunTo(step=step):
+                self._until = step
+            case Resume():
+                self._until = None  # to the end of the case
+        self._going, self._vacated = True, pending.vacated
+
+    def _abort(self, engine: Engine) -> None:
+        """Retreat and park as far as the operator confirms it, then end the case. Raises OperatorAborted."""
+        try:
+            engine.checkpoint.here("before the end of the case")  # an abort that no step has met
+        except RonnaError as met:
+            if not isinstance(met, OperatorAborted):
+                self._tell_fault(engine, met)
+        self._leave(engine)
+        if not engine.machine.ended:  # on the way home
+            engine.abort()
+        raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+
+    def _leave(self, engine: Engine) -> None:
+        self.has_led_home = True
+        try:
+            engine.leave_head()
+        except RonnaError as error:
+            self._tell_fault(engine, error)
+
+    @staticmethod
+    def _tell_fault(engine: Engine, error: RonnaError) -> None:
+        from procedures.engine.events import Fault
+
+        fail_with(error)
+        engine.events.publish(Fault(code=error.code, what=str(error), advice=error.advice))
+
+
+class ConsoleRoom:
+    """Staff at the terminal whose readings are typed at the console while it is in charge."""
+
+    def __init__(self, otherwise: Room, executor: OrderExecutor) -> None:
+        self._otherwise = otherwise
+        self._executor = executor
+
+    def announce(self, step: str) -> None:
+        """Tell the staff which step is running."""
+        self._otherwise.announce(step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Prompt for the tool; the step confirms it at the console."""
+        self._otherwise.change_tool(number, description)
+
+    def prepare_stand(self, holds: str) -> None:
+        """Prompt for the stand; the step confirms it at the console."""
+        self._otherwise.prepare_stand(holds)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Prompt for the task; its readings are typed at the console."""
+        if task.reads and self._executor.in_charge:
+            self._otherwise.work(replace(task, reads=()))
+            if (readings := self._executor.read(task)) is not None:
+                return readings
+        return self._otherwise.work(task)

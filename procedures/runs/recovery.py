@@ -1,0 +1,259 @@
+"""Recovery of an interrupted run: everything is read again, compared and accepted before anything moves.
+
+Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home. There the
+tracker has a clear view, and the rest is compared. Then every step without a valid result is run, re-planned
+from the arm's position.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import RecoveryRefused
+from procedures.engine.order import StepKey
+from procedures.engine.questions import IN_DIVOT, IN_GAUGE, taking_out
+from procedures.engine.run_folder import step_key
+from procedures.journal.errors import StepRefused
+from procedures.journal.journal import Entry
+from procedures.operator.question import YES, Question, Topic
+from procedures.runs.comparison import Comparison, compare_devices, compare_inputs, compare_room
+from procedures.runs.interrupted_run import InterruptedRun
+from procedures.runs.theatre_note import NOT_KNOWN
+from procedures.runs.way_out import (
+    MOVED_SINCE,
+    guide_at_divot,
+    guide_in_gauge,
+    guide_on_an_axis,
+    head_moved_since,
+    surround,
+)
+from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.clinical.results import Relocalization
+from procedures.steps.clinical.set_up import CheckedSetUp
+from procedures.steps.clinical.tool_change import MountedGuide
+from procedures.steps.clinical.work_progress import work_begun_elsewhere
+from ronna_hw.devices.capabilities import MESSAGES
+from ronna_hw.records import Record
+
+EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
+RESTORE = "The arm is home. Restore the recorded state and resume again, or start a new run."
+UNATTENDED = "the program was not running"  # leaves a check of the mounted tool in doubt
+LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must have finished before
+
+
+def recover(engine: Engine, left: InterruptedRun) -> None:
+    """Bring an engine in recovery to where its next step may begin.
+
+    Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
+    """
+    comparison = Comparison()
+    compare_inputs(engine, comparison, left.plan_sha256)
+    _doubt_tool(engine, comparison)
+    stored = engine.case.find(CheckedSetUp, None)
+    seen = True
+    if stored is not None:
+        _take_up_arm(engine, left, stored.result, comparison)
+        seen = bool(comparison.differences) or compare_room(engine, comparison)
+        if not seen:
+            comparison.note(
+                "patient and robot base: not visible to the tracker; compared once the arm is home"
+            )
+    _have_accepted(engine, comparison, "resume the run", (*_first(engine), _then(engine)))
+    if stored is None:
+        return
+    surround(engine)
+    moved = _way_out(engine)
+    if (moved or not seen) and engine.upcoming is not None:
+        engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
+        again = Comparison()
+        if not compare_room(engine, again):
+            again.differs("patient", "at least three spheres in view", "fewer, with the arm home")
+        _conclude(engine, again, RESTORE if moved else None)
+
+
+def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
+    """Put the checks of the tool in doubt: the controller reports its number, not whether it was touched."""
+    for key in engine.order.checks_of_tool:
+        engine.case.doubt(key, UNATTENDED)
+    for key in engine.course.checks_in_doubt:
+        comparison.note(
+            f"the mounted tool may have been touched meanwhile: {key} is repeated before it is used"
+        )
+
+
+def bring_home(engine: Engine, left: InterruptedRun) -> bool:
+    """Have the instrument taken out and bring the arm home; return whether anything moved.
+
+    The run stays as it is. Only the arm is needed, and only what the way home depends on is compared. Raises
+    PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
+    """
+    comparison = Comparison()
+    _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
+    comparison.note("patient and robot base: not compared, the arm only goes home")
+    for change in left.changes:
+        comparison.warn(f"not as the run left it: {change}")
+    if not (first := _first(engine)):
+        _conclude(engine, comparison)
+        return False
+    _have_accepted(engine, comparison, "bring the arm home", first)
+    surround(engine)
+    engine.retreat_home()
+    return True
+
+
+def _take_up_arm(
+    engine: Engine,
+    left: InterruptedRun,
+    set_up: CheckedSetUp,
+    comparison: Comparison,
+    *,
+    only_leaving: bool = False,
+) -> None:
+    """Restore the arm's history, compare every device, and look for an instrument at the guide's position."""
+    workcell = engine.setting.workcell
+    workcell.take_up(left.arm, set_up.home_rad)
+    inside = workcell.place.instrument_may_be_inside
+    if inside is not None and workcell.place.assumed:
+        comparison.warn(
+            f"the journal does not rule out an instrument in {inside}: one is assumed to be inside"
+        )
+    elif inside is not None:
+        comparison.warn(f"an instrument is in {inside}, as the journal says")
+    begun = _exchange_begun(engine, left)
+    compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
+    _compare_last_to_move(engine, comparison)
+    if not workcell.place.on_axis and (found := guide_on_an_axis(engine)) is not None:
+        axis, beyond_mm = found
+        workcell.found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
+        comparison.warn(
+            f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
+        )
+    elif workcell.instrument.inside is None and guide_in_gauge(engine):
+        workcell.instrument.assume_inside(IN_GAUGE)
+        comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
+    elif workcell.instrument.inside is None and guide_at_divot(engine):
+        workcell.instrument.assume_inside(IN_DIVOT)
+        comparison.warn("the guide is at the divot, which is assumed to be raised")
+
+
+def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
+    """Refuse an arm that another run left away: only that run knows its instrument and its way home.
+
+    An arm that is at this run's home has been jogged there since.
+    """
+    if (away := engine.setting.arm_not_home) is None:
+        return
+    if engine.setting.workcell.place.is_home:
+        comparison.warn(f"{away}; it is at the home of this run now")
+    elif away == NOT_KNOWN:  # it may have been this very run: the operator decides
+        comparison.warn(away)
+    else:
+        comparison.refuse(away)
+
+
+def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
+    """Have the operator accept the findings and what will be done; raises PRO-032."""
+    for begun in work_begun_elsewhere(engine):
+        comparison.warn(begun)
+    if head_moved_since(engine):
+        comparison.warn(MOVED_SINCE)
+    _conclude(engine, comparison)
+    _require_ready(engine)
+    question = Question(Topic.RESUME, subject, comparison.in_lines(order))
+    if engine.ask(question) != YES:
+        late_s = engine.questions.unanswered_s
+        raise RecoveryRefused(
+            "the operator did not accept the findings" if late_s is None else "the time to answer ran out",
+            expected=None if late_s is None else "that the findings are accepted",
+            limit=None if late_s is None else f"{late_s:g} s",
+            action="Nothing was moved. Repeat the command when the case may continue.",
+        )
+    engine.accept()
+
+
+def _require_ready(engine: Engine) -> None:
+    """Raise PRO-001 if a device reports that no motion can begin, before the operator is asked in vain."""
+    seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
+    held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
+    if not held_back:
+        return
+    reasons = [f"{role}, {fact.name}: {fact.found}" for role, fact in held_back]
+    first = [fact.advice for _, fact in held_back if fact.name != MESSAGES]
+    run = shlex.quote(str(engine.case.folder))
+    acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
+    raise StepRefused(
+        f"nothing may move yet: {'; '.join(reasons)}",
+        action=" ".join((*first, f"Nothing was moved. Run {acknowledge}, then this command again.")),
+    )
+
+
+def _conclude(engine: Engine, comparison: Comparison, action: str | None = None) -> None:
+    """Record the findings. Raises PRO-032 for a difference; nothing was moved, unless `action` says so."""
+    engine.found(comparison.findings, comparison.differences)
+    if comparison.differences:
+        by_other = engine.setting.arm_not_home in comparison.differences
+        raise RecoveryRefused(
+            "the run cannot be resumed: " + "; ".join(comparison.differences),
+            action="Nothing was moved. Bring the arm home as said, then repeat this command."
+            if by_other
+            else action,
+        )
+
+
+def _exchange_begun(engine: Engine, left: InterruptedRun) -> bool:
+    """Whether a tool change was requested without a result that confirms it.
+
+    If the journal's end is lost and every sphere is localized, the lost lines may have requested it.
+    """
+    exchange = next((key for key in engine.order.sequence if key.name in EXCHANGES), None)
+    if exchange is None or engine.case.stands(exchange):
+        return False
+    begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in left.run.journal)
+    looks = [key for key in engine.order.sequence if key.name in LOOKS]
+    return begun or (bool(left.chain.torn) and all(map(engine.case.stands, looks)))
+
+
+def _first(engine: Engine) -> tuple[str, ...]:
+    """Return the moves that come before any step."""
+    workcell = engine.setting.workcell
+    first = []
+    if (place := engine.instrument_in) is not None:
+        first.append(f"first, by hand: {taking_out(place)}")
+    if (on := workcell.place.trajectory) is not None:
+        first.append(f"the guide retreats from {on} along its axis")
+    if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
+        first.append("the arm goes home the way it came")
+    return tuple(first)
+
+
+def _then(engine: Engine) -> str:
+    course, order = engine.course, engine.order
+    again = {_step_of(gone) for key in course.checks_in_doubt for gone in course.voided_with(key)}
+    steps = (
+        [] if course.over else [str(key) for key in order.sequence if key in again or not course.settled(key)]
+    )
+    return f"remaining steps: {', '.join(steps) or 'none'}"
+
+
+def _step_of(record: Record) -> StepKey:
+    return StepKey(record.kind, record.trajectory)
+
+
+def _way_out(engine: Engine) -> bool:
+    """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
+    workcell = engine.setting.workcell
+    engine.have_instrument_out()
+    following = engine.upcoming
+    if (
+        workcell.place.on_axis
+        and following is not None
+        and engine.order.spec(following).moves
+        and not engine.why_refused(following)
+    ):
+        engine.run_step(following)  # the work at the target is done: only the retreat itself remains
+    if workcell.place.is_home:
+        return False
+    engine.retreat_home()
+    return True

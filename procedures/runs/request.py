@@ -1,0 +1,149 @@
+"""The request of a run: its theatre and its procedure. Commands import it at their start, so no pydantic."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ronna_hw.bounded_input import InputRefused, parse_json, read_json_bytes, read_toml
+from ronna_hw.command_line.errors import UsageMistake
+
+if TYPE_CHECKING:
+    from pydantic import JsonValue
+
+    from procedures.engine.order import Steps
+    from procedures.runs.answers import Answers
+    from procedures.steps.calibration.recipe import Recipe
+    from ronna_hw.config import Calibrations
+
+
+NAMED = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
+LARGEST_SEED = 2**63 - 1  # what a journal's JSON keeps exactly everywhere
+
+FREE = "free"  # screws of their own
+
+
+@dataclass(frozen=True)
+class SceneChoice:
+    """Choices from which both the simulated theatre and its phantom are drawn."""
+
+    scene: str = "default"
+    seed: int = 0
+    markers: int | None = None
+    targets: int | None = None
+    fiducials: str = FREE  # what the spheres stand on
+    calibrated: bool = False  # the arm of the theatre, with a record of it; the patient is the same
+    first_day: bool = False  # frame and guide of the theatre are as drawn, without valid records
+    records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
+
+    def check(self) -> None:
+        """Raise CLI-001 for a scene that is neither named nor a file; its reader checks the content."""
+        if self.scene not in NAMED and not Path(self.scene).is_file():
+            alike = get_close_matches(self.scene, NAMED, n=1)
+            raise UsageMistake(
+                f"there is no scene {self.scene!r}",
+                expected=f"{' or '.join(NAMED)}, which have a patient, or the path of a scene file",
+                action=f"Did you mean {alike[0]}?" if alike else "ronna-sim scene prints one to start from.",
+            )
+
+    def arguments(self) -> list[str]:
+        """Return the options of `ronna-sim theatre` and `ronna-sim phantom`."""
+        options = ["--scene", self.scene, "--seed", str(self.seed)]
+        for name, value in (("--markers", self.markers), ("--targets", self.targets)):
+            if value is not None:
+                options += [name, str(value)]
+        return options if self.fiducials == FREE else [*options, "--fiducials", self.fiducials]
+
+    def theatre_arguments(self) -> list[str]:
+        """Return the options of `ronna-sim theatre` alone."""
+        options = self.arguments()
+        if self.calibrated:
+            options.append("--calibrated")
+        if self.first_day:
+            options.append("--first-day")
+        for folder in self.records:
+            options += ["--calibration", str(folder)]
+        return options
+
+    @property
+    def own_seed(self) -> int:
+        """Seed of the drawing; a scene file holds its own, and its reader checks the rest of it."""
+        path = Path(self.scene)
+        if not path.suffix:
+            return self.seed
+        try:
+            is_json = path.suffix == ".json"
+            content = parse_json(read_json_bytes(path)) if is_json else read_toml(path, InputRefused)
+            return int(content.get("seed", 0))
+        except (OSError, ValueError, AttributeError, TypeError, OverflowError):
+            return self.seed
+
+
+@dataclass(frozen=True, kw_only=True)
+class CaseProcedure:
+    """A clinical case, or the same on a phantom."""
+
+    strategy: str = "ocs"
+    measure_targets: bool = False  # on a phantom with a ball at each target; a simulated one brings them
+    case: Path | None = None  # folder with ct/ and plan.toml, on configured endpoints
+    plan: Path | None = None  # for the simulated patient, in place of its own
+    keep_raw: bool = False  # pictures and tracker frames as files
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationProcedure:
+    """A calibration, whose records are valid for `days`."""
+
+    recipe: Mapping[str, JsonValue]  # as `Recipe` writes it
+    days: int
+    write: Path | None = None  # the theatre file with the new records
+
+
+@dataclass(frozen=True, kw_only=True)
+class Measurement:
+    """A check, or a single measurement. It has no request file, so nothing resumes it.
+
+    `in_use` selects the records to work with, given those of the theatre; a replay needs the `recipe`.
+    """
+
+    steps: Steps
+    title: str
+    in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
+    recipe: Recipe | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest:
+    """A procedure and its theatre: a simulated one, or with `config` the file of configured endpoints."""
+
+    procedure: CaseProcedure | CalibrationProcedure | Measurement | None = None  # None: not yet chosen
+    config: Path | None = None
+    choice: SceneChoice = field(default_factory=SceneChoice)
+    speed: str = "max"
+    faults: Path | None = None
+    answers: Answers | None = None  # of a scripted operator
+
+    @property
+    def seed(self) -> int | None:
+        """Seed of a simulated theatre; None on configured endpoints."""
+        return self.choice.own_seed if self.config is None else None
+
+    @property
+    def case(self) -> CaseProcedure:
+        """The procedure of a case; only for code that is reached by cases alone."""
+        assert isinstance(self.procedure, CaseProcedure), "this is not a case"
+        return self.procedure
+
+    @property
+    def calibration(self) -> CalibrationProcedure:
+        """The procedure of a calibration; only for code that is reached by calibrations alone."""
+        assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
+        return self.procedure
+
+    @property
+    def measures_targets(self) -> bool:
+        """Whether the phantom has a ball at each target, to be measured."""
+        return isinstance(self.procedure, CaseProcedure) and self.procedure.measure_targets

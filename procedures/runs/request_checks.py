@@ -1,0 +1,101 @@
+"""Checks of a request before its run folder is made: theatre, plan, answers, fault script."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Collection, Iterable, Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from ronna_hw.bounded_input import read_bounded
+from ronna_hw.command_line.errors import PathProblem, UsageMistake
+from ronna_hw.config import read_theatre_file
+from ronna_hw.theatre_kind import require_one_kind
+
+if TYPE_CHECKING:
+    from procedures.runs.request import RunRequest
+
+LARGEST_SCRIPT_BYTES = 1_000_000  # more than the theatre itself takes
+_STEP_OF_LINE = re.compile(r"\s*(?:when|since)\s+step\s*==\s*(?P<step>\w+)(?P<trajectory>:[\w.-]+)?")
+_TIME_OF_LINE = re.compile(r"\s*at\s+(?P<at_s>\d+(?:\.\d*)?)\s*s\b")
+
+
+def check_theatre(request: RunRequest) -> None:
+    """Check theatre file and records before anything is opened. Raises CFG-001, CAL-001, CAL-005.
+
+    PRO-043 while another run has its devices.
+    """
+    from procedures.calibration.arm_check import require_record
+    from procedures.runs.calibration_files import require_records
+    from procedures.runs.theatre_lock import require_free_theatre
+
+    require_records(request.choice.records)
+    if request.config is not None:
+        theatre = read_theatre_file(request.config)
+        if request.choice.calibrated:
+            require_record(theatre.calibration.arm if theatre.calibration else None)
+        require_free_theatre(request.config)
+
+
+def check_case(request: RunRequest) -> None:
+    """Check theatre, plan, answers and fault script of a case before its run folder is made."""
+    from procedures.planning.plan_file import read_plan
+    from procedures.steps.catalogue import clinical_steps
+    from procedures.strategies.catalogue import strategy_named
+
+    asked = request.case
+    strategy_named(asked.strategy)
+    check_theatre(request)
+    if request.config is not None:
+        require_one_kind(read_theatre_file(request.config))
+        case = asked.case or Path()
+        around = case.resolve().parent
+        if case.resolve() == around / "ct" and (around / "plan.toml").exists():
+            raise PathProblem(f"{case} is the ct folder of a case", action=f"Give the case folder, {around}.")
+        for part in ("ct", "plan.toml"):
+            path = case / part
+            if not path.exists():
+                raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
+        if request.answers is not None:
+            plan = read_plan(case / "plan.toml")
+            request.answers.check_trajectories([one.id for one in plan.trajectories])
+    if asked.plan is not None:
+        planned = [one.id for one in read_plan(asked.plan).trajectories]
+        if request.answers is not None:
+            request.answers.check_trajectories(planned)
+    if request.faults is not None:
+        steps = clinical_steps(measure_targets=asked.measure_targets)
+        check_fault_script(request.faults, [step.name for step in steps])
+
+
+def check_fault_script(path: Path, step_names: Collection[str]) -> None:
+    """Raise CLI-001 for a missing file, and with every line that waits for a step that does not exist."""
+    if not path.is_file():
+        raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
+    found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
+    unknown = [
+        f"line {number}: there is no step {step!r}" for number, step in found if step not in step_names
+    ]
+    if unknown:
+        raise UsageMistake(
+            f"{path.name}, {'; '.join(unknown)}",
+            expected=f"one of {', '.join(step_names)}",
+            action="Correct the fault script; ronna-procedure steps lists all steps.",
+        )
+
+
+def never_began(path: Path, begun: Iterable[str], theatre_time_s: float) -> Iterator[str]:
+    """Name the faults that a case did not reach, by the steps that it began and its theatre time."""
+    steps = {name for step in begun for name in (step, step.partition(":")[0])}
+    for number, line in _lines(path):
+        if match := _STEP_OF_LINE.match(line):
+            step = match["step"] + (match["trajectory"] or "")
+            if step not in steps:
+                yield f"line {number} of {path.name} had no effect: the case did not run {step}"
+        elif (match := _TIME_OF_LINE.match(line)) and float(match["at_s"]) > theatre_time_s:
+            yield f"line {number} of {path.name} had no effect: the case ended after {theatre_time_s:.1f} s"
+
+
+def _lines(path: Path) -> Iterator[tuple[int, str]]:
+    text = read_bounded(path, LARGEST_SCRIPT_BYTES).decode(errors="replace")
+    return enumerate(text.splitlines(), 1)

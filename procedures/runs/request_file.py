@@ -1,0 +1,159 @@
+"""`request.json`: the first file of a run's folder, on disk before anything else. `resume` begins with it."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import fields
+from importlib.metadata import version
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, JsonValue, ValidationError
+
+from procedures.engine.errors import BadRequestFile, OtherProgram
+from procedures.runs.request import FREE, CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
+from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.evidence.manifest import REQUEST_FILE
+from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.records import write_whole
+
+if TYPE_CHECKING:
+    from procedures.runs.answers import Answers
+
+PROGRAM = "ronna-hw"
+
+
+class CalibrationFile(BaseModel):
+    """A requested calibration."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    recipe: dict[str, JsonValue] = Field(description="What its steps are made from.")
+    days: int = Field(ge=1, description="Validity of its records.")
+    write: Path | None = Field(default=None, description="Theatre file to write, with the new records.")
+
+
+class RequestFile(BaseModel):
+    """Content of `request.json`, with absolute paths."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid")
+
+    schema_version: Literal[1] = Field(default=1, alias="schema")
+    program: str = Field(description="Version of the program that made the run.")
+    scene: str = Field(description="Name of a scene, or a scene file.")
+    seed: int = 0
+    markers: int | None = None
+    targets: int | None = None
+    fiducials: str = FREE
+    calibrated: bool = False
+    first_day: bool = False
+    records: tuple[Path, ...] = ()
+    strategy: str | None = Field(default=None, description="Of a case.")
+    measure_targets: bool = False
+    keep_raw: bool = Field(
+        default=False, description="Whether pictures and tracker frames are kept as files."
+    )
+    speed: str
+    faults: Path | None = None
+    config: Path | None = Field(default=None, description="Theatre file of configured endpoints.")
+    case: Path | None = Field(default=None, description="Folder with ct/ and plan.toml, with `config`.")
+    plan: Path | None = Field(default=None, description="Plan for the simulated patient.")
+    answers: dict[str, JsonValue] | None = Field(default=None, description="What the file of answers said.")
+    calibration: CalibrationFile | None = Field(
+        default=None, description="What to calibrate, if it is not a case."
+    )
+
+
+def write_request(request: RunRequest, folder: Path) -> None:
+    """Write the request into a new run folder, and return when it is on disk."""
+    content = RequestFile(program=version(PROGRAM), **_theatre(request), **_procedure(request))
+    write_whole(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
+    for place in (folder, folder.parent):  # a name is on disk only when its folder is
+        directory = os.open(place, os.O_RDONLY)
+        try:
+            os.fsync(directory)
+        finally:
+            os.close(directory)
+
+
+def _theatre(request: RunRequest) -> dict[str, Any]:
+    choice = request.choice
+    drawn = {one.name: getattr(choice, one.name) for one in fields(choice)}
+    return drawn | dict(
+        scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
+        records=tuple(folder.resolve() for folder in choice.records),
+        speed=request.speed,
+        faults=request.faults and request.faults.resolve(),
+        config=request.config and request.config.resolve(),
+        answers=None if request.answers is None else request.answers.model_dump(mode="json"),
+    )
+
+
+def _procedure(request: RunRequest) -> dict[str, Any]:
+    match request.procedure:
+        case CaseProcedure() as case:
+            return dict(
+                strategy=case.strategy,
+                measure_targets=case.measure_targets,
+                keep_raw=case.keep_raw,
+                case=case.case and case.case.resolve(),
+                plan=case.plan and case.plan.resolve(),
+            )
+        case CalibrationProcedure(recipe=recipe, days=days, write=write):
+            file = CalibrationFile(recipe=dict(recipe), days=days, write=write and write.resolve())
+            return {"calibration": file}
+        case _:
+            raise AssertionError("only cases and calibrations are resumed")
+
+
+def read_request(folder: Path) -> RunRequest:
+    """Read the request of a run; raises PRO-034, and PRO-031 for another version of this program."""
+    path = folder / REQUEST_FILE
+    try:
+        content = RequestFile.model_validate_json(read_json_bytes(path))
+    except OSError as error:
+        raise BadRequestFile(f"{path} cannot be read: {error.strerror}") from error
+    except ValidationError as error:
+        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error))}") from error
+    if content.program != version(PROGRAM):
+        raise OtherProgram(
+            f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
+        )
+    procedure: CaseProcedure | CalibrationProcedure
+    if (asked := content.calibration) is not None:
+        procedure = CalibrationProcedure(recipe=asked.recipe, days=asked.days, write=asked.write)
+    elif content.strategy is not None:
+        procedure = CaseProcedure(
+            strategy=content.strategy,
+            measure_targets=content.measure_targets,
+            case=content.case,
+            plan=content.plan,
+            keep_raw=content.keep_raw,
+        )
+    else:
+        raise BadRequestFile(f"{path} names neither the strategy of a case nor a calibration")
+    return RunRequest(
+        procedure=procedure,
+        config=content.config,
+        choice=SceneChoice(**{one.name: getattr(content, one.name) for one in fields(SceneChoice)}),
+        speed=content.speed,
+        faults=content.faults,
+        answers=None if content.answers is None else _answers(path, content.answers),
+    )
+
+
+def _answers(path: Path, content: dict[str, JsonValue]) -> Answers:
+    from procedures.runs.answers import Answers
+
+    try:
+        return Answers.model_validate(content)
+    except ValidationError as error:
+        raise BadRequestFile(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
+
+
+def request_hash(folder: Path) -> dict[str, str]:
+    """Return the hash of the request that a run began with, for the first line of its journal."""
+    from ronna_hw.evidence.manifest import sha256_of
+
+    path = folder / REQUEST_FILE
+    return {"request_sha256": sha256_of(path)} if path.exists() else {}

@@ -1,0 +1,184 @@
+"""A simulated theatre with its patient and staff, started as commands, and the truth about a run in it."""
+
+from __future__ import annotations
+
+import subprocess
+from collections.abc import Callable
+from pathlib import Path
+from types import TracebackType
+from typing import TYPE_CHECKING, Self
+
+from procedures.engine.errors import CommandRefused
+from procedures.operator.question import Task
+from procedures.runs.request import RunRequest
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
+from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST
+from ronna_hw.evidence.manifest import WITH_PORTS
+from ronna_hw.host.child_process import ChildNotReady, await_end, command, finished_command
+from ronna_hw.host.control_port import ControlPortSilent, ask_control_port
+from ronna_hw.records import write_whole
+from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
+
+if TYPE_CHECKING:
+    from procedures.reporting.outcome import Truth
+
+PHANTOM_TIMEOUT_S = 120.0  # host time; a full series takes a few seconds
+VERIFIER = "ronna-sim verify"
+VERIFY_TIMEOUT_S = 60.0  # host time; it reads a few small files
+THEATRE_FOLDER = "theatre"  # of a run that has a theatre of its own
+
+
+class SimulatedTheatre:
+    """A theatre in one folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
+
+    def __init__(
+        self,
+        request: RunRequest,
+        folder: Path,
+        phantom: Path | None,
+        *,
+        continued: bool = False,
+        on_controller_message: Callable[[str], None] = lambda _line: None,
+    ) -> None:
+        """`continued` if the world of an earlier theatre goes on, without the fault script of the run."""
+        self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
+        left = continued and self._file.exists()
+        self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if left else None
+        scene = request.choice.theatre_arguments()
+        more = ["--faults", str(request.faults)] if request.faults is not None and not continued else []
+        if request.measures_targets:
+            more.append("--target-balls")
+        if continued:
+            more.append("--continue")
+        self.theatre = TheatreProcess(
+            *scene,
+            "--speed",
+            request.speed,
+            "--out",
+            str(folder),
+            *more,
+            on_controller_message=on_controller_message,
+        )
+        try:
+            self._phantom = None if phantom is None else _start_phantom(request.choice.arguments(), phantom)
+        except BaseException:  # such as no process left: nobody will leave this block
+            self.theatre.end()
+            raise
+
+    def await_patient(self) -> None:
+        """Wait for the CT series and the plan. Raises PRO-013 with the words of a command that refused.
+
+        A refused theatre is reported at once; PRC-001 if time runs out.
+        """
+        assert self._phantom is not None, "this theatre has no patient"
+
+        def meanwhile() -> None:
+            if not self.theatre.child.alive:
+                self.await_theatre()  # it was refused: nobody needs the patient
+
+        _, messages = await_end("ronna-sim phantom", self._phantom, PHANTOM_TIMEOUT_S, meanwhile)
+        if self._phantom.returncode != 0:
+            raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
+
+    def await_theatre(self) -> None:
+        """Wait for every device. Raises PRO-013 with the command's words, PRC-001 without any."""
+        child = self.theatre.child
+        try:
+            self.theatre.await_ready()
+        except ChildNotReady as error:
+            if not child.messages:
+                raise
+            code = EXIT_FAILED if error.limit else child.process.returncode  # the former: ended by us
+            raise CommandRefused(SIMULATOR_NAME, child.messages[-1], code) from error
+
+    def keep_file(self) -> None:
+        """Keep the theatre file as it is now, which the journal names; else the former one is restored."""
+        self._former = None
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        if self._phantom is not None:
+            if self._phantom.poll() is None:
+                self._phantom.kill()
+                self._phantom.wait()
+            if self._phantom.stderr is not None:
+                self._phantom.stderr.close()
+        child = self.theatre.child
+        halted = isinstance(error, ControlPortSilent) and child.alive
+        gone = bool(child.ready) and (halted or not child.alive)
+        self.theatre.end()
+        if self._former is not None:
+            write_whole(self._file, self._former)
+        if gone and error is not None:  # what the procedure met is only the consequence
+            words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
+            raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error
+
+
+def _start_phantom(scene: list[str], folder: Path) -> subprocess.Popen[str]:
+    return subprocess.Popen(
+        command("sim.cli", "phantom", "--with-parent", *scene, "--out", str(folder)),
+        stdin=subprocess.DEVNULL,
+        stdout=subprocess.DEVNULL,
+        stderr=subprocess.PIPE,
+        text=True,
+        start_new_session=True,
+    )
+
+
+class SimulatedRoom:
+    """Simulated theatre staff; the only client of the control port.
+
+    The port closes idle connections, so each request opens one of its own.
+    """
+
+    def __init__(self, control: str) -> None:
+        """`control` is the endpoint with its token."""
+        self._control = control
+
+    def announce(self, step: str) -> None:
+        """Tell the theatre which step is running."""
+        ask_control_port(self._control, "step", name=step)
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Have the other tool mounted."""
+        ask_control_port(self._control, "mount", number=number)
+
+    def prepare_stand(self, holds: str) -> None:
+        """Have the ball or the divot put on the calibration stand."""
+        ask_control_port(self._control, "stand", holds=holds)
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Perform the task and return its readings."""
+        answer = ask_control_port(
+            self._control,
+            "work",
+            task=task.name,
+            trajectory=task.trajectory or "",
+            numbers=list(task.numbers),
+        )
+        return tuple(float(reading) for reading in answer.get("readings", ()))
+
+
+def truth_of(folder: Path) -> Truth:
+    """Ask the verifier about a run folder. Raises PRO-013 with its words, PRC-001 if it hangs."""
+    from procedures.reporting.outcome import Truth
+
+    answer = finished_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
+    # A run that reached no target is a failure of that command, after its answer.
+    if answer.returncode not in (EXIT_DONE, EXIT_FAILED) or not answer.stdout:
+        raise CommandRefused(VERIFIER, answer.stderr, answer.returncode)
+    return Truth.model_validate_json(answer.stdout)
+
+
+def truth_if_any(folder: Path) -> Truth | None:
+    """Return the truth of a run; None without a simulated theatre, or if there is nothing yet to compare."""
+    if not (folder / THEATRE_FOLDER).is_dir():
+        return None
+    try:
+        return truth_of(folder)
+    except (CommandRefused, ChildNotReady):
+        return None

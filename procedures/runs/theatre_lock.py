@@ -1,0 +1,196 @@
+"""The lock on the devices of a theatre: one program at a time, for the run that its note names.
+
+Note and theatre file are both locked: the note belongs to the arm, whatever the file is called; the file
+serves a user who can neither write nor create the note.
+"""
+
+from __future__ import annotations
+
+import fcntl
+import os
+import shlex
+import stat
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+
+from procedures.engine.errors import TheatreInUse, TheatreNotNoted
+from procedures.journal.journal import JOURNAL_FILE
+from procedures.runs.theatre_note import TheatreNote, note_file, read_note
+from ronna_hw.errors import RonnaError
+from ronna_hw.evidence.journal_reading import read_chain
+from ronna_hw.host.port_users import PortUser, holder_of_lock
+
+NOTE = os.O_NOFOLLOW  # where everyone may write, a link may lead to any file of whoever opens it
+READABLE_BY_ALL = 0o444
+WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remove only their own
+
+
+@dataclass(frozen=True)
+class TheatreUser:
+    """The program that has the devices, as far as this user may see it."""
+
+    run: Path | None
+    holder: PortUser | None
+
+    @property
+    def seen(self) -> str:
+        """Name of the run that uses the theatre, and its process id."""
+        number = "" if self.holder is None else f" (pid {self.holder.pid})"
+        return f"{'another program' if self.run is None else self.run.name}{number} is using this theatre"
+
+    def advice(self, then: str) -> str:
+        """Return advice in place of ending that program; `then` follows when it has ended."""
+        alone = "Leave it alone: its arm may be at a patient."
+        if self.run is None:
+            return f"{alone} {then.capitalize()} when it has ended."
+        watch = f"Follow it with ronna-procedure watch {shlex.quote(str(self.run))}"
+        return f"{alone} {watch}; {then} when it has ended."
+
+
+@contextmanager
+def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
+    """Hold the devices of a theatre file for a run; yield how the runs before it left the arm.
+
+    Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
+    With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
+    """
+    if user := _user_of_own_run(theatre):
+        raise _in_use(user)
+    path = note_file(theatre)
+    with ExitStack() as stack:
+        noted = _opened_note(path)
+        for file in (_opened(path, NOTE) if noted is None else noted, _opened(theatre)):
+            if file is not None:
+                stack.callback(os.close, file)
+                _lock(file, path, needed=noted in (None, file))
+        before = read_note(path).settled()
+        if noted is not None:
+            with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
+                os.fchmod(noted, (os.fstat(noted).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH)
+        lines = 0 if run is None else _journal_lines(run)
+        note = before.model_copy(
+            update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
+        )
+        if not (_written(noted, note) or only_leaving):
+            raise TheatreNotNoted(
+                f"cannot write {path}: a later run would not know that this one left the arm away from home"
+            )
+        try:
+            yield before
+        finally:  # from here on its folder may be moved
+            _written(noted, note.settled())
+
+
+def _opened_note(path: Path) -> int | None:
+    with suppress(OSError):  # it is there, or nothing can be made there
+        path.parent.mkdir()
+        path.parent.chmod(WRITABLE_BY_ALL)
+    # Where everyone may write, a file of another user can be opened only without making it.
+    made = _opened(path, NOTE | os.O_RDWR | os.O_CREAT)
+    return _opened(path, NOTE | os.O_RDWR) if made is None else made
+
+
+def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
+    """Open a file or folder; None if it is another user's or does not exist."""
+    try:
+        return os.open(path, how | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
+    except OSError:
+        return None
+
+
+def _lock(file: int, path: Path, *, needed: bool) -> None:
+    """Raise PRO-043 while another program has locked it; other failures count only if it is `needed`."""
+    try:
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        raise _in_use(_user(path, file)) from None
+    except OSError:  # a network file system may lock only what is open for writing
+        if needed:
+            raise
+
+
+def _written(file: int | None, note: TheatreNote) -> bool:
+    if file is None:
+        return False
+    try:
+        os.ftruncate(file, os.pwrite(file, note.model_dump_json().encode(), 0))
+        os.fdatasync(file)
+    except OSError:
+        return False
+    return True
+
+
+def theatre_user(theatre: Path) -> TheatreUser | None:
+    """Return who has the devices of a theatre file now, as far as this user may see."""
+    if user := _user_of_own_run(theatre):
+        return user
+    path = note_file(theatre)
+    for file in (_opened(path, NOTE), _opened(theatre)):
+        if file is None:
+            continue
+        try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
+            if holder_of_lock(file) is not None:
+                return _user(path, file)
+        finally:
+            os.close(file)
+    return None
+
+
+def last_moved(theatre: Path) -> TheatreNote:
+    """Return how the arm of a theatre file was left, whether or not a program has its devices."""
+    return read_note(note_file(theatre)).settled()
+
+
+def unwritable_note(theatre: Path) -> Path | None:
+    """Return the note that `held_theatre` needs and this user may not write; None if it may."""
+    path = note_file(theatre)
+    there = next(place for place in (path, *path.parents) if place.exists())
+    return None if os.access(there, os.W_OK) else path
+
+
+def last_runs(theatre: Path) -> tuple[Path, ...]:
+    """Return the last run that moved the arm of a theatre file, and the last that had its devices."""
+    note = last_moved(theatre)
+    return tuple(run for run in (note.moved_before, note.run) if run is not None)
+
+
+def require_free_theatre(theatre: Path) -> None:
+    """Raise PRO-043 while another program has the devices, before anyone prepares anything."""
+    if user := theatre_user(theatre):
+        raise _in_use(user)
+
+
+def _in_use(user: TheatreUser) -> TheatreInUse:
+    return TheatreInUse(user.seen, action=user.advice("start again"))
+
+
+def _user(path: Path, file: int) -> TheatreUser:
+    """Return the holder of the lock, and its run if the note is its own."""
+    note, holder = read_note(path), holder_of_lock(file)
+    return TheatreUser(note.run if holder is not None and holder.pid == note.pid else None, holder)
+
+
+def _user_of_own_run(theatre: Path) -> TheatreUser | None:
+    """Return the user of a simulated theatre in the folder of its run, which uses it alone."""
+    run = theatre.resolve().parent.parent
+    if not (run / JOURNAL_FILE).is_file():
+        return None
+    try:
+        folder = os.open(run, os.O_RDONLY | os.O_CLOEXEC)
+    except OSError:
+        return None
+    try:
+        holder = holder_of_lock(folder)
+    finally:
+        os.close(folder)
+    return None if holder is None else TheatreUser(run, holder)
+
+
+def _journal_lines(run: Path) -> int:
+    """Return the number of lines of a run's journal; 0 if it cannot be read."""
+    try:
+        return len(read_chain(run / JOURNAL_FILE).lines)
+    except (OSError, RonnaError):
+        return 0

@@ -1,0 +1,152 @@
+"""The way out of an interrupted run: the head to keep clear of, and an instrument that may be in the guide.
+
+The head is where the valid registration has it, or else the last valid one. A lost block of the journal may
+have contained the lines about an instrument. So if the arm carries the guide, its position is compared with
+the axis of every registered trajectory, and its joints with those at the gauge.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import RecoveryRefused
+from procedures.engine.order import StepKey
+from procedures.engine.run_folder import typed
+from procedures.steps.calibration.ball_place import BallPlace
+from procedures.steps.calibration.tip_readings import HOVER_MM
+from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.global_localization import GlobalLocalization
+from procedures.steps.clinical.path_check import CheckedPaths
+from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
+from procedures.steps.clinical.results import RegisteredRobot, Relocalization
+from procedures.steps.clinical.surroundings import surround_guide, surround_stereo_head
+from procedures.workcell import Insertion, MountedTool
+from procedures.workcell.arm_place import stands_at
+from procedures.workcell.ball_watcher import around_ball, in_free_room, stand_under
+from procedures.workcell.errors import TipOffAxis
+from ronna_hw.frames import Transform
+
+TIP_KNOWN_MM = 15.0  # how far the tip may be from its record, and the ball from its stated position
+MOVED_SINCE = (
+    "something has moved since the guide was positioned: on its way out it keeps clear of the head's "
+    "former position"
+)
+AT_GAUGE_RAD = math.radians(0.5)  # an arm stopped on its way is farther off, or the question is superfluous
+AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives there much more accurately
+
+
+def surround(engine: Engine) -> None:
+    """Set the arm's surroundings before anything moves; with an unknown head the arm must be home.
+
+    Raises PRO-032 for an arm away from home if no result gives the position of the head.
+    """
+    workcell, keys = engine.setting.workcell, engine.order.sequence
+    if engine.setting.clinical is None:
+        surround_calibration(engine)
+    elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
+        over = next(key for key in keys if key.name == Relocalization.kind)
+        surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
+    elif (led := _led(engine)) is not None:
+        surround_guide(engine.context(led.key), led.robot_from_ct, workcell.joints_rad())
+    elif not workcell.place.is_home:
+        raise RecoveryRefused(
+            "the arm is not home, and no result gives the position of the head",
+            action="Jog the arm home with the controller's pendant, then resume again.",
+        )
+
+
+def head_moved_since(engine: Engine) -> bool:
+    """Whether the guide must leave by a registration that is no longer valid."""
+    return (led := _led(engine)) is not None and not led.holds
+
+
+def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
+    """Return the trajectory whose axis the guide is on, and its travel along it in mm."""
+    workcell, case = engine.setting.workcell, engine.case
+    if workcell.tool is not MountedTool.GUIDE:
+        return None
+    paths = case.find(CheckedPaths, None)
+    if paths is None:
+        return None
+    tool = workcell.tool_pose()
+    for key in engine.order.sequence:
+        registered = case.find(RegisteredRobot, key.trajectory)
+        led_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
+        if not led_there or registered is None:
+            continue
+        insertion = insertion_for(engine.context(key), registered.result.robot_from_ct.transform)
+        try:
+            insertion.check_on_axis(tool)
+        except TipOffAxis:
+            continue
+        beyond_mm = insertion.beyond_start_mm(tool)
+        if beyond_mm > AT_START_MM:
+            return insertion, beyond_mm
+    return None
+
+
+def guide_in_gauge(engine: Engine) -> bool:
+    """Whether the arm carries the guide to where the mandrel is put into the gauge."""
+    workcell = engine.setting.workcell
+    if workcell.tool is not MountedTool.GUIDE:
+        return False
+    gauge_rad = tuple(map(math.radians, workcell.tools.guide.gauge.joints_deg))
+    return stands_at(workcell.joints_rad(), gauge_rad, AT_GAUGE_RAD)
+
+
+def guide_at_divot(engine: Engine) -> bool:
+    """Whether the arm carries the guide with its tip where the divot is raised to it."""
+    workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
+    if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
+        return False
+    away_mm = math.dist(workcell.tool_pose().translation_mm, place.result.ball_mm)
+    return away_mm < HOVER_MM - TIP_KNOWN_MM
+
+
+def surround_calibration(engine: Engine) -> None:
+    """Set the arm's surroundings from the results of a calibration so far, before anything moves."""
+    workcell, surroundings = engine.setting.workcell, engine.setting.surroundings
+    tool = workcell.flange_from_tool
+    place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
+    if workcell.tool is MountedTool.GUIDE:
+        stand = () if place is None else stand_under(place.result.ball_mm)
+        workcell.surround(in_free_room(surroundings, tool, surroundings.guide, stand))
+    elif place is not None:
+        workcell.surround(around_ball(surroundings, tool, place.result.ball_mm, place.result.others_mm))
+    elif found is not None and len(found.result.points_mm):
+        ball_mm, *others_mm = found.result.points_mm
+        workcell.surround(around_ball(surroundings, tool, ball_mm, others_mm))
+    else:
+        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
+
+
+@dataclass(frozen=True)
+class _Led:
+    """The registration by which the guide was led, or would have been."""
+
+    key: StepKey  # of the step that positions the guide
+    robot_from_ct: Transform
+    holds: bool
+
+
+def _led(engine: Engine) -> _Led | None:
+    """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
+    workcell, case = engine.setting.workcell, engine.case
+    if workcell.tool is not MountedTool.GUIDE:
+        return None
+    on = workcell.place.trajectory
+    keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
+    keys = [key for key in keys if on in (None, key.trajectory)]
+    for key in keys:
+        registered = case.find(RegisteredRobot, key.trajectory)
+        if registered is not None and registered.record.identifier not in case.past:
+            return _Led(key, registered.result.robot_from_ct.transform, holds=True)
+    made = [record for record in case.records if record.kind == RegisteredRobot.kind]
+    for record in reversed(made):
+        for key in keys:
+            if record.trajectory in (None, key.trajectory):
+                former = typed(record, RegisteredRobot)
+                return _Led(key, former.robot_from_ct.transform, holds=False)
+    return None

@@ -1,0 +1,105 @@
+"""Anything swapped while a case was left is refused before anything is asked or moved."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import pytest
+from clinical_case import FIRST, ClinicalCell
+from left_operation import left_after, other_arm, other_calibration, other_frame
+from prepared_results import (
+    checked_plan,
+)
+from recording_cell import STEREO_HEAD
+
+from procedures.engine.engine import Engine
+from procedures.engine.errors import RecoveryRefused
+from procedures.runs import comparison
+from procedures.runs.recovery import recover
+
+
+def other_tool(cell: ClinicalCell) -> None:
+    cell.arm.mounted = STEREO_HEAD
+
+
+def other_camera(cell: ClinicalCell) -> None:
+    cell.stereo.serials = ("0", "0")
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize("swap", [other_tool, other_arm, other_calibration, other_frame, other_camera])
+def test_a_swapped_device_or_record_is_refused_and_nothing_is_asked(
+    cell: ClinicalCell, swap: Callable[[ClinicalCell], None]
+) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    swap(again)
+    with pytest.raises(RecoveryRefused, match="PRO-032"):
+        recover(engine, left)
+    assert again.operator.asked == []
+    assert again.arm.motions == []
+
+
+def longer_guide(engine: Engine) -> None:
+    workcell = engine.setting.workcell
+    guide = workcell.tools.guide
+    bore = guide.bore.model_copy(update={"length_mm": guide.bore.length_mm + 20.0})
+    records = {
+        **workcell.tools.records,
+        "guide": workcell.tools.records["guide"].model_copy(update={"bore": bore}),
+    }
+    workcell.tools = replace(workcell.tools, records=records)
+
+
+def other_flange(engine: Engine) -> None:
+    engine.setting.workcell.tools = replace(engine.setting.workcell.tools, flange="another flange")
+
+
+def no_bodies(engine: Engine) -> None:
+    cell = engine.setting.surroundings.model_copy(update={"bodies": ()})
+    engine.setting = replace(engine.setting, surroundings=cell)
+
+
+def other_settings(engine: Engine) -> None:
+    settings = engine.setting.settings.model_copy(update={"approach_mm": 12.0})
+    engine.setting = replace(engine.setting, settings=settings)
+
+
+@pytest.mark.hazard(2)
+@pytest.mark.parametrize(
+    ("change", "reported"),
+    [
+        (longer_guide, r"tool record guide: recorded bore\.length_mm 8.*, found bore\.length_mm 10"),
+        (other_flange, "flange: recorded '.*', found 'another flange'"),
+        (no_bodies, "cell: recorded bodies 12 entries, found bodies 0 entries"),
+        (other_settings, r"settings of the procedure: recorded approach_mm 60\.0, found approach_mm 12\.0"),
+    ],
+)
+def test_a_changed_theatre_file_is_refused_with_its_differences_and_nothing_is_asked(
+    cell: ClinicalCell, change: Callable[[Engine], None], reported: str
+) -> None:
+    again, engine, left = left_after(cell, "tool_check")
+    change(engine)
+    with pytest.raises(RecoveryRefused, match=reported):
+        recover(engine, left)
+    assert again.operator.asked == []
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(2)
+def test_an_arm_moved_with_the_guide_in_front_of_an_entry_is_refused(cell: ClinicalCell) -> None:
+    again, engine, left = left_after(cell, f"positioning:{FIRST}")
+    A1, *others = again.arm.joints_rad
+    again.arm.joints_rad = (A1 + 0.02, *others)  # type: ignore[assignment]
+    with pytest.raises(RecoveryRefused, match="guide"):
+        recover(engine, left)
+    assert again.arm.motions == []
+
+
+@pytest.mark.hazard(1)
+def test_a_changed_plan_is_refused(cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch) -> None:
+    again, engine, left = left_after(cell, "tool_change")
+    monkeypatch.setattr(comparison, "read_plan", lambda _path: checked_plan(margin_mm=9.0).plan)
+    with pytest.raises(RecoveryRefused, match="plan"):
+        recover(engine, left)
+    assert again.arm.motions == []

@@ -1,0 +1,184 @@
+"""An operator scripted by a file: valid answers are used, invalid ones are refused before anything starts."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import cast
+
+import pytest
+from recording_cell import mini_theatre_file
+
+from procedures.engine.errors import AnswersUnfit
+from procedures.operator.question import Question, ReadBack, Topic
+from procedures.runs.answers import AnsweringOperator, Answers, operator_selection, read_answers
+from procedures.runs.interrupted_run import InterruptedRun, Resumption
+from procedures.runs.lifecycle import RunObservers
+from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.steps.catalogue import ANSWER_WORDS
+
+APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
+
+
+class Person:
+    def ask(self, question: Question) -> str:
+        return "person"
+
+
+def answered(question: Question, **content: object) -> str:
+    return AnsweringOperator(Answers.model_validate(content), Person()).ask(question)
+
+
+def test_an_answer_for_one_trajectory_takes_precedence_over_the_general_one() -> None:
+    assert answered(APPROACH, answers={"approach:T1": "no", "approach": "yes"}) == "no"
+    assert answered(APPROACH, answers={"approach:T2": "no", "approach": "yes"}) == "yes"
+
+
+@pytest.mark.parametrize(("default", "answer"), [("first", "yes"), ("silence", "no"), (None, "person")])
+def test_an_unlisted_question_is_answered_by_the_default_of_the_file(
+    default: str | None, answer: str
+) -> None:
+    assert answered(APPROACH, default=default) == answer
+
+
+@pytest.mark.parametrize(
+    ("text", "named"),
+    [
+        ("[answers]\nlunch = 'yes'", "lunch"),
+        ("[answers]\napproach = 'perhaps'", "perhaps"),
+        ("[answers]\n'approach:T1' = 'Y'", "yes or no"),
+        ("[answers]\napproach = true", "answers.approach"),
+        ("default = 'second'", "default"),
+        ("colour = 'green'", "colour"),
+        ("schema = 1\n[[trajectories]]\nid = 'T1'", r"answers\.toml is a plan, not a file of answers; exp"),
+        ("schema = 1\ntheatre = 'lab'", r"answers\.toml is a theatre file, not a file of answers; exp"),
+        ("[answers", "TOML"),
+        ("\xff\xfe", "TOML"),
+    ],
+)
+def test_invalid_answers_are_refused_and_named(tmp_path: Path, text: str, named: str) -> None:
+    path = tmp_path / "answers.toml"
+    path.write_bytes(text.encode("latin-1"))
+    with pytest.raises(AnswersUnfit, match=named):
+        read_answers(path)
+
+
+def test_a_trajectory_that_is_not_in_the_plan_is_refused() -> None:
+    answers = Answers(answers={"approach:T9": "no"})
+    with pytest.raises(AnswersUnfit, match="approach:T9"):
+        answers.check_trajectories(("T1", "T2"))
+
+
+def test_every_topic_has_its_words() -> None:
+    assert set(ANSWER_WORDS) == set(Topic)
+
+
+@pytest.mark.hazard(36)
+def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
+    moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
+    patient = replace(moves, topic=Topic.PATIENT)
+    operator = AnsweringOperator(Answers(default="first", answers={"patient": "yes"}), Person(), Person())
+    assert [operator.ask(question) for question in (moves, patient)] == ["person", "person"]
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize("default", ["first", "silence"])
+@pytest.mark.parametrize(
+    "topic", [Topic.RESUME, Topic.INSTRUMENT_OUT, Topic.PAUSE, Topic.HEAD_UNSEEN, Topic.DRILL]
+)
+def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: Topic, default: str) -> None:
+    answers = Answers.model_validate({"default": default, "answers": {str(topic): "yes"}})
+    question = Question(topic, "go on", "the arm moves")
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(question) == "person"
+    tool = Question(Topic.TOOL_CHANGE, "mount the guide", "tool 2")
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(tool) != "person"
+
+
+@pytest.mark.hazard(36)
+def test_a_pause_on_real_devices_is_answered_where_it_is_asked_without_a_file(tmp_path: Path) -> None:
+    request = RunRequest(
+        procedure=CaseProcedure(case=tmp_path), config=mini_theatre_file(tmp_path, simulated=False)
+    )
+    operator = operator_selection(
+        replace(request, answers=Answers(default="first")), RunObservers(at_pause=Person())
+    )
+    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "person"
+
+
+@pytest.mark.hazard(36)
+def test_a_file_for_real_devices_that_answers_for_the_person_is_refused_when_it_is_read(
+    tmp_path: Path,
+) -> None:
+    path = tmp_path / "answers.toml"
+    path.write_text("[answers]\ntool_change = 'yes'\n'instrument_out:T1' = 'out'\nresume = 'yes'\n")
+    with pytest.raises(AnswersUnfit, match="only a person answers instrument_out:T1, resume"):
+        read_answers(path, mini_theatre_file(tmp_path, simulated=False))
+    assert len(read_answers(path, mini_theatre_file(tmp_path, simulated=True)).answers) == 3
+    assert len(read_answers(path).answers) == 3
+
+
+@pytest.mark.hazard(36)
+@pytest.mark.parametrize(("simulated", "answer"), [(True, "yes"), (False, "no")])
+def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool, answer: str) -> None:
+    path = mini_theatre_file(tmp_path, simulated=simulated)
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
+    moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
+    assert (
+        operator_selection(replace(request, answers=Answers(default="first")), RunObservers()).ask(moves)
+        == answer
+    )
+
+
+@pytest.mark.parametrize("by_file", [None, Answers(default="silence"), Answers(answers={"resume": "no"})])
+@pytest.mark.parametrize(("accepted", "answers"), [(True, ["yes", "no"]), (False, ["no", "no"])])
+def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file(
+    tmp_path: Path, accepted: bool, answers: list[str], by_file: Answers | None
+) -> None:
+    path = mini_theatre_file(tmp_path, simulated=True)
+    left = cast(InterruptedRun, None)  # not looked at
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
+    operator = operator_selection(
+        replace(request, answers=by_file), RunObservers(), Resumption(left, accepted)
+    )
+    findings = Question(Topic.RESUME, "resume the case", "no differences")
+    assert [operator.ask(question) for question in (findings, APPROACH)] == answers
+
+
+@pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
+def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
+) -> None:
+    """Whoever sits at this terminal says nothing."""
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    operator = operator_selection(RunRequest(procedure=CaseProcedure()), RunObservers())
+    assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
+
+
+@pytest.mark.parametrize(("at_terminal", "said"), [(True, ""), (False, "nobody can answer")])
+def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answer(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    capsys: pytest.CaptureFixture[str],
+    at_terminal: bool,
+    said: str,
+) -> None:
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    operator_selection(
+        RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml"),
+        RunObservers(),
+        None,
+    )
+    error = capsys.readouterr().err
+    assert said in error if said else error == ""
+
+
+def test_acknowledging_does_not_warn_that_nobody_can_answer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: False)
+    request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml")
+    left = cast(InterruptedRun, None)  # not looked at
+    operator_selection(
+        request, RunObservers(), Resumption(left, accepted=False, only_leaving=True, asks=False)
+    )
+    assert capsys.readouterr().err == ""

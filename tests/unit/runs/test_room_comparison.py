@@ -1,0 +1,118 @@
+"""Head and robot base after a restart, compared with the record as a step compares them at rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+from clinical_case import ClinicalCell, SeeingTracker
+from prepared_results import coarse
+from recording_cell import HOME
+
+from procedures.engine.engine import Engine
+from procedures.runs.comparison import Comparison, compare_room
+from procedures.workcell import MountedTool
+from ronna_hw.devices.readings import TrackerFrame, Validity
+
+pytestmark = pytest.mark.hazard(2)
+
+
+@pytest.fixture
+def cell(tmp_path: Path) -> ClinicalCell:
+    return ClinicalCell(tmp_path / "run").carrying(MountedTool.STEREO_HEAD)
+
+
+def localized(cell: ClinicalCell, count: int = 2) -> Engine:
+    engine = cell.begin(*coarse()[:count])
+    engine.run_to()
+    return engine
+
+
+def compared(engine: Engine) -> tuple[bool, Comparison]:
+    comparison = Comparison()
+    return compare_room(engine, comparison), comparison
+
+
+@pytest.mark.parametrize("count", [1, 2])  # results that stand: the localization, and what is matched
+def test_an_unchanged_room_is_reported_with_its_figures(cell: ClinicalCell, count: int) -> None:
+    seen, comparison = compared(localized(cell, count))
+    assert seen
+    assert comparison.differences == []
+    assert comparison.findings == [
+        "patient: spheres within 0.00 mm of their recorded positions",
+        "robot base: the frame on the arm within 0.00 mm of its recorded position",
+    ]
+    assert cell.tracker.calls == ["activate", "deactivate"]
+
+
+def move_head(by_mm: float) -> Callable[[SeeingTracker], None]:
+    def move(tracker: SeeingTracker) -> None:
+        tracker.spheres_mm = tracker.spheres_mm + np.array([by_mm, 0.0, 0.0])
+
+    return move
+
+
+def move_frame(tracker: SeeingTracker) -> None:
+    tracker.frame_shift_mm = (1.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("move", "said"),
+    [
+        (move_head(0.35), "the head has moved"),
+        (move_head(30.0), "the head has moved"),  # no sphere is near its place: known by their layout
+        (move_frame, "the cart of the robot was moved by 1.00 mm"),
+    ],
+)
+def test_a_change_that_a_step_would_refuse_is_a_difference(
+    cell: ClinicalCell, move: Callable[[SeeingTracker], None], said: str
+) -> None:
+    engine = localized(cell)
+    move(cell.tracker)
+    seen, comparison = compared(engine)
+    assert seen
+    assert len(comparison.differences) == 1
+    assert said in comparison.differences[0]
+
+
+def test_two_spheres_are_too_few_for_a_comparison(cell: ClinicalCell) -> None:
+    engine = localized(cell)
+    cell.tracker.spheres_mm = cell.tracker.spheres_mm[:2]
+    seen, comparison = compared(engine)
+    assert not seen
+    assert comparison.differences == []
+
+
+class WithoutFrame(SeeingTracker):
+    """Something stands between tracker and frame."""
+
+    def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
+        frame = super().read_frame(timeout_s)
+        lost = replace(frame.tools[0], validity=Validity.MISSING)
+        return replace(frame, tools=(lost, *frame.tools[1:]))
+
+
+def test_the_frame_on_the_arm_must_be_seen_when_the_arm_is_home(cell: ClinicalCell) -> None:
+    engine = localized(cell)
+    cell.opened.replace_tracker(WithoutFrame("tracker", state=cell.tracker.state, cell=cell))
+    _, comparison = compared(engine)
+    assert "the tracker does not see it" in comparison.differences[0]
+
+
+def test_the_base_is_not_compared_while_the_arm_is_away_from_home(cell: ClinicalCell) -> None:
+    engine = localized(cell)
+    cell.arm.joints_rad = HOME
+    cell.tracker.frame_shift_mm = (3.0, 0.0, 0.0)
+    _, comparison = compared(engine)
+    assert comparison.differences == []
+    assert "robot base: not compared in this pose" in comparison.findings
+
+
+def test_nothing_is_compared_before_the_localization(cell: ClinicalCell) -> None:
+    seen, comparison = compared(cell.begin(*coarse()))
+    assert seen
+    assert comparison.differences == []
+    assert cell.tracker.frames_read == 0
