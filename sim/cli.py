@@ -2,6 +2,10 @@
 
 from __future__ import annotations
 
+import ronna_hw.command_line.early_interruption
+import ronna_hw.host.process  # noqa: F401 - first of all: a parent that dies during the imports is still noticed
+
+# isort: split
 import typer
 
 from ronna_hw.command_line.terminal import run

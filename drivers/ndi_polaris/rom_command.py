@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import ronna_hw.command_line.early_interruption  # noqa: F401 - first of all: imports can be interrupted
+
+# isort: split
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 

@@ -10,10 +10,6 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.planning.errors import WrongSeries
-from procedures.planning.head_in_ct import head_shape
-from procedures.planning.marker_sites import head_of_scene, propose_markers
-from procedures.planning.plan_file import read_plan
-from procedures.reporting.pictures import marker_picture
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
@@ -153,6 +149,13 @@ def propose(
 
     Raises PLAN-001 to PLAN-003, PLAN-014, PLAN-016, PLAN-021, and errors of reading the series.
     """
+    import tomli_w
+
+    from procedures.planning.head_in_ct import head_shape
+    from procedures.planning.marker_sites import head_of_scene, propose_markers
+    from procedures.planning.plan_file import read_plan
+    from procedures.reporting.pictures import marker_picture
+
     picture = out.with_suffix(".png")
     require_one_head(series_dir, scene)
     require_new(out, picture)
@@ -172,8 +175,6 @@ def propose(
             )
         head = head_shape(volume)
     found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)
-    import tomli_w
-
     write_whole(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
     write_whole(picture, marker_picture(found, head, trajectories))
     if as_json:

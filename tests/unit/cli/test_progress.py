@@ -10,7 +10,7 @@ import pytest
 from rich.console import Console
 
 from procedures.cli.calibrating import calibration
-from ronna_hw.command_line import progress
+from ronna_hw.command_line import messages
 
 
 @pytest.fixture
@@ -23,9 +23,9 @@ def terminal(monkeypatch: pytest.MonkeyPatch, now: SimpleNamespace) -> StringIO:
     """What a terminal was sent."""
     sent = StringIO()
     console = Console(file=sent, force_terminal=True, width=100)
-    monkeypatch.setattr(progress, "message_console", lambda: console)
-    monkeypatch.setattr(progress, "on_terminal", lambda _stream: True)
-    monkeypatch.setattr(progress, "time", SimpleNamespace(monotonic=lambda: now.s))
+    monkeypatch.setattr(messages, "message_console", lambda: console)
+    monkeypatch.setattr(messages, "on_terminal", lambda _stream: True)
+    monkeypatch.setattr(messages, "time", SimpleNamespace(monotonic=lambda: now.s))
     return sent
 
 
@@ -33,7 +33,7 @@ def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
     monkeypatch: pytest.MonkeyPatch, terminal: StringIO, now: SimpleNamespace
 ) -> None:
     monkeypatch.setattr(calibration, "terminal_observers", lambda asking, _opened: asking)
-    with progress.progress_bar("looking") as bar:
+    with messages.progress_bar("looking") as bar:
         asking: Any = calibration.bar_observers(bar)
         now.s += 3.0
         bar(0.1)
@@ -51,7 +51,7 @@ def test_the_bar_and_clock_of_a_calibration_pause_while_a_question_is_open(
 
 
 def test_a_bar_not_yet_shown_stays_hidden_during_a_question(terminal: StringIO, now: SimpleNamespace) -> None:
-    with progress.progress_bar("looking") as bar:
+    with messages.progress_bar("looking") as bar:
         with bar.hidden():
             now.s += 60.0
             bar(0.5)
