@@ -32,11 +32,12 @@ from conformance.device_cases import (
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import ArmReading, JointVector, Validity
+from ronna_hw.devices.readings import ArmReading, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, OperatingMode, RobotArm, StopKind
 from ronna_hw.errors import LimitError, RonnaError, StateError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
 from ronna_hw.registry import make_device
+from ronna_hw.vectors import JointVector
 
 HOLDING_S = 0.2  # theatre time for which an arm with zero corrections is observed
 STANDS_STILL_RAD = radians(0.001)  # ten of the last digits of the usual wire

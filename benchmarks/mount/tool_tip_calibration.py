@@ -31,9 +31,9 @@ from procedures.calibration.tip_calibration import (
     tips_of,
 )
 from procedures.strategies.trajectory import tool_orientation
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_of
 from sim.world.staff import read_dials

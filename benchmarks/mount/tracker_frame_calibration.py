@@ -34,9 +34,9 @@ from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.config import Calibrations, parse_theatre
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.polaris import SystemStatus
 from sim.polaris.measurement.frame import Measurer
 from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID

@@ -18,9 +18,9 @@ from drivers.kuka_rsi.realtime.link_state import CommandKind, Phase, Result
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_context import load_context
 from sim.world.process import end_with_parent
 

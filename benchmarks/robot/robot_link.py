@@ -20,7 +20,7 @@ from statistics import median
 from benchmarks.figures import Figure, compared, contest, family_cpu_s, process_cpu_s
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
 from drivers.kuka_rsi.errors import RecordedCycle
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 ETHERNET_FILE = (
     Path(__file__).parents[2] / "drivers" / "kuka_rsi" / "controller" / "files" / "ronna_rsi_eth.xml"

@@ -22,8 +22,8 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.config import parse_theatre
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene

@@ -35,9 +35,10 @@ from ronna_hw.calibration import STEREO_HEAD_NUMBER, StereoHeadCalibration
 from ronna_hw.clock import HostClock
 from ronna_hw.config import parse_theatre
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import AreaOfInterest, CameraImage, JointVector, Stamp, StereoReading, Validity
+from ronna_hw.devices.readings import AreaOfInterest, CameraImage, Stamp, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 from sim.basler.camera.photographer import Photographer
 from sim.basler.settings import Settings
 from sim.world.displacements import spheres_in_theatre

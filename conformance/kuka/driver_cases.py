@@ -20,11 +20,11 @@ from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
 from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, start_moving, turn_last_axis
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.registry import make_device
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_context import load_context
 
 TAPPED_PORT = 1  # of this process' loopback endpoints; the simulated controller sends to 0

@@ -35,10 +35,11 @@ from ronna_hw.devices.lifecycle import (
     activated,
     require_person,
 )
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import (
     ConfigurationError,
     ConnectError,
@@ -16,6 +15,7 @@ from ronna_hw.errors import (
     RefusedError,
     StateError,
 )
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
 

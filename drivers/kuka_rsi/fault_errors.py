@@ -34,8 +34,8 @@ from drivers.kuka_rsi.realtime.link_state import (
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import Violation, ViolationKind
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import OperationMode
 
 FILE_NAME = "flight-record-{arm}.txt"

@@ -26,8 +26,8 @@ from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.process import children_uninterrupted, describe_exit
+from ronna_hw.vectors import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05

@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, LinkSt
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 LARGEST_SHIFT_MM = 0.05
 REACH_BEYOND_FLANGE_MM = 150.0  # for a tool: nothing on the arm may move farther than the limit

@@ -19,8 +19,8 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.preview import PathPreview, plan_motion, preview_motion, with_speed_steps
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.devices.robot import Motion, OperatingMode
+from ronna_hw.vectors import JointVector
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion
 SETTLE_LIMIT_S = 5.0  # theatre time at the end of the path; servos settle within a tenth of a second

@@ -45,9 +45,10 @@ from ronna_hw.devices.lifecycle import (
     activated,
     require_person,
 )
-from ronna_hw.devices.readings import TrackerFrame, Vector3
+from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import Vector3
 from ronna_hw.wire.polaris import COMM_DEFAULT_ARGUMENT
 
 CLOSE_LIMIT_S = 1.5  # for all closing commands together, whether the unit replies or not

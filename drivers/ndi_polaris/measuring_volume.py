@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
 from drivers.ndi_polaris.unit import parameter_or, whole_number
-from ronna_hw.devices.readings import Vector3
+from ronna_hw.vectors import Vector3
 from ronna_hw.wire.polaris import (
     LF,
     PARAMETER_SELECTED_VOLUME,

@@ -12,15 +12,8 @@ from drivers.ndi_polaris.errors import MalformedReply
 from drivers.ndi_polaris.measuring_volume import MeasuringVolume
 from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import DOUBTFUL_STATUS
-from ronna_hw.devices.readings import (
-    Quaternion,
-    Stamp,
-    StrayReading,
-    ToolReading,
-    TrackerFrame,
-    Validity,
-    Vector3,
-)
+from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
+from ronna_hw.vectors import Quaternion, Vector3
 from ronna_hw.wire.polaris import (
     LF,
     MAXIMUM_STRAYS,

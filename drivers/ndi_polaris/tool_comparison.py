@@ -10,7 +10,7 @@ from typing import Any
 
 from drivers.ndi_polaris.errors import SameGeometry
 from drivers.ndi_polaris.tool_definition import FIELDS, ToolDefinition, decode_definition, encode_definition
-from ronna_hw.devices.readings import Vector3
+from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 # Segments closer in length than this may be confused: "a few mm" by the guide; NDI's own tools keep 5 mm.

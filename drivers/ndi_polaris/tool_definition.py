@@ -17,7 +17,7 @@ from typing import Any
 
 from drivers.ndi_polaris.errors import BadToolFile
 from ronna_hw.bounded_input import InputRefused, read_bounded
-from ronna_hw.devices.readings import Vector3
+from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 Bits = tuple[int, int]  # lowest bit, number of bits

@@ -21,9 +21,9 @@ from drivers.ndi_polaris.errors import BadToolFile
 from drivers.ndi_polaris.tool_definition import ToolDefinition, face_normal_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
-from ronna_hw.devices.readings import Vector3
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import counted
+from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
 MAIN_TYPES = {

@@ -32,10 +32,11 @@ from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Surroundings
 from ronna_hw.arm.clearance.live_watch import body_segments
 from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
-from ronna_hw.devices.readings import ArmReading, JointVector, StampedReading
+from ronna_hw.devices.readings import ArmReading, StampedReading
 from ronna_hw.devices.sensors import BoundedTracker
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame
+from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine

@@ -21,8 +21,8 @@ from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.sweep import moving_ends, segment_distances
 from ronna_hw.arm.kinematics import ArmBodies
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 

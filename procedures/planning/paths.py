@@ -31,9 +31,9 @@ from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 
 def check_paths(

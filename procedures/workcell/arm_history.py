@@ -17,8 +17,8 @@ from procedures.workcell.errors import InstrumentInGuide
 from procedures.workcell.motions import MotionKind
 from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.vectors import JointVector
 
 # Places kept for the way back; without the first ones it could end where the way home is not clear. A
 # localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5 spheres each made

@@ -21,9 +21,9 @@ from ronna_hw.arm.clearance.bodies import ArmRadii, Capsule, Obstacle, Part, Spe
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import PoseRecord
 from ronna_hw.collision_config import BodyFrame, CollisionConfig, ToolBody
-from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]
 

@@ -18,9 +18,9 @@ from procedures.workcell.device_views import ArmView
 from procedures.workcell.errors import SphereNotFound
 from procedures.workcell.stereo_look import Look
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
     from procedures.workcell.workcell import Workcell

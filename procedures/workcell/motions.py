@@ -17,7 +17,7 @@ from procedures.workcell.arm_place import Insertion
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 
 class MotionKind(StrEnum):

@@ -13,9 +13,9 @@ from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
 from ronna_hw.config import Calibrations
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 # Side from which each joint arrives, +1 or -1: known backlash is then compensated. None: unknown.
 Sides = Sequence[int] | None

@@ -17,9 +17,10 @@ from procedures.workcell.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.devices import OpticalTracker
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector, Quaternion, StrayReading, TrackerFrame, Validity, Vector3
+from ronna_hw.devices.readings import StrayReading, TrackerFrame, Validity
 from ronna_hw.errors import LinkTimeout, ProtocolError
 from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.vectors import JointVector, Quaternion, Vector3
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
 ALIKE_MM = 0.05  # between a loaded definition and the frame: definitions have two decimals

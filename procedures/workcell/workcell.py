@@ -29,10 +29,11 @@ from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import RUNNING, Device, Lifecycle
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics
+from ronna_hw.devices.readings import ArmReading, LinkStatistics
 from ronna_hw.frames import Transform
 from ronna_hw.theatre import Theatre
 from ronna_hw.theatre_kind import require_one_kind
+from ronna_hw.vectors import JointVector
 
 D = TypeVar("D")
 

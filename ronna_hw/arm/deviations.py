@@ -26,8 +26,8 @@ from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kinematics import Chain, Kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import ArmCalibration
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 HARMONICS = (1, 2)  # per turn of a joint

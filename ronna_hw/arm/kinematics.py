@@ -10,7 +10,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, NamedTuple, NewType, Protocol
 
 from ronna_hw.arm.pose import Pose, Rotation9
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 if TYPE_CHECKING:
     import numpy as np

@@ -13,7 +13,7 @@ from math import radians
 from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation, ViolationKind
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk

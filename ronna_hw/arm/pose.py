@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from math import degrees, radians
 from typing import TYPE_CHECKING, NamedTuple, Self
 
-from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
+from ronna_hw.vectors import JointVector, Quaternion, Vector3
 
 if TYPE_CHECKING:
     from ronna_hw.frames import Transform

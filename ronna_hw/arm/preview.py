@@ -21,9 +21,9 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_states
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.devices.robot import JointMove, Motion
 from ronna_hw.frames import Frame, FrameMismatch, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its sampling

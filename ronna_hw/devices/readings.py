@@ -11,6 +11,7 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, ClassVar, Protocol, runtime_checkable
 
 from ronna_hw.devices.errors import NoPose, UnknownTool
+from ronna_hw.vectors import JointVector, Quaternion, Vector3
 
 # The robot's real-time process imports this: NumPy would be a third of its start and of its memory.
 if TYPE_CHECKING:
@@ -18,10 +19,6 @@ if TYPE_CHECKING:
     from numpy.typing import NDArray
 
     from ronna_hw.frames import Frame, Transform
-
-Vector3 = tuple[float, float, float]
-Quaternion = tuple[float, float, float, float]  # scalar first, unit
-JointVector = tuple[float, float, float, float, float, float]  # from the base outwards, radians
 
 
 class Validity(StrEnum):

@@ -7,7 +7,8 @@ from enum import StrEnum
 from typing import TYPE_CHECKING, Protocol, runtime_checkable
 
 from ronna_hw.devices.lifecycle import Device, LastKnown
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
+from ronna_hw.vectors import JointVector
 
 if TYPE_CHECKING:
     from ronna_hw.arm.clearance.bodies import Surroundings

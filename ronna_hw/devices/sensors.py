@@ -9,7 +9,8 @@ from typing import Protocol, runtime_checkable
 
 from ronna_hw.devices.errors import NoNewFrame
 from ronna_hw.devices.lifecycle import Device, LastKnown
-from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFrame, Validity, Vector3
+from ronna_hw.devices.readings import AreaOfInterest, StereoReading, TrackerFrame, Validity
+from ronna_hw.vectors import Vector3
 
 
 @runtime_checkable

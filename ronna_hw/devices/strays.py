@@ -10,8 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.devices.errors import BadStrays
-from ronna_hw.devices.readings import TrackerFrame, Validity, Vector3
+from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.vectors import Vector3
 
 Array = NDArray[np.float64]
 

@@ -40,8 +40,9 @@ from ronna_hw.collision_config import BodyFrame, RoomBody
 from ronna_hw.devices import Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.vectors import JointVector
 
 STOPS = 200
 STOPPED_SHARE = 0.5  # of the motions, until there were enough stops

@@ -30,9 +30,9 @@ from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.devices import JointMove, LineMove
-from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector, Vector3
 
 pytestmark = pytest.mark.hazard(51)
 

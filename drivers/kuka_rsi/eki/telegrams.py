@@ -17,7 +17,7 @@ from xml.etree import ElementTree
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerNotReady, WrongController
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.bounded_input import InputRefused, parse_xml
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import (
     ACK,

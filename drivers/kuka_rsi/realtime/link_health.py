@@ -7,7 +7,8 @@ from math import degrees, log
 
 from drivers.kuka_rsi.realtime.link_state import LinkState
 from drivers.kuka_rsi.realtime.mailbox import HISTOGRAM_BINS
-from ronna_hw.devices.readings import JointVector, LinkStatistics
+from ronna_hw.devices.readings import LinkStatistics
+from ronna_hw.vectors import JointVector
 
 DEGRADED_ABOVE = 3  # lost cycles in one stretch
 STRETCH_CYCLES = 250  # loss-free cycles after which the count of the stretch restarts (1 s at 4 ms)

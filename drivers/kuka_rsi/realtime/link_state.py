@@ -11,8 +11,8 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.host.shared_memory import IPV4_HOST, one_of
+from ronna_hw.vectors import JointVector
 
 VIOLATIONS = ("", *ViolationKind)
 NOTHING_AROUND = Surroundings()

@@ -27,8 +27,8 @@ from ronna_hw.arm.motion.limits import LIMITS_NUMBERS, MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose, Rotation9
-from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.host.shared_memory import ByteRing, MemoryMap, RowCodec
+from ronna_hw.vectors import JointVector, Vector3
 
 HISTOGRAM_BINS = 64
 RECORDER_CYCLES = 256

@@ -36,8 +36,8 @@ from ronna_hw.arm.clearance.live_watch import Violation
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
 
 SETTLE_CYCLES = 10  # consecutive, within the tolerance
 DEGRADED_SPEED = 0.5  # share of the planned speed after losses

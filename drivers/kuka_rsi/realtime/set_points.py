@@ -18,8 +18,8 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
 
 NO_AXES: JointVector = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

@@ -15,7 +15,7 @@ from xml.parsers import expat
 
 from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 FREE_TAG = "FREE"  # reserves a channel and is not on the wire
 KEYWORD_PREFIX = "DEF_"

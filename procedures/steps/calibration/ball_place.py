@@ -25,9 +25,9 @@ from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import Numbers3
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 

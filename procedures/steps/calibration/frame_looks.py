@@ -34,9 +34,9 @@ from procedures.workcell.ball_watcher import in_free_room
 from procedures.workcell.tracker_look import average_pose, frames_at_rest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
+from ronna_hw.vectors import JointVector
 
 SPARE = 1.5  # planned poses for each wanted one: from some the tracker does not see the frame
 RETURN_AFTER = 10  # looks, then one at home to notice any move

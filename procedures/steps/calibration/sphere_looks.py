@@ -41,9 +41,9 @@ from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.ball_watcher import BallWatcher, around_ball
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame
+from ronna_hw.vectors import JointVector
 
 MOST_SPHERES = 6  # more add travel and little information
 CANDIDATES = 60  # planned looks of each sphere, of which the most telling are taken

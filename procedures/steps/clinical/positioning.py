@@ -37,9 +37,9 @@ from procedures.strategies.trajectory import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
 from procedures.workcell.arm_place import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 BY_HOME = "home, where the tracker sees head and arm, then "
 UNWATCHED = "; the arm is expected to hide the head from the tracker there"

@@ -27,8 +27,8 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import ConfirmedTarget, RegisteredRobot, Relocalization
 from procedures.workcell import MountedTool, Workcell
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 

@@ -13,8 +13,8 @@ from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the arm must declare
 

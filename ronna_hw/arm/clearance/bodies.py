@@ -18,7 +18,7 @@ from typing import Any, NamedTuple
 
 from ronna_hw.arm.kinematics import COLUMN_NAME, ArmBodies, ArmPart
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import Vector3
+from ronna_hw.vectors import Vector3
 
 POINT_MM2 = 1e-12  # a segment shorter than a nanometre is a point
 

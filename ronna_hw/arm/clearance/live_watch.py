@@ -15,7 +15,7 @@ from typing import NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Bodies, segment_distance_mm
 from ronna_hw.arm.kinematics import Segment
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 
 class ViolationKind(StrEnum):

@@ -21,7 +21,7 @@ from ronna_hw.arm.clearance.bodies import Bodies, Corridor, Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.planning import JointPath, LinePath, MotionPlan
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 Array = NDArray[np.float64]
 POINT_MM2 = 1e-12

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 
 from ronna_hw.arm.kinematics import COLUMN_NAME, ArmPart, Chain, Joint, Link, Segment
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 if TYPE_CHECKING:
     import numpy as np

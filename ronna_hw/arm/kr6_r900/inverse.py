@@ -15,7 +15,7 @@ from ronna_hw.arm.errors import OutOfJointRange, Singular, Unreachable
 from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, Branch, Solution
 from ronna_hw.arm.kr6_r900.geometry import Dimensions
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 TURN = 2.0 * pi
 SINGULAR_A5_RAD = 1e-7  # below this, rounding decides A4 - A6; joint speed limits how close a path may come

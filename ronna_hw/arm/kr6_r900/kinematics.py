@@ -10,7 +10,7 @@ from ronna_hw.arm.kinematics import Branch, Segment, SingularMeasure, Solution
 from ronna_hw.arm.kr6_r900 import geometry, inverse
 from ronna_hw.arm.kr6_r900.geometry import DIMENSIONS, ArmVariant, Dimensions
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 if TYPE_CHECKING:
     import numpy as np

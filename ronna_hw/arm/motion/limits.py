@@ -9,7 +9,7 @@ from itertools import chain
 
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kinematics import JointRanges
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed, one lost packet is a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations

@@ -14,7 +14,7 @@ from ronna_hw.arm.kinematics import RANGE_SLACK_RAD, JointRanges, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.progress import PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector, Quaternion, Vector3
+from ronna_hw.vectors import JointVector, Quaternion, Vector3
 
 NEARLY_PARALLEL = 0.9999995  # cosine of half a mrad: beyond it slerp divides by almost nothing
 SAMPLE_MM = 0.5  # spacing of the checks along a line

@@ -30,7 +30,7 @@ from ronna_hw.arm.motion.progress import (
     SpeedStep,
     State,
 )
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 RESTING_RAD_S = 1e-9  # anything slower has no direction
 SHARE = 0.99  # of acceleration and jerk, above what plans use: a state estimated from set-points is not exact

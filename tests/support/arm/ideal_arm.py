@@ -17,10 +17,11 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, require_person
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, Stamp, ToolIdentity, Validity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, Stamp, ToolIdentity, Validity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import ConnectError
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 STEPS = 20  # of any motion
 STEP_S = 0.002

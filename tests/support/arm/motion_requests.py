@@ -22,8 +22,8 @@ from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_hi
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.arm.preview import with_speed_steps
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LimitError
+from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004
 MODEL = kr6_r900(ArmVariant.SIXX)

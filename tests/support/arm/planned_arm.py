@@ -16,9 +16,10 @@ from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices import JointMove, LineMove, Motion
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004
 

@@ -24,7 +24,7 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move
 from ronna_hw.arm.pose import radians6
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")
 LIMITS = working_limits(MODEL)

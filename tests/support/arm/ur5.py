@@ -26,8 +26,8 @@ from ronna_hw.arm.kinematics import (
     Solution,
 )
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.devices.readings import JointVector, Vector3
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector, Vector3
 
 A2, A3 = -425.0, -392.25
 D1, D4, D5, D6 = 89.159, 109.15, 94.65, 82.3

@@ -42,8 +42,8 @@ from procedures.strategies.trajectory import Trajectory, back_along_axis, target
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.devices.lifecycle import Identity
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 Array = NDArray[np.float64]
 SERIES = "1.2.826.0.1.3680043.8.498.7"

@@ -35,7 +35,6 @@ from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle
 from ronna_hw.devices.readings import (
     AreaOfInterest,
     ArmReading,
-    JointVector,
     LinkStatistics,
     Stamp,
     ToolIdentity,
@@ -46,6 +45,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.registry import make_device
 from ronna_hw.theatre import DriverOfTable, Theatre
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE, TOUCH
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene

@@ -23,8 +23,8 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.steps.clinical import at_target, positioning
 from procedures.steps.clinical.room import void_moved
 from procedures.workcell import MountedTool
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
+from ronna_hw.vectors import JointVector
 
 
 def voiding(engine: Engine) -> Callable[[RonnaError], None]:

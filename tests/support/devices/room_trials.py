@@ -23,9 +23,9 @@ from procedures.strategies.trajectory import Trajectory, back_along_axis, target
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.config import Calibrations, parse_theatre
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.polaris.unit.model import SPECTRA

@@ -25,8 +25,8 @@ from procedures.registration.movement import LEAST_POINTS, shift_of
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame
+from ronna_hw.vectors import JointVector
 from sim.polaris.measurement.line_of_sight import ArmBody, head_ellipsoid, visible
 from sim.polaris.measurement.optics import eyes_mm
 from sim.world.rigid import apply

@@ -21,10 +21,10 @@ from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
+from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900("kr6_r900_sixx")
 TOOL = Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(0.0, 0.0, 150.0))

@@ -9,7 +9,7 @@ from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import FOLLOWING_RAD, Monitor, MonitorLimits, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 CYCLE_S = 0.004

@@ -19,8 +19,9 @@ from ronna_hw.arm.preview import PathPreview, preview_motion
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
-from ronna_hw.devices.readings import ArmReading, JointVector, LinkStatistics, ToolIdentity
+from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, StopKind
+from ronna_hw.vectors import JointVector
 
 MakeDut = Callable[..., DeviceUnderTest]
 

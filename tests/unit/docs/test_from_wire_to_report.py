@@ -42,9 +42,10 @@ from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction, Passed
-from ronna_hw.devices.readings import ArmReading, JointVector
+from ronna_hw.devices.readings import ArmReading
 from ronna_hw.frames import Frame
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.vectors import JointVector
 
 ROOT = Path(__file__).resolve().parents[3]
 PAGE = ROOT / "docs" / "explanation" / "from-wire-to-report.md"

@@ -58,10 +58,10 @@ from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.steps.clinical.work_progress import DepthStop
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.manifest import closed_files, seal
 from ronna_hw.frames import Frame, Transform
+from ronna_hw.vectors import JointVector
 
 pytestmark = pytest.mark.hazard(50)
 MOVED = BaseShifted("the cart has moved")

@@ -19,9 +19,9 @@ from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
 from procedures.workcell.arm_place import Where
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.evidence.journal_reading import JournalCorrupt
+from ronna_hw.vectors import JointVector
 
 WAY_MM = 60.0
 AWAY: JointVector = (HOME[0] + 0.1, *HOME[1:])

@@ -29,8 +29,8 @@ from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.preview import PathPreview
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004
 WAY_MM = 50.0

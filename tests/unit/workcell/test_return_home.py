@@ -11,8 +11,8 @@ from procedures.workcell.arm_history import ArmHistory
 from procedures.workcell.arm_place import AT_PLACE_RAD
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
+from ronna_hw.vectors import JointVector
 
 HOME, ONE, TWO, THREE = ((A1, -1.5, 1.5, 0.0, 1.5, 0.0) for A1 in (0.0, 0.1, 0.2, 0.3))
 HOMING = [approach_joints(HOME, ONE_SIDE), HOME]

@@ -19,7 +19,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.devices.errors import MotionInterrupted
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 
 def turned(by_rad: float) -> JointVector:

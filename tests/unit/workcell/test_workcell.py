@@ -19,9 +19,9 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device
 from ronna_hw.devices.errors import WrongKind
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.errors import LinkTimeout
 from ronna_hw.frames import Transform
+from ronna_hw.vectors import JointVector
 
 WAY_MM = 60.0
 BELOW_HOME = approach_joints(HOME, ONE_SIDE)  # from where every joint turns onto home

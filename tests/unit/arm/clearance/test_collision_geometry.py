@@ -23,7 +23,7 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
-from ronna_hw.devices.readings import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3
 
 MODEL = kr6_r900(ArmVariant.R900_2)
 CYCLE_S = 0.004

@@ -18,7 +18,7 @@ from ronna_hw.arm.motion.planning import LinePath, MotionPlan, plan_joint_move, 
 from ronna_hw.arm.motion.progress import Bounds, MotionProfiler, State
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, halt, state_from_history
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)

@@ -30,7 +30,7 @@ from drivers.kuka_rsi.realtime.responder import Responder
 from drivers.kuka_rsi.realtime.telegram import Telegram
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import OperationMode
 
 CYCLE_MS = 4

@@ -20,8 +20,8 @@ from procedures.steps.calibration.tip_readings import readings_step, stand_place
 from procedures.workcell import MountedTool
 from procedures.workcell.arm_history import arm_history
 from procedures.workcell.errors import InstrumentInGuide, WrongTool
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.frames import Frame
+from ronna_hw.vectors import JointVector
 
 BALL_MM = (650.0, -200.0, 250.0)
 BESIDE_MM = (0.4, -0.3, 0.6)  # the true tip beside its record, in the tool frame of the head

@@ -36,8 +36,8 @@ from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.evidence.journal_reading import Entry
+from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import GAUGE
 
 Change = Callable[[ClinicalCell], None]

@@ -50,8 +50,8 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
 from ronna_hw.records import BadRecord
+from ronna_hw.vectors import JointVector
 
 HOMING = (approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD)  # every joint arrives from the same side
 SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)

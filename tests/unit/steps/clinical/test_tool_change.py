@@ -16,7 +16,7 @@ from procedures.strategies.strategy import ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.devices.readings import JointVector
+from ronna_hw.vectors import JointVector
 
 WAY_HOME = [approach_joints(HOME_RAD, ONE_SIDE), HOME_RAD]  # every joint arrives from the same side
 
