@@ -328,6 +328,19 @@ class TheatreFile(Strict):
         return self.cell.model_copy(update=own)
 
     @property
+    def addresses(self) -> dict[str, tuple[str, ...]]:
+        """The addresses of each device, by its name."""
+        return {
+            name: (*one.endpoints.values(), *([one.endpoint] if one.endpoint else []))
+            for name, one in self.devices.items()
+        }
+
+    @property
+    def clock_address(self) -> str:
+        """The address of the clock."""
+        return self.clock.endpoint
+
+    @property
     def devices(self) -> dict[str, DeviceConfig]:
         """All devices by the name of their table: `robot.master`, `tracker`, `stereo`, `device.force`."""
         tables = {

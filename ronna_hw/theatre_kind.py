@@ -8,15 +8,24 @@ is in shared memory.
 from __future__ import annotations
 
 import ipaddress
-from typing import TYPE_CHECKING
+from collections.abc import Mapping
+from typing import Protocol
 
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import RefusedError
 
-if TYPE_CHECKING:
-    from ronna_hw.config import TheatreFile
-
 PSEUDO_TERMINALS = "/dev/pts/"
+
+
+class Addresses(Protocol):
+    """What of a theatre tells its kind: the addresses of each device, that of the clock, the banner."""
+
+    @property
+    def addresses(self) -> Mapping[str, tuple[str, ...]]: ...
+    @property
+    def clock_address(self) -> str: ...
+    @property
+    def banner(self) -> str: ...
 
 
 class MixedTheatre(RefusedError):
@@ -45,13 +54,13 @@ def on_this_computer(endpoint: Endpoint) -> bool | None:
     return None if address.is_unspecified else address.is_loopback
 
 
-def is_simulated(theatre: TheatreFile) -> bool:
+def is_simulated(theatre: Addresses) -> bool:
     """Whether everything in it is simulated, as far as addresses tell."""
     simulated, real = _kinds(theatre)
     return bool(simulated) and not real
 
 
-def require_one_kind(theatre: TheatreFile) -> None:
+def require_one_kind(theatre: Addresses) -> None:
     """Raise CFG-004 for mixed simulated and real devices, and for a simulated theatre without a banner."""
     simulated, real = _kinds(theatre)
     if simulated and real:
@@ -67,16 +76,16 @@ def require_one_kind(theatre: TheatreFile) -> None:
         )
 
 
-def _kinds(theatre: TheatreFile) -> tuple[list[str], list[str]]:
+def _kinds(theatre: Addresses) -> tuple[list[str], list[str]]:
     """Simulated and real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
-    for name, device in theatre.devices.items():
-        for address in (*device.endpoints.values(), *([device.endpoint] if device.endpoint else [])):
+    for name, addresses in theatre.addresses.items():
+        for address in addresses:
             here = on_this_computer(parse_endpoint(address))
             if here is not None:
                 (simulated if here else real).append(f"{name} at {address}")
-    clock = theatre.clock.endpoint
+    clock = theatre.clock_address
     if parse_endpoint(clock).scheme == "shm":
         simulated.insert(0, f"the clock at {clock}")
     return simulated, real
