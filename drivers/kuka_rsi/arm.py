@@ -21,7 +21,7 @@ from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.preview import PathPreview
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Fact

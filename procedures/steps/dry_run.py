@@ -29,8 +29,9 @@ from procedures.workcell.motions import facts_from
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import radians6
-from ronna_hw.arm.preview import PathPreview, preview_motion
+from ronna_hw.arm.preview import preview_motion
 from ronna_hw.devices import Motion
 from ronna_hw.vectors import JointVector
 

@@ -15,7 +15,7 @@ from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
 from procedures.workcell.arm_place import Insertion
 from ronna_hw.arm.kinematics import Kinematics
-from ronna_hw.arm.preview import PathPreview
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.vectors import JointVector
 

@@ -7,7 +7,7 @@ of speed. The generator follows them; the monitor does not know them and measure
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from math import isinf
 from typing import Any
 
@@ -15,11 +15,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.clearance.sweep import ARC_FACTOR, Closest, SweptPath, motion_mm, sweep_path
+from ronna_hw.arm.clearance.sweep import ARC_FACTOR, SweptPath, motion_mm, sweep_path
 from ronna_hw.arm.kinematics import Kinematics, SingularMeasure
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep, State, drive_states
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.robot import JointMove, Motion
 from ronna_hw.frames import Frame, FrameMismatch, Transform
@@ -28,46 +29,6 @@ from ronna_hw.vectors import JointVector
 Array = NDArray[np.float64]
 SHARE_OF_CAP = 0.97  # share of a cap used by planning; the rest covers its sampling
 ALIKE = 0.95  # neighbouring speeds within this ratio are merged into one step
-
-
-@dataclass(frozen=True)
-class PathPreview:
-    """A planned path in numbers. Angles in rad, `largest_speed_mm_s` of anything that moves."""
-
-    duration_s: float
-    joint_ranges_rad: tuple[tuple[float, float], ...]
-    closest: Closest | None
-    refused: Closest | None
-    singularity: SingularMeasure
-    largest_joint_speed_share: float  # of the limits of the motion
-    largest_speed_mm_s: float
-    nearest_to_head_mm: float | None
-
-    @property
-    def clear(self) -> bool:
-        """Whether every body keeps its distance from the others."""
-        return self.refused is None
-
-    def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record or for JSON."""
-        closest = self.closest
-        return {
-            "duration_s": self.duration_s,
-            "joint_ranges_rad": [list(limits) for limits in self.joint_ranges_rad],
-            "clear": self.clear,
-            "closest": None
-            if closest is None
-            else {
-                "first": closest.first,
-                "second": closest.second,
-                "distance_mm": closest.distance_mm,
-                "at": closest.fraction,
-            },
-            "singularity": self.singularity._asdict(),
-            "largest_joint_speed_share": self.largest_joint_speed_share,
-            "largest_speed_mm_s": self.largest_speed_mm_s,
-            "nearest_to_head_mm": self.nearest_to_head_mm,
-        }
 
 
 def plan_motion(

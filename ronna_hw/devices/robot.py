@@ -14,7 +14,7 @@ if TYPE_CHECKING:
     from ronna_hw.arm.clearance.bodies import Surroundings
     from ronna_hw.arm.kinematics import Kinematics
     from ronna_hw.arm.motion.limits import MotionLimits
-    from ronna_hw.arm.preview import PathPreview
+    from ronna_hw.arm.path_preview import PathPreview
     from ronna_hw.frames import Transform
 
 

@@ -18,7 +18,7 @@ from pydantic import TypeAdapter
 from pydantic_core import to_jsonable_python
 
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.preview import PathPreview
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.bounded_input import inflate
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame

@@ -12,7 +12,8 @@ from ur5 import Ur5
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
-from ronna_hw.arm.preview import PathPreview, plan_motion, preview_motion
+from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm.preview import plan_motion, preview_motion
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted

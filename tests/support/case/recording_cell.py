@@ -25,8 +25,8 @@ from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import Pose
-from ronna_hw.arm.preview import PathPreview
 from ronna_hw.clock import HostClock
 from ronna_hw.config import Calibrations, ProcedureSettings, TheatreFile, parse_theatre
 from ronna_hw.devices import Motion

@@ -15,7 +15,8 @@ from conformance.case import MOTION, Outcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.preview import PathPreview, preview_motion
+from ronna_hw.arm.path_preview import PathPreview
+from ronna_hw.arm.preview import preview_motion
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle

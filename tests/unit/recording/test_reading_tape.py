@@ -17,7 +17,7 @@ from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import SingularMeasure
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
-from ronna_hw.arm.preview import PathPreview
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.devices import OpticalTracker, RobotArm
 from ronna_hw.devices.lifecycle import Identity, Lifecycle

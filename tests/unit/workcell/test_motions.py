@@ -27,7 +27,7 @@ from ronna_hw.arm.clearance.sweep import sweep
 from ronna_hw.arm.motion.limits import WORKING_LINE_SPEED_MM_S
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.motion.set_points import PathMotion
-from ronna_hw.arm.preview import PathPreview
+from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector

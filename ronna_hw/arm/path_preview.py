@@ -1,0 +1,49 @@
+"""A planned path in numbers, for people, records and JSON; `ronna_hw.arm.preview` makes it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from ronna_hw.arm.clearance.sweep import Closest
+from ronna_hw.arm.kinematics import SingularMeasure
+
+
+@dataclass(frozen=True)
+class PathPreview:
+    """A planned path in numbers. Angles in rad, `largest_speed_mm_s` of anything that moves."""
+
+    duration_s: float
+    joint_ranges_rad: tuple[tuple[float, float], ...]
+    closest: Closest | None
+    refused: Closest | None
+    singularity: SingularMeasure
+    largest_joint_speed_share: float  # of the limits of the motion
+    largest_speed_mm_s: float
+    nearest_to_head_mm: float | None
+
+    @property
+    def clear(self) -> bool:
+        """Whether every body keeps its distance from the others."""
+        return self.refused is None
+
+    def as_payload(self) -> dict[str, Any]:
+        """Plain numbers for a record or for JSON."""
+        closest = self.closest
+        return {
+            "duration_s": self.duration_s,
+            "joint_ranges_rad": [list(limits) for limits in self.joint_ranges_rad],
+            "clear": self.clear,
+            "closest": None
+            if closest is None
+            else {
+                "first": closest.first,
+                "second": closest.second,
+                "distance_mm": closest.distance_mm,
+                "at": closest.fraction,
+            },
+            "singularity": self.singularity._asdict(),
+            "largest_joint_speed_share": self.largest_joint_speed_share,
+            "largest_speed_mm_s": self.largest_speed_mm_s,
+            "nearest_to_head_mm": self.nearest_to_head_mm,
+        }
