@@ -183,7 +183,7 @@ def lineage_text(run: RunFolder) -> str:
 
 
 def lineage_mermaid(run: RunFolder) -> str:
-    """The same as a chart: an arrow from each result to those that were made from it."""
+    """Draw the lineage as a chart: an arrow from each result to those made from it."""
     number = {record.identifier: place for place, record in enumerate(run.records)}
     lines = ["flowchart TD"]
     for record in run.records:

@@ -54,7 +54,7 @@ class RoomReading:
 
     @property
     def careful(self) -> bool:
-        """Whether it averages enough frames (`CAREFUL_FRAMES`) for a look before or after a target."""
+        """True if enough frames (`CAREFUL_FRAMES`) are averaged for a look before or after a target."""
         return self.frames >= CAREFUL_FRAMES
 
     @property

@@ -142,7 +142,7 @@ class SeenUnchanged(Values):
 
     @property
     def unchanged(self) -> bool:
-        """Whether it was seen, and moved by less than is noticeable."""
+        """True if the subject was seen and moved by less than is noticeable."""
         return self.moved_mm is not None and self.moved_mm < self.noticeable_mm and not self.differs
 
     def __str__(self) -> str:

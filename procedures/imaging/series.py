@@ -142,7 +142,7 @@ def _stored_by_library(
             stored = decoder.decode(path)
         else:
             with warnings.catch_warnings():
-                warnings.simplefilter("ignore")
+                warnings.simplefilter("ignore")  # the header was checked before
                 stored = np.asarray(data.pixel_array)
     except InputRefused as problem:
         raise FileDamaged(f"{name} is refused: {problem.summary}") from problem
@@ -164,7 +164,7 @@ def _can_decode(syntax: UID) -> bool:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # about an invalid identifier
             return bool(get_decoder(syntax).is_available)
-    except NotImplementedError:
+    except NotImplementedError:  # raised by pydicom for a syntax that it does not know
         return False
 
 

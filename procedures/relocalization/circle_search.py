@@ -96,7 +96,7 @@ def halved(image: GreyImage, times: int) -> GreyImage:
     """
     factor = 2**times
     height, width = (side // factor * factor for side in image.shape)
-    reduced: GreyImage = np.ascontiguousarray(image[:height, :width])  # type: ignore[assignment]
+    reduced: GreyImage = np.ascontiguousarray(image[:height, :width])  # type: ignore[assignment]  # NumPy widens the dtype
     with _in_this_thread():
         for _ in range(times):
             height, width = height // 2, width // 2

@@ -1,4 +1,4 @@
-"""Where the time of a run went, and the counters of its links, from its journal and log.
+"""Time spent by step and the counters of the links, from a run's journal and log.
 
 Theatre time is that of the procedure; with real devices it is wall-clock time, while a simulated theatre in
 lock-step adds none while the computer works or a script answers. Host time is what the computer took.

@@ -64,7 +64,7 @@ MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next
 
 @dataclass(frozen=True)
 class CalibrationKind(Generic[Looks, Result]):
-    """What a kind of calibration observes, computes from that and keeps.
+    """One kind of calibration: its observations, its fit, and the record it stores.
 
     `observed` takes the looks out of a case whose steps are done, `remarks` what the operator should know of
     them; `in_use` selects the records that its steps work with, given those of the theatre.

@@ -182,7 +182,7 @@ def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
 
 
 def _validation(cause: BaseException | None) -> tuple[str, str] | None:
-    """What a validator expected and what was given instead; None if the value was not validated."""
+    """Return the expected and the given value of a failed validation; None for other errors."""
     errors = getattr(cause, "errors", None)
     if errors is None:
         return None

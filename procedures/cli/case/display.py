@@ -239,7 +239,7 @@ def follow(
             _operated(shown, folder, console, waits=waits) as observers,
         ):
             outcome = run(observers)
-    except BaseException as problem:
+    except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
         if as_json:
             ended = unfinished(request, folder, problem)
             report = final.report and str(final.report)

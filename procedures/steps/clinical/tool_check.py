@@ -135,7 +135,7 @@ class GuideOnGauge:
 
     @property
     def differs(self) -> bool:
-        """Whether it is off its calibrated pose by a noticeable amount: bent or badly seated."""
+        """True if the guide is noticeably off its calibrated pose: bent or badly seated."""
         return self.off_mm > GUIDE_NOTICEABLE_MM or self.tilt_deg > TILT_LIMIT_DEG
 
 

@@ -58,7 +58,7 @@ class Violation(NamedTuple):
 
     @property
     def of_axis(self) -> bool:
-        """Whether it concerns an axis rather than bodies."""
+        """True if an axis is at fault rather than two bodies."""
         return self.kind not in _BODY_UNITS
 
     def in_units(self, value: float) -> str:
