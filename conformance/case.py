@@ -7,12 +7,10 @@ from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Protocol, TypeVar
+from typing import Protocol, TypeVar
 
+from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import NoSuchCase
-
-if TYPE_CHECKING:
-    from conformance.device_under_test import DeviceUnderTest
 
 
 @dataclass(frozen=True)
@@ -48,7 +46,7 @@ class Nonconformity(AssertionError):
     """Raised by a case when the device behaves differently."""
 
 
-Run = Callable[["DeviceUnderTest"], object]
+Run = Callable[[DeviceUnderTest], object]
 E = TypeVar("E", bound=Exception)
 S = TypeVar("S")
 Decorator = Callable[[Callable[[S], object]], Callable[[S], object]]

@@ -57,8 +57,8 @@ def conformance(
     json: JsonOption = False,
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
-    from conformance.device_under_test import Choice, device_under_test, resolve
     from conformance.report import run_suite
+    from conformance.target import Choice, device_under_test, resolve
     from ronna_hw.records import write_whole
 
     if report_file is not None:

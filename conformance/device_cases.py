@@ -7,6 +7,7 @@ refusals, closing.
 from __future__ import annotations
 
 import math
+import socket
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -79,13 +80,32 @@ def fails_to_connect(device: Device, limit_s: float) -> None:
     check(bool(error.code and error.advice), "an error with code and advice", error)
 
 
+def fails_to_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
+    """Check `fails_to_connect` with every address of the driver replaced by one without a device."""
+    with socket.create_server(("127.0.0.1", 0)) as free:
+        nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
+    endpoint = dut.config.endpoint
+    if endpoint is not None:
+        changes: dict[str, Any] = {
+            "endpoint": "serial:///dev/no-such-port" if endpoint.startswith("serial:") else nowhere
+        }
+    else:
+        changes = {
+            "endpoints": {
+                name: nowhere if address.startswith("tcp:") else address
+                for name, address in dut.config.endpoints.items()
+            }
+        }
+    fails_to_connect(dut.make(**changes), limit_s)
+
+
 def refuses_unknown_options(dut: DeviceUnderTest) -> None:
     """Check that the constructor refuses an unknown option."""
     options = {**dut.config.options, "no_such_option": 1}
     refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")
 
 
-LOOK_LIMIT_S = 1.0  # observing takes microseconds; the rest is for a busy computer
+OBSERVE_LIMIT_S = 1.0  # observing takes microseconds; the rest is for a busy computer
 READINGS = 3
 
 
@@ -102,15 +122,18 @@ class DeviceCases:
 
     def numbered(self, letter: str, first: int) -> list[Case]:
         """The cases with consecutive numbers, such as T23 and on."""
-        statements = {
-            "a block makes a disconnected device active and leaves it configured": self.active_block,
-            "a block left by an exception deactivates the device and lets the exception through": self.left,
-            "observing works in every state, from any thread, and changes nothing": self.observed,
-            "the driver's probe recognizes the device and disconnects": self.probed,
-        }
+        runs = (
+            ("a block makes a disconnected device active and leaves it configured", self.active_block),
+            (
+                "a block left by an exception deactivates the device and lets the exception through",
+                self.interruption,
+            ),
+            ("observing works in every state, from any thread, and changes nothing", self.observation),
+            ("the driver's probe recognizes the device and disconnects", self.probe),
+        )
         return [
             Case(f"{letter}{number:02d}", statement, (), run)
-            for number, (statement, run) in enumerate(statements.items(), first)
+            for number, (statement, run) in enumerate(runs, first)
         ]
 
     def active_block(self, dut: DeviceUnderTest) -> None:
@@ -122,22 +145,22 @@ class DeviceCases:
                 self.read(device)
             check(device.state is Lifecycle.CONFIGURED, "state configured after the block", device.state)
 
-    def left(self, dut: DeviceUnderTest) -> None:
+    def interruption(self, dut: DeviceUnderTest) -> None:
         device = dut.make()
-        left_at_s = math.inf
+        raised_at_s = math.inf
         try:
             with device.active():
                 self.read(device)
-                left_at_s = time.monotonic()
+                raised_at_s = time.monotonic()
                 raise Interruption
         except Interruption:
-            took_s = time.monotonic() - left_at_s
+            took_s = time.monotonic() - raised_at_s
         else:
             raise Nonconformity("expected the exception raised in the block, got none: it was swallowed")
         check(took_s < self.limit_s, f"an end within {self.limit_s:g} s", f"{took_s:.1f} s")
         check(device.state is Lifecycle.CONFIGURED, "state configured after the exception", device.state)
 
-    def observed(self, dut: DeviceUnderTest) -> None:
+    def observation(self, dut: DeviceUnderTest) -> None:
         device = dut.make()
         observe(device, Lifecycle.DISCONNECTED)
         for call, state in (
@@ -156,7 +179,7 @@ class DeviceCases:
         device.close()
         observe(device, Lifecycle.CLOSED)
 
-    def probed(self, dut: DeviceUnderTest) -> None:
+    def probe(self, dut: DeviceUnderTest) -> None:
         identity = dut.make().connect()
         dut.release()
         shares: list[float] = []
@@ -178,8 +201,8 @@ def observe(device: Device, state: Lifecycle) -> LastKnown[object]:
     fault, seen = device.fault, list[LastKnown[object]]()
     observer = threading.Thread(target=lambda: seen.append(device.observe()), daemon=True)
     observer.start()
-    observer.join(LOOK_LIMIT_S)
-    check(bool(seen), f"an observation within {LOOK_LIMIT_S:g} s while {state}", "none")
+    observer.join(OBSERVE_LIMIT_S)
+    check(bool(seen), f"an observation within {OBSERVE_LIMIT_S:g} s while {state}", "none")
     check(seen[0].state is state, f"state {state} observed", seen[0].state)
     check(seen[0].fault is fault, "the device's own fault observed", seen[0].fault)
     check(device.state is state and device.fault is fault, f"a device that stays {state}", device.state)

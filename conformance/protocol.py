@@ -16,13 +16,10 @@ from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from importlib.metadata import entry_points
-from typing import TYPE_CHECKING
 
 from conformance.case import Case, Suite
+from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.registry import load_driver
-
-if TYPE_CHECKING:
-    from conformance.device_under_test import DeviceUnderTest
 
 
 @dataclass(frozen=True)
@@ -66,10 +63,6 @@ class Checklist:
 GROUP = "ronna_hw.conformance"
 
 
-def _nothing(_dut: DeviceUnderTest) -> frozenset[str]:
-    return frozenset()
-
-
 @dataclass(frozen=True)
 class ProtocolCases:
     """Cases of a package for one wire protocol.
@@ -80,7 +73,7 @@ class ProtocolCases:
 
     cases: tuple[Case, ...] = ()
     checklist: Checklist | None = None
-    offers: Callable[[DeviceUnderTest], frozenset[str]] = _nothing
+    offers: Callable[[DeviceUnderTest], frozenset[str]] = lambda _dut: frozenset()
     simulator: Callable[[], tuple[str, ...]] | None = None
 
 

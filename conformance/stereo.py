@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -22,7 +21,6 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, CameraImage, StereoReading, Validity
 from ronna_hw.devices.sensors import StereoPair
 from ronna_hw.errors import ConfigurationError, ConnectError, LimitError, StateError
-from ronna_hw.registry import make_device
 
 PAIRS = 5
 CLOSE_LIMIT_S = 5.0
@@ -48,11 +46,6 @@ def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
         check(False, "an image from both cameras in a complete pair")
         raise AssertionError("check has raised")
     return reading.left, reading.right
-
-
-def beside(dut: DeviceUnderTest, **changes: Any) -> Any:
-    """A second driver object in addition to the shared one; the caller closes it."""
-    return make_device(dut.name, dut.config.model_copy(update=changes), dut.clock)
 
 
 SUITE.case("S01", "the driver implements StereoPair and starts disconnected")(
@@ -150,7 +143,7 @@ def stream_starts_again(dut: DeviceUnderTest) -> None:
 @SUITE.case("S11", "a second controller is refused, and the first keeps control")
 def second_controller_is_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
-    second = beside(dut)
+    second = dut.make_beside()
     try:
         second.connect()
         refused(second.configure, ConnectError, "configure while another application has control")
@@ -170,8 +163,8 @@ def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
         raise NotShown("the two cameras have no endpoint each")
     options = {**dut.config.options, "left_serial": left, "right_serial": right}
     try:
-        bound = beside(dut, options=options)
-        swapped = beside(dut, options=options, endpoints={"left": roles["right"], "right": roles["left"]})
+        bound = dut.make_beside(options=options)
+        swapped = dut.make_beside(options=options, endpoints={"left": roles["right"], "right": roles["left"]})
     except ConfigurationError as error:
         raise NotShown("the driver has no options for serial numbers") from error
     try:
@@ -186,7 +179,7 @@ def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
 def no_camera_there(dut: DeviceUnderTest) -> None:
     if set(dut.config.endpoints) != {"left", "right"}:
         raise NotShown("the two cameras have no endpoint each")
-    lonely = beside(dut, endpoints={**dut.config.endpoints, "right": NOBODY})
+    lonely = dut.make_beside(endpoints={**dut.config.endpoints, "right": NOBODY})
     fails_to_connect(lonely, CONNECT_LIMIT_S)
 
 

@@ -10,7 +10,7 @@ import itertools
 import math
 import re
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from typing import Any
 
 from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
@@ -18,12 +18,11 @@ from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
 from conformance.kuka.client import AXES, IPOC
 from conformance.kuka.tap import PiecewiseLine, RsiTap, Traffic, wait_for
-from conformance.robot import SLOW, SMALL_TURN_RAD, STOPPED_TURN_RAD, start_moving, turn_last_axis
+from conformance.robot import SLOW, SMALL_TURN_RAD, start_moving, turn_last_axis
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import own_udp_endpoint
-from ronna_hw.registry import make_device
 from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_context import load_context
 
@@ -46,21 +45,31 @@ case = CASES.case
 @contextmanager
 def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
     """A driver whose RSI passes through a tap, with other endpoints replaced as given."""
-    config = dut.config
     dut.release()
-    inside = own_udp_endpoint(TAPPED_PORT)
-    changed = {**config.endpoints, **endpoints, "rsi": inside}
-    with RsiTap(parse_endpoint(config.endpoints["rsi"]), parse_endpoint(inside)) as tap:
-        arm: Any = make_device(dut.name, config.model_copy(update={"endpoints": changed}), dut.clock)
-        try:
-            yield arm, tap
-        finally:
-            arm.close()
+    ours, inside = dut.config.endpoints, own_udp_endpoint(TAPPED_PORT)
+    with (
+        RsiTap(parse_endpoint(ours["rsi"]), parse_endpoint(inside)) as tap,
+        closing(dut.make_beside(endpoints={**ours, **endpoints, "rsi": inside})) as arm,
+    ):
+        yield arm, tap
 
 
-def streaming(dut: DeviceUnderTest, arm: Any) -> None:
-    """Start the stream."""
-    dut.brought_to(Lifecycle.ACTIVE, arm)
+@contextmanager
+def streaming(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
+    """A driver as in `tapped` whose stream is running."""
+    with tapped(dut, **endpoints) as (arm, tap):
+        yield dut.brought_to(Lifecycle.ACTIVE, arm), tap
+
+
+@contextmanager
+def in_pieces(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, PiecewiseLine]]:
+    """A connected driver whose EKI elements arrive in pieces."""
+    dut.release()
+    with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
+        line.gather_s = gather_s
+        with tapped(dut, eki_project=line.endpoint) as (arm, _):
+            arm.connect(LIMIT_S)
+            yield arm, line
 
 
 def corrections(reply: bytes) -> list[float]:
@@ -79,16 +88,14 @@ def corrections(reply: bytes) -> list[float]:
 
 @case("L11", "every reply echoes the IPOC of its telegram")
 def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (_, tap):
         heard = _exchanges(tap)
     check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "only IPOCs of telegrams")
 
 
 @case("L12", "one reply per telegram; after a stall only the newest is answered")
 def one_reply_each(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (_, tap):
         # On a busy computer telegrams arrive in bursts, and only the newest is answered.
         unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
@@ -112,8 +119,7 @@ def _unanswered(tap: RsiTap) -> int:
 
 @case("L13", "every reply has the Type of the configuration")
 def replies_have_the_type(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (_, tap):
         types = {match[1] for reply in _exchanges(tap).replies if (match := _TYPE.match(reply)) is not None}
     check(types == {load_context().ethernet.sentype.encode()}, load_context().ethernet.sentype, types)
 
@@ -123,7 +129,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         for _ in range(2):
             tap.traffic()
-            streaming(dut, arm)
+            dut.brought_to(Lifecycle.ACTIVE, arm)
             first = _exchanges(tap).replies[0]
             check(not any(corrections(first)), "zero", corrections(first))
             arm.deactivate()
@@ -131,8 +137,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
 
 @case("L29b", "no correction step exceeds what a controller accepts", needs=(MOTION,))
 def steps_are_small(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (arm, tap):
         start: JointVector = arm.read_state().commanded_rad
         tap.traffic()
         for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
@@ -154,9 +159,8 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
     with (
         DisturbedLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line,
-        tapped(dut, eki_project=line.endpoint) as (arm, tap),
+        streaming(dut, eki_project=line.endpoint) as (arm, tap),
     ):
-        streaming(dut, arm)
         line.silence()  # otherwise the controller itself would report the end of the run
         tap.hold()
         limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
@@ -172,10 +176,9 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
     needs=(MOTION, DESTRUCTIVE, HOST_TIME),
 )
 def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (arm, tap):
         start: JointVector = arm.read_state().commanded_rad
-        mover, ends = start_moving(dut, arm, start, turn_last_axis(start, STOPPED_TURN_RAD))
+        mover, ends = start_moving(dut, arm, start)
         check(mover.is_alive(), "an arm that moves")
         tap.hold()
         mover.join()
@@ -192,8 +195,7 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
 
 @case("L31", "late cycles by D and our own turnaround are reported")
 def losses_are_reported(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
-        streaming(dut, arm)
+    with streaming(dut) as (arm, tap):
         before = arm.link_statistics()
         tap.hold()
         dut.clock.sleep(2 * HELD * load_context().program.cycle_ms / 1000.0)
@@ -206,38 +208,30 @@ def losses_are_reported(dut: DeviceUnderTest) -> None:
 @case("L38", "elements are delimited by their end tags, however the bytes arrive")
 def elements_in_pieces(dut: DeviceUnderTest) -> None:
     for gather_s in (0.0, GATHERED_S):
-        dut.release()
-        with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
-            line.gather_s = gather_s
-            with tapped(dut, eki_project=line.endpoint) as (arm, _):
-                arm.connect(LIMIT_S)
-                reading = arm.read_state()
-                check(len(reading.joints_rad) == len(AXES), "six axes", reading)
+        with in_pieces(dut, gather_s) as (arm, _):
+            reading = arm.read_state()
+            check(len(reading.joints_rad) == len(AXES), "six axes", reading)
 
 
 @case("L40", "a lost connection is restored or latched, and the state is read again")
 def connection_is_lost(dut: DeviceUnderTest) -> None:
-    dut.release()
-    with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
-        line.gather_s = 0.001
-        with tapped(dut, eki_project=line.endpoint) as (arm, _):
-            arm.connect(LIMIT_S)
-            before = arm.read_state().joints_rad
+    with in_pieces(dut, 0.001) as (arm, line):
+        before = arm.read_state().joints_rad
+        line.asked.clear()
+        line.cut()
+
+        def again() -> bool:
+            try:
+                return bool(arm.read_state().joints_rad == before)
+            except RonnaError:
+                return arm.state is Lifecycle.FAULT
+
+        check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
+        if arm.state is Lifecycle.FAULT:
             line.asked.clear()
-            line.cut()
-
-            def again() -> bool:
-                try:
-                    return bool(arm.read_state().joints_rad == before)
-                except RonnaError:
-                    return arm.state is Lifecycle.FAULT
-
-            check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
-            if arm.state is Lifecycle.FAULT:
-                line.asked.clear()
-                arm.recover("conformance suite", LIMIT_S)
-            check(any(b"STATUS" in data for data in line.asked), "a new STATUS request", line.asked)
-            check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
+            arm.recover("conformance suite", LIMIT_S)
+        check(any(b"STATUS" in data for data in line.asked), "a new STATUS request", line.asked)
+        check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
 
 
 def _stall(tap: RsiTap) -> None:

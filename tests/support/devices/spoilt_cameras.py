@@ -11,9 +11,9 @@ from typing import Any
 
 import pytest
 
-from conformance.device_under_test import DeviceUnderTest
 from conformance.gige.protocol import PROTOCOL
 from conformance.report import CaseResult, run_case
+from conformance.target import build_device_under_test
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus, GvcpCommand
@@ -47,7 +47,7 @@ class Stand:
 
     def run(self, number: str) -> CaseResult:
         config = DeviceConfig(driver="basler_stereo", endpoints=self.pair.endpoints)
-        dut = DeviceUnderTest("stereo", config, HostClock())
+        dut = build_device_under_test("stereo", config, HostClock())
         try:
             return run_case(next(case for case in PROTOCOL.cases if case.number == number), dut)
         finally:

@@ -11,9 +11,9 @@ import pytest
 from spoilt_cameras import Stand
 
 from conformance.case import Case, Outcome
-from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.stereo import SUITE
+from conformance.target import build_device_under_test
 from drivers.basler_stereo.errors import (
     BadOptions,
     NoCamera,
@@ -100,7 +100,7 @@ def test_the_pair_is_a_stereo_pair_that_follows_the_lifecycle(make_pair):
     [pytest.param(case, id=case.number) for case in SUITE.cases if case.number not in EMULATION_LACKS],
 )
 def test_the_pair_passes_the_generic_suite_as_far_as_the_emulation_goes(case: Case) -> None:
-    dut = DeviceUnderTest("stereo", configured(), HostClock())
+    dut = build_device_under_test("stereo", configured(), HostClock())
     result = run_case(case, dut)
     dut.release()
     assert result.outcome is Outcome.PASS, result.reason

@@ -11,6 +11,7 @@ from ideal_device import IdealDevice
 from conformance import device_under_test
 from conformance.device_under_test import DeviceUnderTest
 from conformance.protocol import ProtocolCases
+from conformance.target import build_device_under_test
 from ronna_hw import registry
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
@@ -80,6 +81,6 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> Callable[..., DeviceUnderTest]:
         monkeypatch.setattr(device_under_test, "make_device", driver)
         monkeypatch.setattr(registry, "make_device", driver)  # for the default probe
         config = DeviceConfig(driver="test", endpoint=endpoint)
-        return DeviceUnderTest("tracker", config, QuickClock(), allowed, protocol=protocol)
+        return build_device_under_test("tracker", config, QuickClock(), allowed, protocol=protocol)
 
     return make

@@ -9,9 +9,10 @@ from pathlib import Path
 
 import pytest
 
-from conformance.device_under_test import Choice, DeviceUnderTest, device_under_test, resolve
+from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DeviceNotInFile, NoSimulator
 from conformance.protocol import ProtocolCases
+from conformance.target import Choice, device_under_test, resolve
 from ronna_hw.host.child_process import ChildNotReady
 
 THEATRE = """
@@ -99,7 +100,7 @@ def test_a_simulator_that_does_not_start_is_reported() -> None:
 
 
 def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("conformance.device_under_test.protocol_of", lambda driver: ProtocolCases())
+    monkeypatch.setattr("conformance.target.protocol_of", lambda driver: ProtocolCases())
     with pytest.raises(NoSimulator) as caught:
         resolve("tracker", Choice(sim=True))
     assert caught.value.code == "CNF-006"

@@ -35,12 +35,11 @@ class FastClock(HostClock):
 
 
 @pytest.fixture
-def make_arm(make_dut: MakeDut, monkeypatch: pytest.MonkeyPatch) -> MakeDut:
+def make_arm(make_dut: MakeDut) -> MakeDut:
     """The device under test for an ideal arm, some of whose members are replaced."""
 
     def make(**members: Any) -> DeviceUnderTest:
         driver = type("Spoilt", (IdealArm,), {"controller": Controller(), **members})
-        monkeypatch.setattr(robot, "make_device", driver)
         dut = make_dut(driver, allowed=frozenset({MOTION.name}))
         dut.clock = FastClock()
         return dut
@@ -85,7 +84,7 @@ def not_quite(motion: Motion) -> Motion:
 def twice_as_far(motion: Motion) -> Motion:
     if isinstance(motion, JointMove):
         return motion
-    return replace(motion, target=robot.shifted(motion.target, (0.0, 0.0, robot.SMALL_LINE_MM)))
+    return replace(motion, target=motion.target.displaced((0.0, 0.0, robot.SMALL_LINE_MM)))
 
 
 def without_tool(motion: Motion) -> Motion:

@@ -13,6 +13,7 @@ from conformance import device_under_test, stereo
 from conformance.case import Outcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
+from conformance.target import build_device_under_test
 from ronna_hw import registry
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -29,10 +30,10 @@ def make_dut(monkeypatch: pytest.MonkeyPatch) -> MakeDut:
 
     def make(**members: Any) -> DeviceUnderTest:
         driver = type("Spoilt", (IdealPair,), {"rig": Rig(), **members})
-        for module in (device_under_test, stereo, registry):
+        for module in (device_under_test, registry):
             monkeypatch.setattr(module, "make_device", driver)
         config = DeviceConfig(driver="test", endpoints={"left": LEFT, "right": RIGHT})
-        return DeviceUnderTest("stereo", config, HostClock())
+        return build_device_under_test("stereo", config, HostClock())
 
     return make
 

@@ -1,0 +1,218 @@
+"""The device to test: named on the command line, resolved before anything starts, then opened."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Protocol, runtime_checkable
+
+from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
+from conformance.device_under_test import DeviceUnderTest
+from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
+from conformance.protocol import ProtocolCases, composed, protocol_of
+from ronna_hw.clock import Clock, open_clock
+from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
+from ronna_hw.devices.probing import ONLY, Search
+from ronna_hw.endpoints import parse_endpoint
+from ronna_hw.host.child_process import ChildProcess, command
+from ronna_hw.registry import finders, load_driver
+
+SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
+PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
+
+
+@dataclass(frozen=True)
+class Choice:
+    """The command line: exactly one of `sim`, `config` and `endpoints`, with its options."""
+
+    sim: bool = False
+    config: Path | None = None  # a theatre file
+    endpoints: tuple[str, ...] = ()  # URI, or NAME=URI for each of several
+    driver: str | None = None  # instead of the suite's
+    device: str | None = None  # which robot of the theatre file
+    allow: tuple[str, ...] = ()  # from PERMISSIONS; our own simulator allows everything
+
+    def check(self) -> None:
+        """Raise CNF-001 unless exactly one device is named and every permission is known."""
+        given = {"--sim": self.sim, "--config": self.config is not None, "--endpoint": bool(self.endpoints)}
+        named = [option for option, is_given in given.items() if is_given]
+        if len(named) != 1:
+            raise NoDeviceChosen(
+                "no single device is named",
+                expected="exactly one of --sim, --config and --endpoint",
+                got=" and ".join(named) or "none",
+            )
+        if unknown := sorted(set(self.allow) - set(PERMISSIONS)):
+            raise NoDeviceChosen(
+                f"--allow does not accept {', '.join(unknown)}",
+                expected=" or ".join(PERMISSIONS),
+                action="Correct it.",
+            )
+
+
+@dataclass(frozen=True)
+class Target:
+    """The device to test. `config` is None for our own simulator, which has no endpoint until it runs."""
+
+    suite: Suite  # the generic cases, then those of the driver's wire protocol
+    protocol: ProtocolCases
+    name: str
+    driver: str
+    config: DeviceConfig | None
+    clock: str  # endpoint
+    clock_known: bool
+    allowed: frozenset[str]
+
+
+@runtime_checkable
+class HasConformanceOptions(Protocol):
+    """A driver class that can be tested without a theatre file."""
+
+    @staticmethod
+    def conformance_options() -> dict[str, Any]:
+        """Options to test it with."""
+        ...
+
+
+def load_suite(kind: str) -> Suite:
+    """The generic suite for a kind of device: tracker, robot or stereo."""
+    suite: Suite = importlib.import_module(f"conformance.{kind}").SUITE
+    return suite
+
+
+def resolve(kind: str, choice: Choice) -> Target:
+    """The target for a choice; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
+    choice.check()
+    suite = load_suite(kind)
+    name, clock, config = kind, "host:", None
+    driver = choice.driver or suite.driver
+    if choice.config is not None:
+        theatre = read_theatre_file(choice.config)
+        name, config = _from_file(theatre, kind, choice.device)
+        clock, driver = theatre.clock.endpoint, choice.driver or config.driver
+        config = config.model_copy(update={"driver": driver})
+    elif choice.endpoints:
+        addresses = _by_name(choice.endpoints)
+        _require_roles(driver, addresses)
+        config = configured(driver, addresses)
+    protocol = protocol_of(driver)
+    if choice.sim and protocol.simulator is None:
+        raise NoSimulator(f"there is no simulator for the wire protocol of {driver}")
+    return Target(
+        suite=composed(suite, protocol),
+        protocol=protocol,
+        name=name,
+        driver=driver,
+        config=config,
+        clock=clock,
+        clock_known=choice.sim or choice.config is not None,
+        allowed=frozenset(PERMISSIONS if choice.sim else choice.allow),
+    )
+
+
+def configured(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
+    """A driver at these endpoints (None for a single unnamed one), with its conformance options."""
+    factory = load_driver(driver)
+    options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
+    for address in addresses.values():
+        parse_endpoint(address)
+    if None in addresses:
+        return DeviceConfig(driver=driver, endpoint=addresses[None], options=options)
+    named = {name: address for name, address in addresses.items() if name is not None}
+    return DeviceConfig(driver=driver, endpoints=named, options=options)
+
+
+def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
+    named = [_named(text) for text in endpoints]
+    names = [name for name, _ in named]
+    if len(named) > 1 and (None in names or len(set(names)) < len(names)):
+        raise NoDeviceChosen("each of several endpoints needs a name", action="Write NAME=URI for each.")
+    return dict(named)
+
+
+def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
+    """Raise CNF-001 if the driver needs endpoints with other names, with an example."""
+    finder = finders().get(driver)
+    wanted = {} if finder is None else finder.example(Search()).endpoints
+    if not wanted or {name or ONLY for name in addresses} == set(wanted):
+        return
+    given = " ".join(
+        f"--endpoint {name}={address}" if name else f"--endpoint {address}"
+        for name, address in wanted.items()
+    )
+    raise NoDeviceChosen(
+        f"the endpoints do not match {driver}",
+        expected=", ".join(name or "one without a name" for name in wanted),
+        got=", ".join(name or "one without a name" for name in addresses),
+        action=f"Example: {given}.",
+    )
+
+
+def _named(text: str) -> tuple[str | None, str]:
+    name, separator, address = text.partition("=")
+    return (name, address) if separator and "://" not in name else (None, text)
+
+
+def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str, DeviceConfig]:
+    if kind == "robot":
+        name = device or (next(iter(theatre.robot)) if len(theatre.robot) == 1 else None)
+        if name is None or name not in theatre.robot:
+            raise DeviceNotInFile(
+                f"the theatre file has no robot {name}" if name else "the theatre file has several robots",
+                expected=", ".join(theatre.robot) or "a robot",
+            )
+        return f"robot.{name}", theatre.robot[name]
+    chosen = theatre.devices.get(kind)
+    if chosen is None or device is not None:
+        raise DeviceNotInFile(f"the theatre file has no {' '.join(filter(None, (kind, device)))}")
+    return kind, chosen
+
+
+def build_device_under_test(
+    name: str,
+    config: DeviceConfig,
+    clock: Clock,
+    allowed: frozenset[str] = frozenset(),
+    *,
+    protocol: ProtocolCases | None = None,
+    clock_known: bool = True,
+) -> DeviceUnderTest:
+    """A device under test that offers what is allowed and every other need that it meets."""
+    dut = DeviceUnderTest(name, config, clock, clock_known=clock_known)
+    dut.offers |= allowed
+    if clock.paced:
+        dut.offers.add(HOST_TIME.name)
+    if dut.can_be_disturbed():
+        dut.offers.add(LINE_FAULTS.name)
+    if protocol is not None:
+        dut.offers |= protocol.offers(dut)
+    return dut
+
+
+@contextmanager
+def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
+    """The device under test; whatever was started for it is ended on leaving. Raises PRC-001."""
+    with ExitStack() as stack:
+        config = target.config
+        if config is None:
+            assert target.protocol.simulator is not None, "resolve has checked that there is a simulator"
+            arguments = target.protocol.simulator()
+            child = stack.enter_context(
+                ChildProcess(f"ronna-sim {arguments[0]}", command(SIMULATOR_MODULE, *arguments))
+            )
+            config = configured(
+                target.driver, child.ready.get("endpoints") or {None: child.ready["endpoint"]}
+            )
+        dut = build_device_under_test(
+            target.name,
+            config,
+            open_clock(target.clock),
+            target.allowed,
+            protocol=target.protocol,
+            clock_known=target.clock_known,
+        )
+        stack.callback(dut.release)
+        yield dut
