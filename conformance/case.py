@@ -97,19 +97,25 @@ class CaseList:
 
         return self._case_of(check_each)
 
-    def within(self, context: Callable[[DeviceUnderTest], AbstractContextManager[S]]) -> CaseOf[S]:
-        """Return a variant of `case` whose function runs within a context, such as an open line."""
+    def within(
+        self, context: Callable[[DeviceUnderTest], AbstractContextManager[S]], *needs: Need
+    ) -> CaseOf[S]:
+        """Return a variant of `case` whose function runs within a context that has needs of its own."""
 
         def check_within(dut: DeviceUnderTest, check_one: Callable[[S], object]) -> None:
             with context(dut) as subject:
                 check_one(subject)
 
-        return self._case_of(check_within)
+        return self._case_of(check_within, needs)
 
-    def _case_of(self, run: Callable[[DeviceUnderTest, Callable[[S], object]], None]) -> CaseOf[S]:
+    def _case_of(
+        self,
+        run: Callable[[DeviceUnderTest, Callable[[S], object]], None],
+        of_context: tuple[Need, ...] = (),
+    ) -> CaseOf[S]:
         def case(number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]:
             def add(check_one: Callable[[S], object]) -> Callable[[S], object]:
-                self.case(number, statement, needs=needs)(lambda dut: run(dut, check_one))
+                self.case(number, statement, needs=(*of_context, *needs))(lambda dut: run(dut, check_one))
                 return check_one
 
             return add

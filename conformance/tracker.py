@@ -219,11 +219,7 @@ def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
         check(tracker.state is Lifecycle.CLOSED, "state closed", tracker.state)
 
 
-@SUITE.case(
-    "T20",
-    "a late reply costs one reading and never answers the next request",
-    needs=(LINE_FAULTS,),
-)
+@SUITE.case("T20", "a late reply costs one reading and never answers the next request", needs=(LINE_FAULTS,))
 def late_reply(dut: DeviceUnderTest) -> None:
     with disturbed(dut) as (line, tracker):
         tracker.read_frame()

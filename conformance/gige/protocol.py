@@ -62,13 +62,8 @@ _REMARKS: dict[int, str] = {
 GIGE_CHECKLIST = Checklist(letters="G", lines=_LINES, remarks=_REMARKS, also={40: ("G15",)})
 
 
-def simulator() -> tuple[str, ...]:
-    """Arguments of `ronna-sim` for a simulated pair of cameras."""
-    return ("basler",)
-
-
 PROTOCOL = ProtocolCases(
     cases=(*control_cases.CASES.cases, *stream_cases.CASES.cases),
     checklist=GIGE_CHECKLIST,
-    simulator=simulator,
+    simulator=lambda: ("basler",),
 )

@@ -70,10 +70,11 @@ def controller_sends_first(dut: DeviceUnderTest) -> None:
         eki.ask("RSI_STOP")
 
 
-@case("K02", "telegrams come every cycle: the median period over 1,000 is within 1 %", needs=(HOST_TIME,))
-def period_is_kept(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        telegrams = line.cycles(PERIODS + 1)
+@on_stream(
+    "K02", "telegrams come every cycle: the median period over 1,000 is within 1 %", needs=(HOST_TIME,)
+)
+def period_is_kept(line: RsiLine) -> None:
+    telegrams = line.cycles(PERIODS + 1)
     periods = [b.at_s - a.at_s for a, b in itertools.pairwise(telegrams)]
     median_ms = 1000 * statistics.median(periods)
     cycle_ms = line.context.program.cycle_ms
@@ -81,10 +82,9 @@ def period_is_kept(dut: DeviceUnderTest) -> None:
     check(off < PERIOD_TOLERANCE, f"a period of {cycle_ms} ms", f"{median_ms:.3f} ms")
 
 
-@case("K03", "all telegrams of a run come from one port")
-def one_sender(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        senders = {telegram.sender for telegram in line.cycles(FEW)}
+@on_stream("K03", "all telegrams of a run come from one port")
+def one_sender(line: RsiLine) -> None:
+    senders = {telegram.sender for telegram in line.cycles(FEW)}
     check(len(senders) == 1, "one sender", senders)
 
 
@@ -96,27 +96,24 @@ def layout_is_exact(line: RsiLine) -> None:
         check(layout_is_that_of_a_kr_c4(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
 
 
-@case("K05", "elements are in the order of the configuration, IPOC last")
-def order_is_kept(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        (telegram,) = line.cycles(1)
+@on_stream("K05", "elements are in the order of the configuration, IPOC last")
+def order_is_kept(line: RsiLine) -> None:
+    (telegram,) = line.cycles(1)
     tags = [element.tag.removeprefix("DEF_").partition(".")[0] for element in line.context.send]
     wanted = [*(tag for tag, _ in itertools.groupby(tags) if tag != "FREE"), "IPOC"]
     found = re.findall(r"<(\w+)[ >]", telegram.raw.decode())[1:]
     check(found == wanted, f"the order {' '.join(wanted)}", " ".join(found))
 
 
-@case("K07", "EIPos always has six values")
-def six_external_axes(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        (telegram,) = line.cycles(1)
+@on_stream("K07", "EIPos always has six values")
+def six_external_axes(line: RsiLine) -> None:
+    (telegram,) = line.cycles(1)
     check(len(telegram.values("EIPos")) == len(AXES), "six values", telegram.values("EIPos"))
 
 
-@case("K08", "numbers have as many decimals as Precision states")
-def precision_is_kept(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        (telegram,) = line.cycles(1)
+@on_stream("K08", "numbers have as many decimals as Precision states")
+def precision_is_kept(line: RsiLine) -> None:
+    (telegram,) = line.cycles(1)
     digits = {len(match) for match in _NUMBER.findall(telegram.raw)}
     wanted = line.context.ethernet.precision
     check(digits == {wanted}, f"{wanted} decimals", digits)
@@ -128,10 +125,9 @@ def delay_is_whole(line: RsiLine) -> None:
         check(telegram.late >= 0, "at least 0", telegram.late)
 
 
-@case("K10", "IPOC increases by the cycle time in every telegram")
-def time_stamps_grow(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        stamps = [telegram.ipoc for telegram in line.cycles(PERIODS // 10)]
+@on_stream("K10", "IPOC increases by the cycle time in every telegram")
+def time_stamps_grow(line: RsiLine) -> None:
+    stamps = [telegram.ipoc for telegram in line.cycles(PERIODS // 10)]
     steps = {b - a for a, b in itertools.pairwise(stamps)}
     check(steps == {line.context.program.cycle_ms}, f"{line.context.program.cycle_ms} each time", steps)
 
@@ -156,28 +152,26 @@ def wrong_replies_count_as_none(line: RsiLine) -> None:
             check(after.late > telegram.late, f"{what} counted as late", after.late)
 
 
-@case("K15", "one late reply does not make the following ones late", needs=(HOST_TIME,))
-def late_reply_shifts_nothing(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        before = line.cycles(FEW)[-1]
-        missed = line.next()
-        current = line.next()
-        line.answer(missed)  # one cycle late, right before the current one
-        line.answer(current)
-        after = line.cycles(5 * FEW)[-1]
+@on_stream("K15", "one late reply does not make the following ones late", needs=(HOST_TIME,))
+def late_reply_shifts_nothing(line: RsiLine) -> None:
+    before = line.cycles(FEW)[-1]
+    missed = line.next()
+    current = line.next()
+    line.answer(missed)  # one cycle late, right before the current one
+    line.answer(current)
+    after = line.cycles(5 * FEW)[-1]
     check(after.late - before.late < FEW, "one late reply, not one each cycle", after.late - before.late)
 
 
-@case("K16", "HOLDON 1 keeps the correction while replies are missing", needs=(MOTION, HOST_TIME))
-def correction_is_held(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
-            raise NotShown("the context's corrections do not have HOLDON 1")
-        base, turn = _turned(line)
-        # Without the hold the arm would turn back within some cycles, and return some cycles later.
-        seen = [line.next() for _ in range(MISSED)] + line.cycles(FEW, turn)
-        held = [telegram.values("AIPos")["A6"] - base for telegram in seen]
-        _back(line)
+@on_stream("K16", "HOLDON 1 keeps the correction while replies are missing", needs=(MOTION, HOST_TIME))
+def correction_is_held(line: RsiLine) -> None:
+    if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
+        raise NotShown("the context's corrections do not have HOLDON 1")
+    base, turn = _turned(line)
+    # Without the hold the arm would turn back within some cycles, and return some cycles later.
+    seen = [line.next() for _ in range(MISSED)] + line.cycles(FEW, turn)
+    held = [telegram.values("AIPos")["A6"] - base for telegram in seen]
+    _back(line)
     for angle in held:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
@@ -196,14 +190,15 @@ def timeout_ends_the_run(line: RsiLine) -> None:
     check(state.get("Err") != "0", "a message", state.get("Err"))
 
 
-@case("K20", "ABSOLUTE: the arm goes to its start plus the correction, and back at zero", needs=(MOTION,))
-def correction_is_absolute(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        if line.context.program.corrections != "absolute":
-            raise NotShown("the context uses relative corrections")
-        base, turn = _turned(line)
-        there = line.cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
-        back = _back(line)
+@on_stream(
+    "K20", "ABSOLUTE: the arm goes to its start plus the correction, and back at zero", needs=(MOTION,)
+)
+def correction_is_absolute(line: RsiLine) -> None:
+    if line.context.program.corrections != "absolute":
+        raise NotShown("the context uses relative corrections")
+    base, turn = _turned(line)
+    there = line.cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
+    back = _back(line)
     check(abs(there - base - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", there - base)
     check(abs(back - base) < FOLLOWED_DEG, "A6 back at its start", back - base)
 
@@ -220,11 +215,10 @@ def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
-@case("K25", "RIst is the pose of the flange for AIPos, with tool and base")
-def pose_agrees_with_axes(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        telegram = line.cycles(FEW)[-1]
-        state = line.eki.state()
+@on_stream("K25", "RIst is the pose of the flange for AIPos, with tool and base")
+def pose_agrees_with_axes(line: RsiLine) -> None:
+    telegram = line.cycles(FEW)[-1]
+    state = line.eki.state()
     if state.get("Base") != "0":
         raise NotShown("a base is active")
     model = kr6_r900(ArmVariant(state.get("Variant", "")))
@@ -241,12 +235,11 @@ def pose_agrees_with_axes(dut: DeviceUnderTest) -> None:
     )
 
 
-@case("K27", "a rising edge of Stop ends the stream within a few cycles")
-def stop_ends_the_stream(dut: DeviceUnderTest) -> None:
-    with stream(dut) as line:
-        line.cycles(FEW)
-        line.answer(line.next(), stop=True)
-        rest = line.until_silent()
+@on_stream("K27", "a rising edge of Stop ends the stream within a few cycles")
+def stop_ends_the_stream(line: RsiLine) -> None:
+    line.cycles(FEW)
+    line.answer(line.next(), stop=True)
+    rest = line.until_silent()
     check(len(rest) <= LONGEST_END, f"at most {LONGEST_END} more telegrams", len(rest))
 
 

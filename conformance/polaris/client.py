@@ -98,6 +98,7 @@ class PolarisLink:
     """An open line. The CRC of every reply is checked."""
 
     line: socket.socket | SerialLine
+    definition: bytes = b""  # of the driver's first tool, for cases that need one
 
     def ask(self, command: str | bytes) -> str:
         """The text of the ASCII reply to a command: text is sent with a CRC, bytes as they are."""

@@ -83,8 +83,7 @@ def reading_command(tap: PolarisTap) -> str:
 def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
     """(tap, tracker): a driver that has read a frame through a tap."""
     with polaris_tap(dut) as tap:
-        changed = {**dut.config.options, **options} if options else None
-        tracker = dut.make(endpoint=tap.endpoint, options=changed)
+        tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
         dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
         try:
             yield tap, tracker

@@ -8,12 +8,14 @@ from __future__ import annotations
 
 import re
 import struct
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
 from conformance.case import Need, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.client import PolarisLink, Seen, Vector3, read_body
+from conformance.polaris.client import PolarisLink, Seen, Vector3, idle_unit, read_body
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PARAMETER_SELECTED_VOLUME, SFLIST_VOLUME_CHARACTERS
 
@@ -51,6 +53,15 @@ def definition(dut: DeviceUnderTest) -> bytes:
     tracker = dut.make()
     assert isinstance(tracker, HoldsDefinitions), "the case needs a tool definition"
     return next(iter(tracker.definition_blocks.values()))
+
+
+@contextmanager
+def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
+    """An idle unit with the driver's first tool definition at hand."""
+    block = definition(dut)
+    with idle_unit(dut) as unit:
+        unit.definition = block
+        yield unit
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> Seen:

@@ -12,7 +12,14 @@ from contextlib import contextmanager
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
-from conformance.polaris.fixtures import NEEDS, WITH_TOOL, definition, read_frame, reverse_normals
+from conformance.polaris.fixtures import (
+    NEEDS,
+    WITH_TOOL,
+    definition,
+    read_frame,
+    reverse_normals,
+    unit_with_tool,
+)
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, HandleStatus, PortStatus
 
 FRAME_RATE_SPAN_S = 0.5
@@ -34,7 +41,8 @@ UNKNOWN_COMMANDS = ("ERROR01", "ERROR33")
 
 CASES = CaseList()
 case = CASES.case
-on_unit = CASES.within(idle_unit)
+on_unit = CASES.within(idle_unit, *NEEDS)
+on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 
 
 @contextmanager
@@ -47,17 +55,17 @@ def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[Polar
         yield unit
 
 
-while_tracking = CASES.within(tracking)
+while_tracking = CASES.within(tracking, *WITH_TOOL)
 
 
-@while_tracking("P24", "while tracking, TSTART and setting up handles return ERROR0C", needs=WITH_TOOL)
+@while_tracking("P24", "while tracking, TSTART and setting up handles return ERROR0C")
 def set_up_while_tracking(unit: PolarisLink) -> None:
     handle = read_frame(unit).handles[0].handle
     for command in ("TSTART:80", "PHSR:00", f"PENA:{handle}D"):
         unit.refused(command, 0x0C)
 
 
-@on_unit("P25", "outside tracking, TX, BX and TSTOP return ERROR0C", needs=NEEDS)
+@on_unit("P25", "outside tracking, TX, BX and TSTOP return ERROR0C")
 def reading_while_idle(unit: PolarisLink) -> None:
     for command in ("TX:0001", "BX:0001", "TSTOP:"):
         unit.refused(command, 0x0C)
@@ -91,11 +99,7 @@ def frame_rate(dut: DeviceUnderTest) -> None:
         check(least <= last - first <= most, f"{least:.0f} to {most:.0f} frames", last - first)
 
 
-@while_tracking(
-    "P28",
-    "TX has the exact form of its options: LF after each handle, four digits at the end",
-    needs=WITH_TOOL,
-)
+@while_tracking("P28", "TX has the exact form of its options: LF after each handle, four digits at the end")
 def tx_grammar(unit: PolarisLink) -> None:
     handle = read_frame(unit).handles[0].handle
     stray = r"(?:[+-][0-9]{6}){3}"
@@ -161,35 +165,33 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
         check(int(match[1], 16) >= after.frame, f"a frame number of {after.frame} or more", match[1])
 
 
-@case("P31b", "a disabled tool is omitted, or listed without status and frame number", needs=WITH_TOOL)
-def disabled_carries_nothing(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        disabled, enabled = unit.load(reverse_normals(block)), unit.load(block)
-        unit.okay(f"PDIS:{disabled}")
-        unit.okay("TSTART:80")
-        frame = read_frame(unit)
-        listed = {reading.handle: reading.status for reading in frame.handles}
-        check(
-            listed.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED,
-            "no pose of the disabled tool",
-            listed,
-        )
-        check(list(listed) == [enabled], f"handle {enabled}", list(listed))
-        text = unit.ask("TX:0001")
-        pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}\n"
-        form = rf"0[12](?:{disabled}DISABLED\n)?{enabled}{pose}(?:{disabled}DISABLED\n)?[0-9A-F]{{4}}"
-        check(re.fullmatch(form, text) is not None, "nothing after DISABLED", repr(text))
+@on_tool("P31b", "a disabled tool is omitted, or listed without status and frame number")
+def disabled_carries_nothing(unit: PolarisLink) -> None:
+    disabled, enabled = unit.load(reverse_normals(unit.definition)), unit.load(unit.definition)
+    unit.okay(f"PDIS:{disabled}")
+    unit.okay("TSTART:80")
+    frame = read_frame(unit)
+    listed = {reading.handle: reading.status for reading in frame.handles}
+    check(
+        listed.pop(disabled, HandleStatus.DISABLED) is HandleStatus.DISABLED,
+        "no pose of the disabled tool",
+        listed,
+    )
+    check(list(listed) == [enabled], f"handle {enabled}", list(listed))
+    text = unit.ask("TX:0001")
+    pose = rf"(?:{TX_POSE.pattern}|MISSING)[0-9A-F]{{16}}\n"
+    form = rf"0[12](?:{disabled}DISABLED\n)?{enabled}{pose}(?:{disabled}DISABLED\n)?[0-9A-F]{{4}}"
+    check(re.fullmatch(form, text) is not None, "nothing after DISABLED", repr(text))
 
 
-@while_tracking("P32", "BX has the right length and CRCs, and nothing follows it", needs=WITH_TOOL)
+@while_tracking("P32", "BX has the right length and CRCs, and nothing follows it")
 def bx_is_whole(unit: PolarisLink) -> None:
     for options in ("0001", "0801", "1801"):
         unit.binary(f"BX:{options}")
         check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
-@while_tracking("P33", "BX contains little-endian float32", needs=WITH_TOOL)
+@while_tracking("P33", "BX contains little-endian float32")
 def little_endian(unit: PolarisLink) -> None:
     body = unit.binary("BX:0801")
     if body[2] != HandleStatus.VALID:
@@ -199,9 +201,7 @@ def little_endian(unit: PolarisLink) -> None:
     check(not abs(norms[">"] - 1.0) <= NORM_TOLERANCE, "another norm as big-endian", norms[">"])
 
 
-@while_tracking(
-    "P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX", needs=WITH_TOOL
-)
+@while_tracking("P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX")
 def tool_information_is_added(unit: PolarisLink) -> None:
     for _ in range(SAME_FRAME_TRIES):
         short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
@@ -215,11 +215,7 @@ def tool_information_is_added(unit: PolarisLink) -> None:
     raise NotShown("the tool came and went between two frames")
 
 
-@on_unit(
-    "P49",
-    "DSTART and DSTOP switch between setup and diagnostic mode, in which nothing is tracked",
-    needs=NEEDS,
-)
+@on_unit("P49", "DSTART and DSTOP switch between setup and diagnostic mode, in which nothing is tracked")
 def diagnostic_mode(unit: PolarisLink) -> None:
     reply = unit.ask("DSTART:")
     if reply in UNKNOWN_COMMANDS:

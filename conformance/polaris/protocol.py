@@ -108,11 +108,6 @@ def offers(dut: DeviceUnderTest) -> frozenset[str]:
     return frozenset(need.name for need in met)
 
 
-def simulator() -> tuple[str, ...]:
-    """Arguments of `ronna-sim` for a simulated unit."""
-    return ("polaris",)
-
-
 PROTOCOL = ProtocolCases(
     cases=tuple(
         sorted(
@@ -122,5 +117,5 @@ PROTOCOL = ProtocolCases(
     ),
     checklist=POLARIS_CHECKLIST,
     offers=offers,
-    simulator=simulator,
+    simulator=lambda: ("polaris",),
 )

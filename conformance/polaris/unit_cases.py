@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 
 from conformance.case import DESTRUCTIVE, CaseList, NotShown, check
-from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import (
     FAST_ARGUMENT,
     FAST_BAUD,
@@ -20,8 +19,8 @@ from conformance.polaris.fixtures import (
     PUBLISHED_PART,
     SERIAL,
     WITH_TOOL,
-    definition,
     published_definition,
+    unit_with_tool,
 )
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import DEFAULT_BAUD, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES, REPLY_RESET
@@ -33,10 +32,12 @@ RESET_SETTLING_S = 0.2
 
 CASES = CaseList()
 case = CASES.case
-on_unit = CASES.within(idle_unit)
+on_unit = CASES.within(idle_unit, *NEEDS)
+on_serial_line = CASES.within(idle_unit, *SERIAL)
+on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 
 
-@on_unit("P01", "after a break the unit sends RESET at 9600 baud, 8N1", needs=(*SERIAL, DESTRUCTIVE))
+@on_serial_line("P01", "after a break the unit sends RESET at 9600 baud, 8N1", needs=(DESTRUCTIVE,))
 def break_resets(unit: PolarisLink) -> None:
     try:
         unit.go_to(FAST_ARGUMENT, FAST_BAUD)
@@ -50,9 +51,7 @@ def break_resets(unit: PolarisLink) -> None:
     unit.okay("INIT:")
 
 
-@on_unit(
-    "P01b", "RESET 0 works like a break: the unit sends RESET and needs INIT", needs=(*NEEDS, DESTRUCTIVE)
-)
+@on_unit("P01b", "RESET 0 works like a break: the unit sends RESET and needs INIT", needs=(DESTRUCTIVE,))
 def reset_command(unit: PolarisLink) -> None:
     unit.send("RESET:0")
     reply = unit.text(RESET_LIMIT_S)
@@ -62,35 +61,35 @@ def reset_command(unit: PolarisLink) -> None:
     unit.okay("INIT:")
 
 
-@on_unit("P02", "every text reply ends in four upper-case hex digits of CRC and CR", needs=NEEDS)
+@on_unit("P02", "every text reply ends in four upper-case hex digits of CRC and CR")
 def replies_carry_a_crc(unit: PolarisLink) -> None:
     for command in ("APIREV:", "VER:4", "VER:0", "PHSR:00", "GET:Features.Firmware.Version"):
         unit.ask(command)
 
 
-@on_unit("P03", "a command with a wrong CRC returns ERROR04 and has no effect", needs=NEEDS)
+@on_unit("P03", "a command with a wrong CRC returns ERROR04 and has no effect")
 def wrong_crc_has_no_effect(unit: PolarisLink) -> None:
     good = with_crc("PHRQ:*********1****")
     unit.refused(good[:-2] + (b"0" if good[-2:-1] != b"0" else b"1") + b"\r", 0x04)
     check(unit.handles() == [], "no handle allocated", unit.handles())
 
 
-@on_unit("P04", "a command with a space needs no CRC; its reply has one", needs=NEEDS)
+@on_unit("P04", "a command with a space needs no CRC; its reply has one")
 def space_form(unit: PolarisLink) -> None:
     check(unit.ask(b"APIREV \r") == unit.ask("APIREV:"), "the same reply in both forms")
 
 
-@on_unit("P05", "INIT without any separator is accepted", needs=NEEDS)
+@on_unit("P05", "INIT without any separator is accepted")
 def bare_init(unit: PolarisLink) -> None:
     unit.okay(b"INIT\r")
 
 
-@on_unit("P06", "an unknown command returns ERROR01", needs=NEEDS)
+@on_unit("P06", "an unknown command returns ERROR01")
 def unknown_command(unit: PolarisLink) -> None:
     unit.refused("XYZZY:", 0x01)
 
 
-@on_unit("P07", "a command that arrives byte by byte is accepted", needs=NEEDS)
+@on_unit("P07", "a command that arrives byte by byte is accepted")
 def byte_by_byte(unit: PolarisLink) -> None:
     for byte in with_crc("APIREV:"):
         unit.send(bytes([byte]))
@@ -98,7 +97,7 @@ def byte_by_byte(unit: PolarisLink) -> None:
     check(not is_error(unit.text()), "the reply to APIREV")
 
 
-@on_unit("P08", "OKAY to COMM comes at the old baud rate, then the unit uses the new one", needs=SERIAL)
+@on_serial_line("P08", "OKAY to COMM comes at the old baud rate, then the unit uses the new one")
 def rate_changes_after_the_answer(unit: PolarisLink) -> None:
     about = unit.ask("APIREV:")
     with unit.hurried():
@@ -106,7 +105,7 @@ def rate_changes_after_the_answer(unit: PolarisLink) -> None:
     check(unit.ask("APIREV:") == about, f"the same reply at {DEFAULT_BAUD} baud again")
 
 
-@on_unit("P09", "before INIT, commands about tools and tracking return ERROR10", needs=(*NEEDS, DESTRUCTIVE))
+@on_unit("P09", "before INIT, commands about tools and tracking return ERROR10", needs=(DESTRUCTIVE,))
 def set_up_before_init(unit: PolarisLink) -> None:
     unit.send("RESET:0")
     unit.text(RESET_LIMIT_S)
@@ -117,7 +116,7 @@ def set_up_before_init(unit: PolarisLink) -> None:
     check(unit.handles() == [], "no handles after INIT", unit.handles())
 
 
-@on_unit("P10", "INIT is answered within 150 ms, before a probing client sends a break", needs=NEEDS)
+@on_unit("P10", "INIT is answered within 150 ms, before a probing client sends a break")
 def init_is_quick(unit: PolarisLink) -> None:
     took_s = []
     for _ in range(INITS):
@@ -136,7 +135,7 @@ NOT_A_WHOLE_BLOCK = (0x02, 0x03, 0x07)
 NO_SUCH_ADDRESS = (0x23, 0x36, 0x37, 0x07)  # which one is undocumented
 
 
-@on_unit("P17", "PHRQ returns distinct nonzero handles, PHF frees them", needs=NEEDS)
+@on_unit("P17", "PHRQ returns distinct nonzero handles, PHF frees them")
 def handles_are_distinct(unit: PolarisLink) -> None:
     handles = [unit.request_handle() for _ in range(3)]
     check(len(set(handles)) == 3, "three handles", handles)
@@ -146,22 +145,18 @@ def handles_are_distinct(unit: PolarisLink) -> None:
     check(handles[1] not in unit.handles(), "the freed handle gone")
 
 
-@case("P18", "PHSR lists a handle as occupied, initialised or enabled at each step", needs=WITH_TOOL)
-def handle_lists(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        handle = unit.request_handle()
-        _is_listed_under(unit, handle, "00", "02")
-        unit.okay(f"PHF:{handle}")
-        handle = unit.load(block)
-        _is_listed_under(unit, handle, "00", "04")
-        unit.okay(f"PDIS:{handle}")
-        _is_listed_under(unit, handle, "00", "03")
+@on_tool("P18", "PHSR lists a handle as occupied, initialised or enabled at each step")
+def handle_lists(unit: PolarisLink) -> None:
+    handle = unit.request_handle()
+    _is_listed_under(unit, handle, "00", "02")
+    unit.okay(f"PHF:{handle}")
+    handle = unit.load(unit.definition)
+    _is_listed_under(unit, handle, "00", "04")
+    unit.okay(f"PDIS:{handle}")
+    _is_listed_under(unit, handle, "00", "03")
 
 
-@on_unit(
-    "P19", "PVWR accepts blocks of 64 bytes up to address 07C0, in upper- or lower-case hex", needs=NEEDS
-)
+@on_unit("P19", "PVWR accepts blocks of 64 bytes up to address 07C0, in upper- or lower-case hex")
 def memory_is_written_in_blocks(unit: PolarisLink) -> None:
     handle = unit.request_handle()
     content = bytes(range(0xA0, 0xA0 + PVWR_BLOCK_BYTES)).hex()
@@ -172,61 +167,47 @@ def memory_is_written_in_blocks(unit: PolarisLink) -> None:
     unit.refused(f"PVWR:{handle}0000{content[:-2]}", *NOT_A_WHOLE_BLOCK)
 
 
-@case("P20", "PINIT refuses a definition with a wrong checksum", needs=WITH_TOOL)
-def wrong_checksum(dut: DeviceUnderTest) -> None:
-    block = bytearray(definition(dut))
+@on_tool("P20", "PINIT refuses a definition with a wrong checksum")
+def wrong_checksum(unit: PolarisLink) -> None:
+    block = bytearray(unit.definition)
     block[72] ^= 0x40
-    with idle_unit(dut) as unit:
-        handle = unit.request_handle()
-        for address in range(0, len(block), 64):
-            chunk = bytes(block[address : address + 64]).ljust(64, b"\0")
-            unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is also understood
-        unit.refused(f"PINIT:{handle}", 0x13, 0x40, 0x41)
+    handle = unit.request_handle()
+    for address in range(0, len(block), 64):
+        chunk = bytes(block[address : address + 64]).ljust(64, b"\0")
+        unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is also understood
+    unit.refused(f"PINIT:{handle}", 0x13, 0x40, 0x41)
 
 
-@case("P21", "PENA refuses a handle that is not initialised, and an unknown priority", needs=WITH_TOOL)
-def enabling_needs_initialising(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        unit.refused(f"PENA:{unit.request_handle()}D", 0x0E)
-        unit.refused(f"PENA:{unit.load(block)}X", 0x09)
+@on_tool("P21", "PENA refuses a handle that is not initialised, and an unknown priority")
+def enabling_needs_initialising(unit: PolarisLink) -> None:
+    unit.refused(f"PENA:{unit.request_handle()}D", 0x0E)
+    unit.refused(f"PENA:{unit.load(unit.definition)}X", 0x09)
 
 
-@case(
-    "P22",
-    "PHINF returns type, manufacturer, revision, serial and part number of the definition",
-    needs=WITH_TOOL,
-)
-def tool_information(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        _tells_the_definition(unit, unit.load(block), block)
+@on_tool("P22", "PHINF returns type, manufacturer, revision, serial and part number of the definition")
+def tool_information(unit: PolarisLink) -> None:
+    _tells_the_definition(unit, unit.load(unit.definition), unit.definition)
 
 
-@case("P23", "PHINF returns options 0001, 0004 and 0020 in sequence, 67 characters", needs=WITH_TOOL)
-def joined_information(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        handle = unit.load(block)
-        joined = unit.ask(f"PHINF:{handle}0025")
-        check(len(joined) == 67, "67 characters", len(joined))
-        parts = [unit.ask(f"PHINF:{handle}{option}") for option in ("0001", "0004", "0020")]
-        check([len(part) for part in parts] == [33, 20, 14], "parts of 33, 20 and 14 characters", parts)
-        check(joined == "".join(parts), "the parts in the order of their bits", joined)
+@on_tool("P23", "PHINF returns options 0001, 0004 and 0020 in sequence, 67 characters")
+def joined_information(unit: PolarisLink) -> None:
+    handle = unit.load(unit.definition)
+    joined = unit.ask(f"PHINF:{handle}0025")
+    check(len(joined) == 67, "67 characters", len(joined))
+    parts = [unit.ask(f"PHINF:{handle}{option}") for option in ("0001", "0004", "0020")]
+    check([len(part) for part in parts] == [33, 20, 14], "parts of 33, 20 and 14 characters", parts)
+    check(joined == "".join(parts), "the parts in the order of their bits", joined)
 
 
-@case(
-    "P47", "a generated definition and one with a manufacturer's published numbers both load", needs=WITH_TOOL
-)
-def both_makers_definitions_load(dut: DeviceUnderTest) -> None:
-    ours, theirs = definition(dut), published_definition()
-    with idle_unit(dut) as unit:
-        handles = unit.load(ours), unit.load(theirs)
-        check(unit.handles("04") == sorted(handles), "both enabled", unit.handles("04"))
-        _tells_the_definition(unit, handles[0], ours)
-        _tells_the_definition(unit, handles[1], theirs)
-        part = unit.ask(f"PHINF:{handles[1]}0004")
-        check(part.rstrip().encode() == PUBLISHED_PART, PUBLISHED_PART.decode(), part)
+@on_tool("P47", "a generated definition and one with a manufacturer's published numbers both load")
+def both_makers_definitions_load(unit: PolarisLink) -> None:
+    ours, theirs = unit.definition, published_definition()
+    handles = unit.load(ours), unit.load(theirs)
+    check(unit.handles("04") == sorted(handles), "both enabled", unit.handles("04"))
+    _tells_the_definition(unit, handles[0], ours)
+    _tells_the_definition(unit, handles[1], theirs)
+    part = unit.ask(f"PHINF:{handles[1]}0004")
+    check(part.rstrip().encode() == PUBLISHED_PART, PUBLISHED_PART.decode(), part)
 
 
 def _is_listed_under(unit: PolarisLink, handle: str, *queries: str) -> None:

@@ -17,6 +17,7 @@ from conformance.polaris.fixtures import (
     measuring_volumes,
     read_frame,
     shift_origin,
+    unit_with_tool,
     volume_in_use,
 )
 from ronna_hw.wire import polaris_rom as layout
@@ -29,24 +30,23 @@ READ_ONLY = "Features.Firmware.Version=0"
 
 CASES = CaseList()
 case = CASES.case
-on_unit = CASES.within(idle_unit)
+on_unit = CASES.within(idle_unit, *NEEDS)
+on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 
 
-@case("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040", needs=WITH_TOOL)
-def out_of_volume_is_missing(dut: DeviceUnderTest) -> None:
-    block = definition(dut)
-    with idle_unit(dut) as unit:
-        volume = volume_in_use(unit)
-        z_mm = volume.middle_mm
-        x_mm, _ = volume.half_extents_mm(z_mm)
-        _load_at(unit, block, (x_mm + BEYOND_MM, 0.0, z_mm))
-        shown = read_frame(unit, 0x0801).handles[0]
-        withheld = read_frame(unit, 0x0001).handles[0]
-        if not shown.outside:
-            raise NotShown("this unit cannot be shown a tool outside its volume")
-        check(shown.pose is not None, "a pose with option 0800", shown)
-        check(withheld.status is HandleStatus.MISSING, "MISSING without option 0800", withheld)
-        check(withheld.outside, "status bit 0040", f"{withheld.port_status:04X}")
+@on_tool("P35", "without option 0800 a tool out of the volume is MISSING, with status bit 0040")
+def out_of_volume_is_missing(unit: PolarisLink) -> None:
+    volume = volume_in_use(unit)
+    z_mm = volume.middle_mm
+    x_mm, _ = volume.half_extents_mm(z_mm)
+    _load_at(unit, unit.definition, (x_mm + BEYOND_MM, 0.0, z_mm))
+    shown = read_frame(unit, 0x0801).handles[0]
+    withheld = read_frame(unit, 0x0001).handles[0]
+    if not shown.outside:
+        raise NotShown("this unit cannot be shown a tool outside its volume")
+    check(shown.pose is not None, "a pose with option 0800", shown)
+    check(withheld.status is HandleStatus.MISSING, "MISSING without option 0800", withheld)
+    check(withheld.outside, "status bit 0040", f"{withheld.port_status:04X}")
 
 
 @case(
@@ -68,7 +68,7 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         raise NotShown("no stray marker is in view")
 
 
-@on_unit("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39", needs=NEEDS)
+@on_unit("P44", "GET of an unknown parameter returns ERROR34, SET of a read-only one ERROR39")
 def unknown_parameter(unit: PolarisLink) -> None:
     unit.refused("GET:No.Such Parameter", 0x34)
     before = unit.ask("GET:Features.Firmware.Version")
