@@ -9,7 +9,6 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 if TYPE_CHECKING:
-    from ronna_hw.endpoints import Endpoint
     from ronna_hw.wire.kuka_context import RsiContext
 
 RSI_DEFAULT = "udp://127.0.0.1:59152"
@@ -95,7 +94,9 @@ def kuka(
     file_address = f"udp://{ethernet.pc_ip}:{ethernet.pc_port}"
     client = parse_endpoint(rsi or (file_address if rsi_config else RSI_DEFAULT)).require("udp")
     address = resolve(client)
-    eki_address, project_address = _listening_endpoint(eki), _listening_endpoint(eki_project)
+    eki_address, project_address = (
+        parse_endpoint(text, listening=True).require("tcp") for text in (eki, eki_project)
+    )
     room = open_world(world, scene, faults, FAULTS_OF)
     last_state = room.arm() if room.has_arm else None
     arm = Manipulator(room.scene.arm, room.scene.seed, room.publish_arm, parameters, last_state)
@@ -150,10 +151,3 @@ def _link_facts(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
         "timeout_packets": context.ethernet.timeout_packets,
         "precision": context.ethernet.precision,
     }
-
-
-def _listening_endpoint(text: str) -> Endpoint:
-    """Parse an endpoint to listen on; port 0 requests a free one."""
-    from ronna_hw.endpoints import parse_endpoint
-
-    return parse_endpoint(text, listening=True).require("tcp")

@@ -14,16 +14,7 @@ from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
 from sim.kuka.manipulator import FrameTable, Manipulator
 from sim.kuka.motion import DONE, Acknowledgement, EkiMotion
-from sim.kuka.pendant import (
-    TRIPS,
-    Interlocks,
-    Message,
-    collision,
-    emergency_stop,
-    enabling_switch_released,
-    guard_opened,
-    too_fast_for_T1,
-)
+from sim.kuka.pendant import TRIPS, Interlocks, Message
 from sim.kuka.rsi.program_run import RsiRun, RunSettings
 from sim.kuka.rsi.signal_flow import resolve_inputs
 from sim.kuka.rsi.telegrams import Reply
@@ -198,13 +189,13 @@ class Controller:
         """Press or release the emergency stop; its message can be acknowledged after the release."""
         self.interlocks.emergency_stop = pressed
         if pressed:
-            self._stop_with(emergency_stop(self.parameters.emergency_stop_message))
+            self._stop_with(self.parameters.emergency_stop_message, "emergency stop")
 
     def open_guard(self, is_open: bool) -> None:
         """Open or close the safety gate; open, it stops the arm in the automatic modes."""
         self.interlocks.guard_open = is_open
         if self.interlocks.guard_matters:
-            self._stop_with(guard_opened(self.parameters.guard_message))
+            self._stop_with(self.parameters.guard_message, "operator safety: guard open")
 
     def turn_key(self, mode: OperationMode) -> None:
         """Turn the key switch; a change stops a running program and switches the drives off."""
@@ -218,7 +209,7 @@ class Controller:
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:
-                self._stop_with(enabling_switch_released(self.parameters.enabling_switch_message))
+                self._stop_with(self.parameters.enabling_switch_message, "enabling switch released")
             self.drives_on = False
 
     def hold_start_key(self, held: bool) -> None:
@@ -229,7 +220,9 @@ class Controller:
 
     def collide(self) -> None:
         """Trip the torque monitor: the arm brakes, holds, and shows a message."""
-        self._stop_with(collision(self.parameters.collision_message))
+        self._stop_with(
+            self.parameters.collision_message, "collision detected: torque beyond the monitored range"
+        )
 
     def overload(self) -> None:
         """Close the brakes without a message: the program continues, the axes no longer follow."""
@@ -249,7 +242,7 @@ class Controller:
     def narrow_corrections(self, within_deg: float | None) -> None:
         """Clamp the axis corrections this close to their present values; None removes the clamp."""
         if self.run is not None:
-            self.run.narrow_corrections(within_deg)
+            self.run.flow.narrow(within_deg)
 
     def restart(self) -> None:
         """End the program without a message; the caller restarts it once the arm is at rest."""
@@ -272,16 +265,18 @@ class Controller:
 
     def set_tool(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and activate it."""
-        if self.run is not None or self.motion is not None:
-            return Acknowledgement(AckCode.REFUSED, "a program is running")
-        self.frames.set_tool(number, frame)
-        return DONE
+        return self._define(self.frames.set_tool, number, frame)
 
     def set_base(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and activate it."""
+        return self._define(self.frames.set_base, number, frame)
+
+    def _define(
+        self, define: Callable[[int, Sequence[float]], None], number: int, frame: Sequence[float]
+    ) -> Acknowledgement:
         if self.run is not None or self.motion is not None:
             return Acknowledgement(AckCode.REFUSED, "a program is running")
-        self.frames.set_base(number, frame)
+        define(number, frame)
         return DONE
 
     # -- the cycle
@@ -304,12 +299,8 @@ class Controller:
             self.arm.settle()
         elif self._overloaded:
             self.arm.settle()
-        elif self.interlocks.manual:
-            before = self.arm.frame
-            self.arm.follow(run.command_deg, heard=reply is not None)
-            self._watch_T1(before)
         else:
-            self.arm.follow(run.command_deg, heard=reply is not None)
+            self._follow(run.command_deg, heard=reply is not None)
 
     def settle(self) -> None:
         """Run one cycle without RSI: the next point of a motion, or settling."""
@@ -319,9 +310,7 @@ class Controller:
             return
         command_deg = motion.next_point()
         if command_deg is not None:
-            before = self.arm.frame
-            self.arm.follow(command_deg, heard=True)
-            self._watch_T1(before)
+            self._follow(command_deg, heard=True)
             return
         if motion.message is not None:
             self._fail(motion.message)
@@ -332,15 +321,19 @@ class Controller:
             self.program_state = ProState.END
             motion.report(DONE)
 
-    def _watch_T1(self, before: Sequence[float]) -> None:
-        """Stop the arm when the tool exceeds the speed of T1, which is monitored, not limited."""
+    def _follow(self, command_deg: list[float], *, heard: bool) -> None:
+        """Advance the arm; stop it when the tool exceeds the speed of T1, which is monitored, not limited."""
         if self.interlocks.mode is not OperationMode.T1:
+            self.arm.follow(command_deg, heard=heard)
             return
+        before = self.arm.frame
+        self.arm.follow(command_deg, heard=heard)
         speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
         limit_mm_s = self.parameters.T1_tool_speed_mm_s
         self._fast_cycles = self._fast_cycles + 1 if speed_mm_s > limit_mm_s else 0
         if self._fast_cycles >= self.parameters.overspeed_cycles:
-            self._fail(too_fast_for_T1(self.parameters.T1_speed_message, speed_mm_s, limit_mm_s))
+            text = f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}"
+            self._fail(Message(self.parameters.T1_speed_message, text, drives_off=True))
 
     def _fail(self, message: Message) -> None:
         """End the program with a message."""
@@ -349,10 +342,10 @@ class Controller:
         self._abort_motion(message.text)
         self._end_run(ProState.STOP)
 
-    def _stop_with(self, message: Message) -> None:
-        """Stop the program with a message; it may go on streaming."""
-        self._display(message)
-        self._interrupt(message.text)
+    def _stop_with(self, number: int, text: str) -> None:
+        """Switch the drives off and stop the program with a message; it may go on streaming."""
+        self._display(Message(number, text, drives_off=True))
+        self._interrupt(text)
 
     def _display(self, message: Message) -> None:
         self.message = self.message or message  # the first one is the cause

@@ -116,7 +116,7 @@ class CycleLoop:
         began_s = time.monotonic()
         telegram = run.telegram(controller.arm.reported_frame, controller.arm.reported_deg)
         answerable = True
-        self._link.begin_cycle(self.cycles + 1)
+        self._link.cycle = self.cycles + 1
         if not run.streams:
             answerable = False
         elif self._link.idle:
@@ -175,7 +175,7 @@ class CycleLoop:
         if link.is_active("foreign_sender"):
             self._foreign = self._foreign or RsiSocket(self._client)
             self._foreign.send(run.with_other_stamp(telegram))
-        if link.is_active("short_first") and run.is_first_telegram:
+        if link.is_active("short_first") and not run.sent_once:
             telegram = run.short_telegram()
         leaving, answerable = link.outgoing(telegram)
         if leaving is not None:

@@ -11,14 +11,7 @@ from collections.abc import Sequence
 from math import copysign, exp
 
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.kuka.pendant import (
-    Message,
-    end_switch,
-    near_singularity,
-    step_too_large,
-    too_fast,
-    too_much_acceleration,
-)
+from sim.kuka.pendant import COMMAND_ACCELERATION, Message, end_switch, near_singularity, too_fast
 from sim.world.nominal_arm import AXES, RobotDescription
 
 STICKS_AGAIN_SHARE = 0.5  # share of the breakaway below which a lagging axis sticks again; a fast one slides
@@ -279,7 +272,8 @@ class Supervision:
             if step > largest or step < -largest:
                 if axis in self._turning_axes:
                     return near_singularity()
-                return step_too_large(self._arm.joints[axis].name, step, largest)
+                text = f"{self._arm.joints[axis].name}: step {step:.4f} deg, at most {largest:.4f}"
+                return Message(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
             if step > full or step < -full:
                 fast_axis = axis
             if new < lower or new > upper:
@@ -289,12 +283,9 @@ class Supervision:
                 hard_axis, hardest_deg = axis, change
         self._hard_cycles = self._hard_cycles + 1 if hard_axis >= 0 else 0
         if self._hard_cycles >= self._parameters.acceleration_cycles:
-            square_s2 = self._window_s**2
-            return too_much_acceleration(
-                self._arm.joints[hard_axis].name,
-                hardest_deg / square_s2,
-                self._bend_deg[hard_axis] / square_s2,
-            )
+            found, limit = (bend / self._window_s**2 for bend in (hardest_deg, self._bend_deg[hard_axis]))
+            text = f"{self._arm.joints[hard_axis].name}: {found:.0f} deg/s2, at most {limit:.0f}"
+            return Message(COMMAND_ACCELERATION, f"command acceleration {text}", drives_off=True)
         self._fast_cycles = self._fast_cycles + 1 if fast_axis >= 0 else 0
         if self._fast_cycles >= self._parameters.overspeed_cycles:
             joint = self._arm.joints[fast_axis]

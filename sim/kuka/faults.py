@@ -97,21 +97,23 @@ class ControllerFaults:
         turned = mode is not interlocks.mode
         if turned:
             controller.turn_key(mode)
-        pressed = "emergency_stop" in arguments
-        if pressed is not interlocks.emergency_stop:
-            controller.press_emergency_stop(pressed)
-        is_open = "guard" in arguments
-        if is_open is not interlocks.guard_open:
-            controller.open_guard(is_open)
-        held = "enabling_switch" not in arguments
-        if held is not interlocks.enabling_switch:
-            controller.hold_enabling_switch(held)
+        for wanted, present, change in (
+            ("emergency_stop" in arguments, interlocks.emergency_stop, controller.press_emergency_stop),
+            ("guard" in arguments, interlocks.guard_open, controller.open_guard),
+            ("enabling_switch" not in arguments, interlocks.enabling_switch, controller.hold_enabling_switch),
+        ):
+            if wanted is not present:
+                change(wanted)
         key = "start_key" in arguments
         if key is not interlocks.start_key:
             controller.hold_start_key(key)
             turned = True
         if key and interlocks.manual:
-            self._act_as_operator(newly=turned)
+            # Whoever holds the start key in a test mode switches the drives on, and confirms.
+            if turned and not controller.drives_on:
+                controller.switch_drives(True)
+            if controller.run is not None and controller.run.awaits_confirmation:
+                controller.acknowledge()
         stick = frozenset(int(fault.argument) - 1 for fault in acting if fault.kind.name == "stick")
         controller.arm.drives.stick(stick)
         controller.narrow_corrections(float(arguments["clamp"]) if "clamp" in arguments else None)
@@ -124,14 +126,6 @@ class ControllerFaults:
                 self._inject(fault)
         self._restart_program()
         self._quiet = not acting and self._restart is None
-
-    def _act_as_operator(self, *, newly: bool) -> None:
-        """Switch on the drives and confirm: whoever holds the start key in a test mode does both."""
-        if newly and not self._controller.drives_on:
-            self._controller.switch_drives(True)
-        run = self._controller.run
-        if run is not None and run.awaits_confirmation:
-            self._controller.acknowledge()
 
     def _inject(self, fault: Fault) -> None:
         controller, kind = self._controller, fault.kind.name

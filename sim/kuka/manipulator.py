@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.kuka.drives import Drives
+from sim.kuka.motion import pose_on_line
 from sim.world.nominal_arm import axes_of_posture, description, frame_of, pose_of_frame
-from sim.world.rigid import inverse, rotation_from_vector
+from sim.world.rigid import inverse
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import JointChain, TrueArm, rotation_vector
 from sim.world.world import ArmState
@@ -108,13 +109,9 @@ class Manipulator:
     def _flange_of(self, tool_point: Matrix) -> Matrix:
         return tool_point if self._tool is None else tool_point @ inverse(self._tool)
 
-    def set_tool(self, tool: Matrix) -> None:
-        """Set $TOOL, (4, 4) in the flange frame."""
-        self._tool, self._reported_frame = tool, None
-
-    def set_base(self, base: Matrix) -> None:
-        """Set $BASE, (4, 4) in $ROBROOT."""
-        self._base, self._reported_frame = base, None
+    def use_frames(self, tool: Matrix, base: Matrix) -> None:
+        """Set $TOOL, (4, 4) in the flange frame, and $BASE, (4, 4) in $ROBROOT."""
+        self._tool, self._base, self._reported_frame = tool, base, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
         """Solve for the joint angles (deg) at a nominal tool pose, near others; None if it fails."""
@@ -132,10 +129,7 @@ class Manipulator:
         start, near_deg = self.tool_point(), self.drives.axes_deg
         turn = rotation_vector(tool_point[:3, :3] @ start[:3, :3].T)
         for number in range(1, WAYPOINTS + 1):
-            share = number / WAYPOINTS
-            pose = np.eye(4)
-            pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
-            pose[:3, 3] = start[:3, 3] + share * (tool_point[:3, 3] - start[:3, 3])
+            pose = pose_on_line(start, tool_point, turn, number / WAYPOINTS)
             joints_deg = self.joints_for(pose, near_deg)
             if joints_deg is None or any(
                 not joint.lower_deg <= angle <= joint.upper_deg
@@ -167,16 +161,8 @@ class Manipulator:
             pose = self._true.moving(encoders, drives.flanks, drives.moved_s)
         A1, A2, A3, A4, A5, A6 = encoders
         F1, F2, F3, F4, F5, F6 = drives.flanks
-        self._publish(
-            ArmState(
-                (A1, A2, A3, A4, A5, A6),
-                pose,
-                drives.motion_number,
-                drives.at_rest,
-                (F1, F2, F3, F4, F5, F6),
-                drives.moved_s,
-            )
-        )
+        joints, flanks = (A1, A2, A3, A4, A5, A6), (F1, F2, F3, F4, F5, F6)
+        self._publish(ArmState(joints, pose, drives.motion_number, drives.at_rest, flanks, drives.moved_s))
         self._published = (id(drives.axes_deg), drives.at_rest)
 
 
@@ -206,6 +192,5 @@ class FrameTable:
             raise ValueError(f"tool {tool_number} is not defined")
         if base_number not in self._bases:
             raise ValueError(f"base {base_number} is not defined")
-        self._arm.set_tool(self._tools[tool_number])
-        self._arm.set_base(self._bases[base_number])
+        self._arm.use_frames(self._tools[tool_number], self._bases[base_number])
         self.tool_number, self.base_number = tool_number, base_number

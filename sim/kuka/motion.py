@@ -97,6 +97,14 @@ def point_to_point(
             yield [start + share * way for start, way in zip(start_deg, ways, strict=True)]
 
 
+def pose_on_line(start: Matrix, goal: Matrix, turn: Matrix, share: float) -> Matrix:
+    """Return the pose (4, 4) at a share of a straight line; `turn` is its rotation vector in rad."""
+    pose = np.eye(4)
+    pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
+    pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
+    return pose
+
+
 def line(
     arm: RobotDescription,
     start: Matrix,
@@ -124,10 +132,7 @@ def line(
         return
     before = list(start_deg)
     for share in path_parameters(min(speeds), min(accelerations), cycle_s):
-        pose = np.eye(4)
-        pose[:3, :3] = rotation_from_vector(share * turn) @ start[:3, :3]
-        pose[:3, 3] = start[:3, 3] + share * (goal[:3, 3] - start[:3, 3])
-        axes = inverse(pose, before)
+        axes = inverse(pose_on_line(start, goal, turn, share), before)
         if axes is None:
             yield near_singularity()
             return

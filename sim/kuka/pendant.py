@@ -52,34 +52,11 @@ def out_of_range(monitor: str, what: str, value: float, limit: float) -> Message
     )
 
 
-def step_too_large(axis: str, step_deg: float, limit_deg: float) -> Message:
-    """Message of a command too far from the previous one."""
-    return Message(
-        COMMAND_ACCELERATION,
-        f"command acceleration {axis}: step {step_deg:.4f} deg, at most {limit_deg:.4f}",
-        True,
-    )
-
-
-def too_much_acceleration(axis: str, acceleration_deg_s2: float, limit_deg_s2: float) -> Message:
-    """Message of a commanded acceleration above the axis limit for longer than one cycle."""
-    return Message(
-        COMMAND_ACCELERATION,
-        f"command acceleration {axis}: {acceleration_deg_s2:.0f} deg/s2, at most {limit_deg_s2:.0f}",
-        True,
-    )
-
-
 def too_fast(axis: str, speed_deg_s: float, limit_deg_s: float) -> Message:
     """Message of a commanded speed above the axis limit."""
     return Message(
         COMMAND_VELOCITY, f"command velocity {axis}: {speed_deg_s:.1f} deg/s, at most {limit_deg_s:.1f}", True
     )
-
-
-def too_fast_for_T1(number: int, speed_mm_s: float, limit_mm_s: float) -> Message:
-    """Message of a tool faster than the test mode allows."""
-    return Message(number, f"T1: tool speed {speed_mm_s:.0f} mm/s, at most {limit_mm_s:.0f}", True)
 
 
 def end_switch(number: int, axis: str, angle_deg: float) -> Message:
@@ -91,26 +68,6 @@ def end_switch(number: int, axis: str, angle_deg: float) -> Message:
 def near_singularity() -> Message:
     """Message of a Cartesian correction or path that the joints cannot follow."""
     return Message(COMMAND_VELOCITY, "command velocity A4, A6: Cartesian motion near a singularity", True)
-
-
-def emergency_stop(number: int) -> Message:
-    """Message of a pressed emergency stop; acknowledged after its release."""
-    return Message(number, "emergency stop", True)
-
-
-def guard_opened(number: int) -> Message:
-    """Message of a gate opened in an automatic mode; acknowledged once it is closed."""
-    return Message(number, "operator safety: guard open", True)
-
-
-def enabling_switch_released(number: int) -> Message:
-    """Message of an enabling switch released in a test mode while a program ran."""
-    return Message(number, "enabling switch released", True)
-
-
-def collision(number: int) -> Message:
-    """Message of a torque that the model does not explain."""
-    return Message(number, "collision detected: torque beyond the monitored range", True)
 
 
 # Trips by their name in a fault script; always of the first axis.

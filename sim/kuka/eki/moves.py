@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping
 from math import inf
 
-from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, AckCode, OperationMode
+from ronna_hw.wire.kuka_eki import AXIS_ATTRIBUTES, POS_ATTRIBUTES, AckCode, OperationMode
 from sim.kuka.controller import FULL_OVERRIDE, Controller
 from sim.kuka.motion import Acknowledgement, EkiMotion, line, point_to_point
 from sim.kuka.pendant import Message
@@ -13,7 +13,7 @@ from sim.world.nominal_arm import pose_of_frame
 
 LARGEST = 1e6  # mm or degrees: a pose far out of reach, whose squares are still numbers
 LEAST_PERCENT = 0.001  # smallest speed: a motion that never ends has no duration
-FRAME = ("X", "Y", "Z", "A", "B", "C")
+FRAME = POS_ATTRIBUTES[:6]
 _ESCAPED = str.maketrans({"&": "&amp;", "<": "&lt;", ">": "&gt;", '"': "&quot;", "\n": " ", "\r": " "})
 
 ACCEPTED = Acknowledgement(AckCode.OK, "accepted")

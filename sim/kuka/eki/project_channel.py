@@ -51,10 +51,10 @@ class ProjectChannel:
         self._handlers: dict[str, Callable[[Mapping[str, str]], Acknowledgement]] = {
             CommandName.RSI_START: self._rsi_start,
             CommandName.RSI_STOP: self._rsi_stop,
-            CommandName.DRIVES: self._drives,
-            CommandName.SET_OV: self._set_override,
-            CommandName.SET_TOOL: self._set_tool,
-            CommandName.SET_BASE: self._set_base,
+            CommandName.DRIVES: lambda given: controller.switch_drives(flag(given, "On")),
+            CommandName.SET_OV: lambda given: controller.set_override(integer(given, "Val")),
+            CommandName.SET_TOOL: lambda given: controller.set_tool(_number(given, LAST_TOOL), frame(given)),
+            CommandName.SET_BASE: lambda given: controller.set_base(_number(given, LAST_BASE), frame(given)),
             CommandName.STOP: self._stop,
             CommandName.ACK_ERRORS: lambda _: controller.acknowledge(),
             CommandName.SELECT: lambda _: controller.select(),
@@ -179,25 +179,15 @@ class ProjectChannel:
         self._autostart.disarm()
         return self._controller.cancel()
 
-    def _drives(self, given: Mapping[str, str]) -> Acknowledgement:
-        return self._controller.switch_drives(flag(given, "On"))
-
     def _stop(self, given: Mapping[str, str]) -> Acknowledgement:
         kind = StopRequest(given.get("Kind", StopRequest.PATH))
         self._autostart.disarm()
         return self._controller.stop(fast=kind is StopRequest.FAST)
 
-    def _set_override(self, given: Mapping[str, str]) -> Acknowledgement:
-        return self._controller.set_override(integer(given, "Val"))
 
-    def _set_tool(self, given: Mapping[str, str]) -> Acknowledgement:
-        number = integer(given, "No")
-        if not 1 <= number <= LAST_TOOL:
-            raise ValueError(f"No is 1 to {LAST_TOOL}")
-        return self._controller.set_tool(number, frame(given))
-
-    def _set_base(self, given: Mapping[str, str]) -> Acknowledgement:
-        number = integer(given, "No")
-        if not 1 <= number <= LAST_BASE:
-            raise ValueError(f"No is 1 to {LAST_BASE}")
-        return self._controller.set_base(number, frame(given))
+def _number(given: Mapping[str, str], last: int) -> int:
+    """Parse the number of a tool or base."""
+    number = integer(given, "No")
+    if not 1 <= number <= last:
+        raise ValueError(f"No is 1 to {last}")
+    return number

@@ -60,22 +60,10 @@ class State(Enum):
     ACTIVE = 2
 
 
+SETTINGS = {Request.CHANGE_MODE, Request.DRIVES_ON, Request.DRIVES_OFF, Request.CHANGE_CYCLE}
 ACCEPTED = {
-    State.INITIALIZED: {
-        Request.CONNECT,
-        Request.CHANGE_MODE,
-        Request.DRIVES_ON,
-        Request.DRIVES_OFF,
-        Request.CHANGE_CYCLE,
-    },
-    State.INACTIVE: {
-        Request.START,
-        Request.CHANGE_MODE,
-        Request.CANCEL,
-        Request.DRIVES_ON,
-        Request.DRIVES_OFF,
-        Request.CHANGE_CYCLE,
-    },
+    State.INITIALIZED: {Request.CONNECT} | SETTINGS,
+    State.INACTIVE: {Request.START, Request.CANCEL} | SETTINGS,
     State.ACTIVE: {Request.CANCEL, Request.RESET},
 }
 CONTROL_MODES = {1: "JOINT_POSITION_CONTROL", 5: "CARTESIAN_POSITION_CONTROL"}

@@ -18,6 +18,7 @@ from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.text import counted
 from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.errors import EthernetFileInvalid
+from sim.kuka.rsi.telegrams import AXIS, FRAME
 
 SECTIONS = ("SEND", "RECEIVE")
 INTERNAL = "INTERNAL"
@@ -130,9 +131,9 @@ def _infer_wiring(receive: list[dict[str, Any]]) -> tuple[dict[str, Any], ...]:
     wires: dict[tuple[str, str], dict[str, Any]] = {}
     for element in receive:
         group, _, attribute = element["tag"].partition(".")
-        if group in AXIS_GROUPS and attribute in ("A1", "A2", "A3", "A4", "A5", "A6"):
+        if group in AXIS_GROUPS and attribute in AXIS:
             place = ("AXISCORR", attribute)
-        elif group in FRAME_GROUPS and attribute in ("X", "Y", "Z", "A", "B", "C"):
+        elif group in FRAME_GROUPS and attribute in FRAME:
             place = ("POSCORR", attribute)
         elif element["tag"] in STOP_TAGS:
             place = ("STOP", "In1")

@@ -113,7 +113,7 @@ class LinkFaults:
         self._stamp: bytes | None = None  # stamp repeated in all replies while a fault holds it
         self._seed = seed
         self._hit = hit
-        self._cycle = 0
+        self.cycle = 0  # the present one
         self._active: dict[str, list[Fault]] = {}
         self._in_transit: list[tuple[int, bytes]] = []  # cycle of arrival, datagram
 
@@ -129,10 +129,6 @@ class LinkFaults:
             self._active.setdefault(fault.kind.name, []).append(fault)
         if not self.is_active("constant_ipoc"):
             self._stamp = None
-
-    def begin_cycle(self, cycle: int) -> None:
-        """Start a cycle."""
-        self._cycle = cycle
 
     def begin_run(self) -> None:
         """Drop the replies still delayed in the previous run."""
@@ -152,8 +148,8 @@ class LinkFaults:
 
     def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
         """Return the reply that arrives in this cycle, given the client's `datagram`."""
-        now = [data for arrival, data in self._in_transit if arrival <= self._cycle]
-        self._in_transit = [item for item in self._in_transit if item[0] > self._cycle]
+        now = [data for arrival, data in self._in_transit if arrival <= self.cycle]
+        self._in_transit = [item for item in self._in_transit if item[0] > self.cycle]
         if datagram is not None:
             now = self._arriving(datagram, now)
         if self.is_active("network_cut"):
@@ -175,10 +171,10 @@ class LinkFaults:
         )
         if delay_cycles:
             self._hit("delay_replies")
-            self._in_transit += [(self._cycle + delay_cycles, copy) for copy in copies]
+            self._in_transit += [(self.cycle + delay_cycles, copy) for copy in copies]
             return before
         if self._strikes("reorder_replies"):
-            self._in_transit += [(self._cycle + 1, copy) for copy in copies]
+            self._in_transit += [(self.cycle + 1, copy) for copy in copies]
             return before
         # overtaken datagrams come after those that overtook them
         return [*copies, *before]
@@ -221,7 +217,7 @@ class LinkFaults:
         return data[:place] + bytes([NOT_TEXT]) + data[place + 1 :]
 
     def _chance(self, kind: str) -> np.random.Generator:
-        return noise(self._seed, f"robot {kind}", self._cycle)
+        return noise(self._seed, f"robot {kind}", self.cycle)
 
 
 def _restamped(datagram: bytes, by_ms: int) -> bytes:

@@ -64,7 +64,8 @@ class RsiRun:
         self.over = False
         self.message: Message | None = None
         self.notice = ""  # last EStr
-        self._sent_once = self._held = False
+        self.sent_once = False  # the cycle of the first telegram has ended
+        self.held = False
         self._confirmed = not settings.needs_confirmation
         self._late_in_a_row = 0
         self._counting = not settings.counts_from_first_reply and not context.ethernet.only_send
@@ -105,36 +106,30 @@ class RsiRun:
                 context.position_monitor,
                 relative=relative,
             )
-        self._flow = SignalFlow(
+        self.flow = SignalFlow(
             inputs, start_deg, axis, position, relative=relative, share=settings.correction_share
         )
 
     @property
     def command_deg(self) -> list[float]:
         """The commanded axes; the same object while nothing changes."""
-        return self._flow.command_deg
+        return self.flow.command_deg
 
     @property
     def correction_stats(self) -> tuple[int, int]:
         """Stat outputs of AXISCORR and POSCORR: whether active, and which limits clamp."""
-        axis, position = self._flow.stats
-        if not self._parameters.stat_tells_limits:
-            return axis & ACTIVE_BIT, position & ACTIVE_BIT
-        return axis, position
+        axis, position = self.flow.stats
+        mask = -1 if self._parameters.stat_tells_limits else ACTIVE_BIT
+        return axis & mask, position & mask
 
     def telegram(self, frame: Sequence[float], axes_deg: Sequence[float]) -> bytes:
         """Return the telegram of this cycle."""
         return self._writer.write(frame, axes_deg, self._delays[0], self.ipoc, self.correction_stats)
 
     @property
-    def is_first_telegram(self) -> bool:
-        """True until the cycle of the first telegram has ended."""
-        return not self._sent_once
-
-    @property
     def streams(self) -> bool:
         """Whether telegrams are sent; a program may begin streaming late."""
-        return self._sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
+        return self.sent_once or self.state is RsiState.MOVECORR or self._parameters.streams_from == "rsi_on"
 
     def short_telegram(self) -> bytes:
         """Return a nearly empty telegram, like the first one of an RSI before 3.0."""
@@ -156,10 +151,10 @@ class RsiRun:
     def finish(self, reply: Reply | None) -> None:
         """End the cycle with or without a reply; sets `over` when the run ends."""
         self._cycles += 1
-        if not self._sent_once and not self.streams:
+        if not self.sent_once and not self.streams:
             self._enter_movecorr()
             return
-        self._sent_once = True
+        self.sent_once = True
         self.ipoc = (self.ipoc + self.settings.cycle_ms) % self._ipoc_range
         if self.settings.context.ethernet.only_send:
             reply = None
@@ -174,22 +169,18 @@ class RsiRun:
                 self.notice = reply.message
         self._delays.append(self._delay())
         values = self._outputs.update(reply.values if reply is not None else None)
-        if self._flow.stop_rises(values) and not self._handle_stop():
+        if self.flow.stop_rises(values) and not self._handle_stop():
             return
         acts = self.state is RsiState.MOVECORR
-        if acts or (self._acts_early and not self._held):
+        if acts or (self._acts_early and not self.held):
             self._correct(values, heard=reply is not None)
         if not acts:
             self._enter_movecorr()
 
     def hold(self) -> None:
         """Keep streaming but ignore corrections: the program is stopped, not cancelled."""
-        self._held = True
+        self.held = True
         self.state = RsiState.ON
-
-    def narrow_corrections(self, within_deg: float | None) -> None:
-        """Clamp the axis corrections this close to their present values; None removes the clamp."""
-        self._flow.narrow(within_deg)
 
     @property
     def awaits_confirmation(self) -> bool:
@@ -205,14 +196,9 @@ class RsiRun:
         """Whether the STOP object brakes with fast-stop ramps."""
         return self._stop_mode == PATH_FAST
 
-    @property
-    def held(self) -> bool:
-        """True after `hold`."""
-        return self._held
-
     def _enter_movecorr(self) -> None:
         waited = self._cycles >= self._parameters.movecorr_after_cycles
-        if waited and self._confirmed and not self._held:
+        if waited and self._confirmed and not self.held:
             self.state = RsiState.MOVECORR
 
     def _delay(self) -> int:
@@ -221,14 +207,14 @@ class RsiRun:
         return self._late_in_a_row if self._parameters.delay_tells == "in_a_row" else 0
 
     def _correct(self, values: list[float], *, heard: bool) -> None:
-        before = self._flow.command_deg
-        message = self._flow.correct(values)
+        before = self.flow.command_deg
+        message = self.flow.correct(values)
         if message is None:
             if self._parameters.at_end_switch == "clamp":
-                self._flow.command_deg = self._supervision.within_range(self._flow.command_deg)
-            message = self._supervision.judge(self._flow.command_deg, before, heard=heard)
+                self.flow.command_deg = self._supervision.within_range(self.flow.command_deg)
+            message = self._supervision.judge(self.flow.command_deg, before, heard=heard)
         if message is not None:
-            self._flow.command_deg = before
+            self.flow.command_deg = before
             self._end(message)
 
     def _handle_stop(self) -> bool:
@@ -239,10 +225,7 @@ class RsiRun:
         if self._stop_mode != EXIT_MOVE_CORR:
             self.hold()
             return True
-        if self.state is not RsiState.MOVECORR:
-            self._end(rsi_bad("STOP1"))
-        else:
-            self._end(None)
+        self._end(None if self.state is RsiState.MOVECORR else rsi_bad("STOP1"))
         return False
 
     def _count_late(self) -> bool:

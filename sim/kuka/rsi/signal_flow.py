@@ -24,6 +24,7 @@ from ronna_hw.wire.kuka_context import (
     RsiContext,
 )
 from sim.kuka.pendant import Message, near_singularity, out_of_range
+from sim.kuka.rsi.telegrams import AXIS, FRAME
 from sim.world.nominal_arm import AXES, RobotDescription, pose_of_frame
 from sim.world.rigid import rotation_from_vector
 
@@ -34,8 +35,6 @@ ACTIVE_BIT = 1
 ROTATION_BIT = 16
 TOOL_REFERENCE = "Tool"
 
-AXIS_INPUTS = ("A1", "A2", "A3", "A4", "A5", "A6")
-FRAME_INPUTS = ("X", "Y", "Z", "A", "B", "C")
 TRUE_LIMIT = 0.5  # a BOOL may arrive as a decimal number
 
 
@@ -175,21 +174,25 @@ class PositionCorrector:
         angle_deg = degrees(_angle(turn))
         if angle_deg <= self._limits.max_rotation_deg:
             return turn
-        vector = np.array([turn[2, 1] - turn[1, 2], turn[0, 2] - turn[2, 0], turn[1, 0] - turn[0, 1]])
+        vector = _axis(turn)
         unit = vector / np.linalg.norm(vector)
         return rotation_from_vector(unit * np.radians(self._limits.max_rotation_deg))
 
 
 def _angle(rotation: Matrix) -> float:
     """Return the angle of a rotation matrix in rad, exact near zero as well."""
-    vector = np.array(
+    return float(np.arctan2(np.linalg.norm(_axis(rotation)), np.trace(rotation) - 1.0))
+
+
+def _axis(rotation: Matrix) -> Matrix:
+    """Return the axis of a rotation matrix, (3,), times twice the sine of its angle."""
+    return np.array(
         [
             rotation[2, 1] - rotation[1, 2],
             rotation[0, 2] - rotation[2, 0],
             rotation[1, 0] - rotation[0, 1],
         ]
     )
-    return float(np.arctan2(np.linalg.norm(vector), np.trace(rotation) - 1.0))
 
 
 class EthernetOutputs:
@@ -239,7 +242,7 @@ def resolve_inputs(context: RsiContext) -> Inputs:
         places = tuple(fed.get((name, item)) for item in inputs)
         return places if any(place is not None for place in places) else None
 
-    return Inputs(six("AXISCORR", AXIS_INPUTS), six("POSCORR", FRAME_INPUTS), fed.get(("STOP", "In1")))
+    return Inputs(six("AXISCORR", AXIS), six("POSCORR", FRAME), fed.get(("STOP", "In1")))
 
 
 class SignalFlow:

@@ -23,7 +23,7 @@ LASTING: list[tuple[str, Callable[[Any, Any], bool]]] = [
     ("start key held", lambda c, _: c.interlocks.start_key),
     ("enabling switch released", lambda c, _: not c.interlocks.enabling_switch),
     ("stick axis 2", lambda c, _: set(c.arm.drives._slipping) == {1}),
-    ("clamp 0.5 deg", lambda c, _: c.run._flow._axis._within_deg == 0.5),
+    ("clamp 0.5 deg", lambda c, _: c.run.flow._axis._within_deg == 0.5),
     ("eki silence", lambda _, channel: channel.silent),
     ("eki taken", lambda _, channel: channel.occupied),
 ]

@@ -44,7 +44,7 @@ def arrivals(faults: LinkFaults, read: Callable[[bytes], Any], cycles: int) -> l
     """Stamp of what arrives in each cycle when the client answers every one with the cycle's number."""
     seen = []
     for cycle in range(cycles):
-        faults.begin_cycle(cycle)
+        faults.cycle = cycle
         reply = faults.incoming((REPLY % cycle).encode(), read)
         seen.append(reply.ipoc if reply is not None else None)
     return seen
@@ -58,7 +58,7 @@ def test_an_overtaken_reply_arrives_after_the_one_that_overtook_it(link: Any, re
     faults = link("reorder 100 %")
     assert arrivals(faults, read, 4) == [None, 0, 1, 2]
     faults.set_active(())
-    faults.begin_cycle(4)
+    faults.cycle = 4
     assert faults.incoming((REPLY % 4).encode(), read).ipoc == 4  # and cycle 3's reply behind it
     assert faults.idle
 
@@ -72,10 +72,10 @@ def test_nothing_passes_a_cut_network(link: Any, read: Any) -> None:
 def test_the_affected_cycles_depend_on_the_seed_and_not_on_earlier_cycles(link: Any, read: Any) -> None:
     whole = arrivals(link("drop 20 %"), read, 200)
     late = link("drop 20 %")
-    late.begin_cycle(150)
+    late.cycle = 150
     tail = []
     for cycle in range(150, 200):
-        late.begin_cycle(cycle)
+        late.cycle = cycle
         reply = late.incoming((REPLY % cycle).encode(), read)
         tail.append(reply.ipoc if reply is not None else None)
     assert whole[150:] == tail
@@ -109,7 +109,7 @@ def test_a_bad_number_is_nan_inf_or_a_word_and_each_of_them_occurs(link: Any) ->
     faults = link("bad number 100 %")
     seen: list[bytes] = []
     for cycle in range(100):
-        faults.begin_cycle(cycle)
+        faults.cycle = cycle
         faults.incoming((REPLY % cycle).encode(), seen.append)
     assert {data.split(b"<Stop>")[1].split(b"<")[0] for data in seen} == {b"nan", b"inf", b"one"}
 
@@ -118,10 +118,10 @@ def test_constant_ipoc_repeats_the_first_time_stamp_until_the_fault_ends(link: A
     faults = link("constant ipoc")
     assert arrivals(faults, read, 5) == [0, 0, 0, 0, 0]
     faults.set_active(())
-    faults.begin_cycle(7)
+    faults.cycle = 7
     assert faults.incoming((REPLY % 7).encode(), read).ipoc == 7
     faults.set_active(parse_faults("now: robot constant ipoc"))
-    faults.begin_cycle(9)
+    faults.cycle = 9
     assert faults.incoming((REPLY % 9).encode(), read).ipoc == 9
 
 
@@ -131,10 +131,10 @@ def test_of_two_replies_to_one_telegram_the_configured_one_counts(
 ) -> None:
     faults = LinkFaults(1, FaultLog(moment).hit, takes_second=takes_second)
     faults.set_active(parse_faults("now: robot delay 2 cycles"))
-    faults.begin_cycle(1)
+    faults.cycle = 1
     assert faults.incoming((REPLY % 3).encode(), read) is None
     faults.set_active(())
-    faults.begin_cycle(3)
+    faults.cycle = 3
     again = (REPLY % 3).replace("1.500000", "2.500000").encode()
     reply = faults.incoming(again, read)
     assert reply is not None
@@ -145,7 +145,7 @@ def test_corrupt_replies_are_not_read_and_corrupt_telegrams_cannot_be_parsed(lin
     faults = link("corrupt replies 100 %", "corrupt telegrams 100 %")
     telegram = b'<Rob Type="KUKA"><AIPos A1="0.0" A2="0.0"/><IPOC>8</IPOC></Rob>'
     for cycle in range(2000):
-        faults.begin_cycle(cycle)
+        faults.cycle = cycle
         assert faults.incoming((REPLY % cycle).encode(), read) is None
         broken, answerable = faults.outgoing(telegram)
         assert not answerable
