@@ -19,7 +19,7 @@ from ronna_hw.endpoints import Endpoint
 
 CHUNK_BYTES = 65536
 OPEN_TIMEOUT_S = 5.0
-LOOK_EVERY_S = 0.02  # how often the thread checks whether to end
+POLL_S = 0.02  # how often the thread checks whether to end
 
 Disturbance = Callable[[bytes], list[tuple[float, bytes]]]  # one chunk -> (delay in seconds, bytes), in order
 
@@ -83,7 +83,7 @@ class DisturbedLine:
         self._server.close()
 
     def _serve(self) -> None:
-        self._server.settimeout(LOOK_EVERY_S)
+        self._server.settimeout(POLL_S)
         while not self._ended:
             try:
                 client, _ = self._server.accept()
@@ -101,7 +101,7 @@ class DisturbedLine:
         held: list[tuple[float, bytes]] = []  # (due, bytes), in order of arrival
         with ends:
             while not (self._ended or self._cut):
-                wait_s = LOOK_EVERY_S
+                wait_s = POLL_S
                 if held:
                     wait_s = min(wait_s, max(0.0, held[0][0] - time.monotonic()))
                 for key, _ in ends.select(wait_s):

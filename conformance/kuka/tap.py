@@ -18,7 +18,7 @@ from conformance.disturbed_line import DisturbedLine
 from ronna_hw.endpoints import Endpoint
 
 MOST_BYTES = 65536
-LOOK_EVERY_S = 0.02
+POLL_S = 0.02
 LOOPBACK = "127.0.0.1"
 
 
@@ -95,7 +95,7 @@ class RsiTap:
 
     def _serve(self) -> None:
         while not self._ended:
-            ready, _, _ = select.select([self._outside, self._inside], [], [], LOOK_EVERY_S)
+            ready, _, _ = select.select([self._outside, self._inside], [], [], POLL_S)
             for end in ready:
                 try:
                     data, sender = end.recvfrom(MOST_BYTES)
@@ -145,5 +145,5 @@ def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
     while not condition():
         if time.monotonic() > until_s:
             return False
-        time.sleep(LOOK_EVERY_S / 4)
+        time.sleep(POLL_S / 4)
     return True

@@ -34,7 +34,7 @@ from sim.world.world import World
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
 READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that one's limit
-LOOK_S = 0.001  # host time between checks whether someone waits for theatre time
+WAITER_POLL_S = 0.001  # host time between checks whether someone waits for theatre time
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
 UNCHANGED_CYCLES = 50  # without a new correction, after which lock-step is paced
 STALE_LIMIT = 256  # datagrams read per cycle; a flood must not stop the clock
@@ -163,7 +163,7 @@ class CycleLoop:
         idle = self._unchanged >= UNCHANGED_CYCLES and not self._controller.moving
         now_s = time.monotonic()
         while idle and now_s < next_s and not self._clock.has_waiters():
-            self._wait_until(run, min(next_s, now_s + LOOK_S))
+            self._wait_until(run, min(next_s, now_s + WAITER_POLL_S))
             now_s = time.monotonic()
             idle = self._controller.run is run and not self._ending
         self._serve_timers(now_s)

@@ -72,7 +72,7 @@ class UnitFaults:
         """Apply the faults of a command; raises Refusal if one prevents it."""
         for fault in self._board.active("slow"):
             if fault.argument == name:
-                self._unit.take_time(float(fault.arguments[1]))
+                self._unit.clock.sleep(float(fault.arguments[1]))
         ports = self._unit.ports
         match name:
             case "TSTART":
@@ -172,13 +172,13 @@ class LineFaults:
         """Advance an unpaced theatre by the host's time limit, so that faults end while the host waits."""
         if not self._unit.clock.paced:
             name = line.replace(b":", b" ").partition(b" ")[0].decode("latin-1")
-            self._unit.take_time(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
+            self._unit.clock.sleep(COMMAND_TIMEOUT_S.get(name, USUAL_LIMIT_S))
 
     def _wait(self, duration_s: float) -> None:
         """Let host time and theatre time pass: hosts measure their time limits with their own clock."""
         time.sleep(duration_s)
         if not self._unit.clock.paced:
-            self._unit.take_time(duration_s)
+            self._unit.clock.sleep(duration_s)
 
     def _strikes(self, kind: str, generator: np.random.Generator) -> bool:
         chance = float(generator.random()) * WHOLE_PERCENT

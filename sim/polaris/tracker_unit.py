@@ -94,10 +94,6 @@ class Unit:
         self.port_changes = SystemStatus(0)
         self.infrared_checked = False
 
-    def restore_line(self) -> None:
-        """Restore 9600 8N1."""
-        self.line = DEFAULT_LINE
-
     def start_tracking(self, *, restart: bool) -> None:
         """Enter tracking mode; with `restart` the frame number starts at zero."""
         self._begin(restart=restart)
@@ -113,10 +109,6 @@ class Unit:
         """Return from tracking or diagnostic mode to setup mode; handles are kept."""
         self.frames.stop()
         self.mode = Mode.SETUP
-
-    def take_time(self, duration_s: float) -> None:
-        """Delay the current command, in theatre time."""
-        self.clock.sleep(duration_s)
 
     def plug(self, number: int) -> None:
         """Plug in a wired tool; an initialised unit gives it a handle at once."""

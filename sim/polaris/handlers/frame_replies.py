@@ -17,6 +17,7 @@ from sim.polaris.unit.ports import Port
 
 MARKER_DIGITS = 20  # option 0002 always sends this many
 Point = tuple[float, float, float]
+Markers = list[tuple[Point, bool]]  # positions, and whether inside the volume
 
 HEX_DIGIT_BITS = 4
 LARGEST_POSITION = 999_999
@@ -46,7 +47,7 @@ def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> 
                 parts.append(_status_text(frame, port, tracked))
         parts.append(wire.LF)
     if options & ReplyOption.STRAY_PASSIVE:
-        parts.append(_stray_text(frame.strays, options, behaviour))
+        parts.append(_markers_text(*_stray_list(frame.strays, options), behaviour))
     parts.append(f"{int(frame.system_status):04X}")
     return "".join(parts)
 
@@ -68,11 +69,7 @@ def _tool_text(
         parts.append(wire.REPLY_MISSING if words else f"{HandleStatus.MISSING:02X}")
     if options & ReplyOption.TOOL_MARKERS:
         markers = seen_markers(tracked)
-        outside = [not inside for _, inside in markers]
-        bits = _bit_digits(outside, first_is_high=behaviour.first_stray_is_high_bit)
-        parts.append(
-            f"{len(markers):02X}{bits}" + "".join(_position_text(position) for position, _ in markers)
-        )
+        parts.append(_markers_text(markers, [position for position, _ in markers], behaviour))
     return parts
 
 
@@ -91,11 +88,11 @@ def _position_text(position_mm: Point) -> str:
     return "".join(f"{max(-LARGEST_POSITION, min(LARGEST_POSITION, value)):+07d}" for value in scaled)
 
 
-def _stray_text(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBehaviour) -> str:
-    outside = [not stray.inside for stray in strays]
+def _markers_text(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> str:
+    """Count, out-of-volume flags, and the positions that are sent."""
+    outside = [not inside for _, inside in markers]
     bits = _bit_digits(outside, first_is_high=behaviour.first_stray_is_high_bit)
-    positions = "".join(_position_text(stray.position_mm) for stray in reported_strays(strays, options))
-    return f"{len(strays):02X}{bits}{positions}"
+    return f"{len(markers):02X}{bits}" + "".join(map(_position_text, sent_mm))
 
 
 def _bit_digits(flags: Sequence[bool], *, first_is_high: bool) -> str:
@@ -119,7 +116,7 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) ->
         else:  # no options apply
             parts.append(_HANDLE.pack(port.handle, HandleStatus.DISABLED))
     if options & ReplyOption.STRAY_PASSIVE:
-        parts.append(_stray_bytes(frame.strays, options, behaviour))
+        parts.append(_markers_bytes(*_stray_list(frame.strays, options), behaviour))
     parts.append(_U16.pack(frame.system_status))
     return b"".join(parts)
 
@@ -142,22 +139,16 @@ def _tool_bytes(
         parts.append(bytes([HandleStatus.MISSING]) + NO_POSITION if always else b"\0")
     if options & ReplyOption.TOOL_MARKERS:
         markers = seen_markers(tracked)
-        points = b"".join(_POINT.pack(*position) for position, _ in markers)
-        parts.append(
-            bytes([len(markers)]) + _bit_bytes([not inside for _, inside in markers], behaviour) + points
-        )
+        parts.append(_markers_bytes(markers, [position for position, _ in markers], behaviour))
     return parts
 
 
-def _stray_bytes(strays: tuple[Stray, ...], options: ReplyOption, behaviour: UnitBehaviour) -> bytes:
-    points = b"".join(_POINT.pack(*stray.position_mm) for stray in reported_strays(strays, options))
-    return bytes([len(strays)]) + _bit_bytes([not stray.inside for stray in strays], behaviour) + points
-
-
-def _bit_bytes(flags: Sequence[bool], behaviour: UnitBehaviour) -> bytes:
-    """Flags as bits, eight to a byte, in the bit order of this unit."""
-    content = sum(1 << k for k, flag in enumerate(flags) if flag).to_bytes(-(-len(flags) // 8), "little")
-    return content if behaviour.first_stray_is_low_bit else content.translate(MIRRORED)
+def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> bytes:
+    """Count, out-of-volume flags, eight to a byte in this unit's bit order, and the positions sent."""
+    number = sum(1 << k for k, (_, inside) in enumerate(markers) if not inside)
+    flags = number.to_bytes(-(-len(markers) // 8), "little")
+    flags = flags if behaviour.first_stray_is_low_bit else flags.translate(MIRRORED)
+    return bytes([len(markers)]) + flags + b"".join(_POINT.pack(*position) for position in sent_mm)
 
 
 def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
@@ -185,7 +176,7 @@ def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
     return digits if first_first else digits[::-1]
 
 
-def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
+def seen_markers(tracked: Tracked | None) -> Markers:
     """Return (position, inside the volume) for each measured marker of a tool."""
     if tracked is None:
         return []
@@ -193,8 +184,8 @@ def seen_markers(tracked: Tracked | None) -> list[tuple[Point, bool]]:
     return [(position, inside) for position, inside in pairs if position is not None]
 
 
-def reported_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Stray, ...]:
-    """Strays whose positions are sent: those inside the volume; all with option 0800."""
-    if options & ReplyOption.OUT_OF_VOLUME:
-        return strays
-    return tuple(stray for stray in strays if stray.inside)
+def _stray_list(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Markers, list[Point]]:
+    """All strays, and the positions sent: those inside the volume; all with option 0800."""
+    whole = bool(options & ReplyOption.OUT_OF_VOLUME)
+    markers = [(stray.position_mm, stray.inside) for stray in strays]
+    return markers, [position for position, inside in markers if inside or whole]

@@ -12,11 +12,11 @@ from ronna_hw.wire.polaris import REPLY_ERROR, REPLY_OKAY, REPLY_RESET
 from sim.polaris.faults import Power, UnitFaults
 from sim.polaris.handlers.table import COMMANDS, modes_of_commands
 from sim.polaris.tracker_unit import Mode, Unit
-from sim.polaris.unit.framing import LineSettings, ascii_reply, parse_request
+from sim.polaris.unit.framing import DEFAULT_LINE, ascii_reply, parse_request
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
 NANOSECONDS_PER_SECOND = 1_000_000_000
-LOOK_S = 0.1  # between checks for events that need no command
+POLL_S = 0.1  # between checks for events that need no command
 
 
 class CommandInterpreter:
@@ -53,11 +53,6 @@ class CommandInterpreter:
             return ascii_reply(f"{REPLY_ERROR}{refusal.code:02X}")
         return ascii_reply(reply) if isinstance(reply, str) else reply
 
-    @property
-    def line(self) -> LineSettings:
-        """Line settings with which the unit receives now."""
-        return self.unit.line
-
     def restart(self, after_s: float | None = None) -> None:
         """Restart after a break or at power-up: saved settings now, RESET `after_s` later."""
         self.unit.reset()
@@ -76,11 +71,11 @@ class CommandInterpreter:
     def host_left(self) -> None:
         """Handle the close of the line by the last host."""
         if self.unit.behaviour.line_after_close == "default":
-            self.unit.restore_line()
+            self.unit.line = DEFAULT_LINE
 
     def due_s(self) -> float:
         """Host time at which `unsolicited` should be called again."""
-        moments_s = (time.monotonic() + LOOK_S, self._break_s, self._starts_s)
+        moments_s = (time.monotonic() + POLL_S, self._break_s, self._starts_s)
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 
     def unsolicited(self) -> bytes:

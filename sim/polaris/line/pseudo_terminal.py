@@ -97,7 +97,7 @@ class PseudoTerminal:
         self._heard_s = time.monotonic()
         self._spoken_to = True
         self._interpreter.dismiss_break()
-        if not self._behaviour.enforces_line or self._host.agrees(self._interpreter.line):
+        if not self._behaviour.enforces_line or self._host.agrees(self._interpreter.unit.line):
             return packet[1:]
         if self._behaviour.wrong_line == "garbage" and b"\r" in packet:
             self._write(b"ERROR046802\r".translate(UNREADABLE))
@@ -135,8 +135,8 @@ class PseudoTerminal:
         os.close(self._host_end)
 
     def _update_hosts(self) -> None:
-        opened, left = self._watch.events()
-        if left:
+        opened, closed = self._watch.events()
+        if closed:
             self._interpreter.host_left()
         if opened:
             self._opened_s = time.monotonic()
@@ -215,7 +215,7 @@ class HostSideWatch:
             content = os.read(self.file, EVENTS_BYTES)
         except BlockingIOError:
             return False, False
-        opened = left = False
+        opened = closed = False
         offset = 0
         while offset < len(content):
             _, what, _, name_length = _event.unpack_from(content, offset)
@@ -225,8 +225,8 @@ class HostSideWatch:
                 opened = True
             elif what & (IN_CLOSE_WRITE | IN_CLOSE_NOWRITE):
                 self._holders = max(0, self._holders - 1)
-                left = left or self._holders == 0
-        return opened, left
+                closed = closed or self._holders == 0
+        return opened, closed
 
     def close(self) -> None:
         """Stop watching."""

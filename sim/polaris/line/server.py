@@ -24,7 +24,7 @@ SEND_PATIENCE_S = 5.0  # a host that has read nothing for this long is gone, wha
 
 REFUSED = REPLY_ERROR.encode("ascii")
 WAITING_HOSTS = 4  # hosts that may queue for the connection
-WAITING_LOOK_S = 0.2  # host time between looks for a waiting host
+WAITING_CHECK_S = 0.2  # host time between checks for a waiting host
 
 
 class Channel(Protocol):
@@ -109,10 +109,6 @@ class Server:
         self._silent_host_s = interpreter.unit.behaviour.silent_host_s
         self._silent_until_s = inf  # host time from which a silent host yields to a waiting one
 
-    def serve_line(self, line: Channel) -> None:
-        """Serve a serial line."""
-        self._converse(line)
-
     def serve_network(self, listener: socket.socket) -> None:
         """Serve connections one after another; the unit keeps its state between them."""
         self._listener = listener
@@ -123,12 +119,13 @@ class Server:
                 continue
             connection = Connection(listener.accept()[0], self._silent_host_s)
             try:
-                self._converse(connection)
+                self.serve_line(connection)
             finally:
                 self._silent_until_s = inf
                 connection.close()
 
-    def _converse(self, channel: Channel) -> None:
+    def serve_line(self, channel: Channel) -> None:
+        """Serve one host until it is gone; for ever on a serial line, which hosts open and close."""
         interpreter = self._interpreter
         faults = LineFaults(interpreter.unit)
         lines = LineBuffer(interpreter.unit.model.longest_command)
@@ -145,7 +142,7 @@ class Server:
             if not received:
                 continue
             for line in lines.feed(received, time.monotonic()):
-                channel.wait_for_arrival(len(line) + 1, interpreter.line)
+                channel.wait_for_arrival(len(line) + 1, interpreter.unit.line)
                 line = faults.to_unit(line)
                 reply = interpreter.reply(line)
                 if not reply.startswith(REFUSED):
@@ -164,7 +161,7 @@ class Server:
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:
             return False
-        self._silent_until_s = now_s + WAITING_LOOK_S
+        self._silent_until_s = now_s + WAITING_CHECK_S
         return bool(select.select([self._listener], [], [], 0.0)[0])
 
     def _poll(self, *files: int) -> select.poll:

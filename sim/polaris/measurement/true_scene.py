@@ -239,12 +239,8 @@ class Disturbances:
             hidden_tool_markers=frozenset(
                 (fault.arguments[0], int(fault.arguments[1])) for fault in board.active("occlude_tool_marker")
             ),
-            bent=tuple(
-                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("bend_tool")
-            ),
-            turned=tuple(
-                (fault.arguments[0], float(fault.arguments[1])) for fault in board.active("turn_tool")
-            ),
+            bent=_amounts(board.active("bend_tool")),
+            turned=_amounts(board.active("turn_tool")),
             moved=tuple((fault.arguments[0], _vector(fault)) for fault in board.active("move_tool")),
             interfered=_names(board.active("interference")),
             strays=sum(int(fault.argument) for fault in board.active("strays")),
@@ -258,6 +254,10 @@ class Disturbances:
 
 def _names(faults: tuple[Fault, ...]) -> frozenset[str]:
     return frozenset(fault.argument for fault in faults)
+
+
+def _amounts(faults: tuple[Fault, ...]) -> tuple[tuple[str, float], ...]:
+    return tuple((fault.arguments[0], float(fault.arguments[1])) for fault in faults)
 
 
 def _vector(fault: Fault) -> Vector:

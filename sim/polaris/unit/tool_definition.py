@@ -13,7 +13,6 @@ from itertools import combinations, pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.wire import polaris_rom
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.refusal import WarningCode
@@ -221,7 +220,7 @@ def wavelength_of(tool: ToolDefinition) -> int:
 
 
 def _judged(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
-    return bool(tool.flags & polaris_rom.FLAG_UNIQUE_GEOMETRY) or not behaviour.judges_only_flagged
+    return bool(tool.flags & rom.FLAG_UNIQUE_GEOMETRY) or not behaviour.judges_only_flagged
 
 
 def _has_unique_segments(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
