@@ -99,6 +99,11 @@ class Bench:
             share = n / steps
             self.answer([a + share * (b - a) for a, b in zip(from_deg, to_deg, strict=True)])
 
+    def go(self, to_deg: Sequence[float], from_deg: Sequence[float] = ZERO6, steps: int = 200) -> None:
+        """Ramp to a correction and hold it until the arm rests."""
+        self.ramp(to_deg, from_deg, steps)
+        self.rest(to_deg)
+
 
 @pytest.fixture
 def perfect_arm() -> Callable[..., ArmTruth]:

@@ -23,10 +23,12 @@ from sim.world.faults.robot import TRIPS
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
+Make = Callable[..., Any]  # a fixture that makes something
+
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 
 
-def test_start_needs_drives_on_the_key_in_ext_and_an_idle_program(make_bench: Callable[..., Any]) -> None:
+def test_start_needs_drives_on_the_key_in_ext_and_an_idle_program(make_bench: Make) -> None:
     controller = make_bench(start=False).controller
     assert controller.start().code is AckCode.NOT_READY
     controller.turn_key(OperationMode.T1)
@@ -62,7 +64,7 @@ def test_start_needs_drives_on_the_key_in_ext_and_an_idle_program(make_bench: Ca
 @pytest.mark.parametrize("reason", ["stop", "drives", "emergency", "guard", "key"])
 @pytest.mark.parametrize("streams", [True, False])
 def test_every_interruption_brakes_the_arm_and_later_corrections_have_no_effect(
-    make_bench: Callable[..., Any], reason: str, streams: bool
+    make_bench: Make, reason: str, streams: bool
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(streams_after_stop=streams))
     controller = bench.controller
@@ -122,9 +124,7 @@ def test_set_tool_is_refused_during_a_run_and_tool_base_and_override_apply_outsi
     assert controller.set_override(30).code is AckCode.OK
 
 
-def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fault(
-    make_bench: Callable[..., Any],
-) -> None:
+def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fault(make_bench: Make) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
     autostart = Autostart(controller, wanted=True)
@@ -150,7 +150,7 @@ def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fa
     assert controller.message is None
 
 
-def test_autostart_restarts_after_an_emergency_stop_is_released(make_bench: Callable[..., Any]) -> None:
+def test_autostart_restarts_after_an_emergency_stop_is_released(make_bench: Make) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
     autostart = Autostart(controller, wanted=True)
@@ -256,7 +256,7 @@ def test_a_trip_ends_the_run_in_a_braked_stop_with_its_message(bench: Any, name:
     assert controller.acknowledge().code is AckCode.OK
 
 
-def test_a_trip_of_an_idle_controller_raises_no_message(make_bench: Callable[..., Any]) -> None:
+def test_a_trip_of_an_idle_controller_raises_no_message(make_bench: Make) -> None:
     controller = make_bench(start=False).controller
     controller.trip("velocity")
     assert controller.message is None
@@ -265,20 +265,16 @@ def test_a_trip_of_an_idle_controller_raises_no_message(make_bench: Callable[...
 def test_narrowed_limits_clamp_corrections_from_the_current_position_and_stat_shows_it(bench: Any) -> None:
     controller = bench.controller
     bench.enter_movecorr()
-    bench.ramp(on_a1(4.0))
-    bench.rest(on_a1(4.0))
+    bench.go(on_a1(4.0))
     for _ in range(3):
         controller.narrow_corrections(0.5)  # a lasting fault says it in every cycle
-    bench.ramp(on_a1(6.0), from_deg=on_a1(4.0))
-    bench.rest(on_a1(6.0))
+    bench.go(on_a1(6.0), from_deg=on_a1(4.0))
     assert controller.arm.axes_deg[0] == 4.5
     assert controller.run.correction_stats == (0b11, 0)
-    bench.ramp(on_a1(4.2), from_deg=on_a1(6.0))
-    bench.rest(on_a1(4.2))
+    bench.go(on_a1(4.2), from_deg=on_a1(6.0))
     assert (controller.arm.axes_deg[0], controller.run.correction_stats) == (4.2, (0b1, 0))
     controller.narrow_corrections(None)
-    bench.ramp(on_a1(6.0), from_deg=on_a1(4.2))
-    bench.rest(on_a1(6.0))
+    bench.go(on_a1(6.0), from_deg=on_a1(4.2))
     assert (controller.arm.axes_deg[0], controller.message) == (6.0, None)
 
 

@@ -15,6 +15,8 @@ from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import JointChain, TrueArm
 
+Make = Callable[..., Any]  # a fixture that makes something
+
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
 
@@ -51,7 +53,7 @@ def test_a_frame_survives_writing_and_reading_even_at_gimbal_lock() -> None:
         assert np.allclose(pose_of_frame(frame_of(pose)), pose, atol=1e-9)
 
 
-def test_the_reported_pose_is_that_of_the_axes_with_tool_and_base(make_bench: Callable[..., Any]) -> None:
+def test_the_reported_pose_is_that_of_the_axes_with_tool_and_base(make_bench: Make) -> None:
     generator = np.random.default_rng(12)
     controller = make_bench(start=False).controller
     for number in range(1, 17):
@@ -88,14 +90,14 @@ def test_status_and_turn_distinguish_postures() -> None:
     assert description("kr6_r900_2").stretched_A3_deg == pytest.approx(3.41, abs=0.01)
 
 
-def test_a_true_arm_without_errors_is_the_nominal_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
+def test_a_true_arm_without_errors_is_the_nominal_arm(perfect_arm: Make) -> None:
     true = TrueArm(perfect_arm(), seed=0)
     joints = in_radians((30, -75, 110, -20, 45, 60))
     nominal = JointChain(description("kr6_r900_sixx")).flange(joints)
     assert np.allclose(true.at_rest(joints, (1.0,) * 6, 3), nominal, atol=1e-9)
 
 
-def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[..., ArmTruth]) -> None:
+def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Make) -> None:
     home = in_radians(HOME_DEG)
     nominal = JointChain(description("kr6_r900_sixx")).flange(home)[:3, 3]
 
@@ -118,14 +120,14 @@ def test_each_error_moves_the_true_flange_by_its_size(perfect_arm: Callable[...,
     )
 
 
-def test_sag_lowers_the_stretched_arm(perfect_arm: Callable[..., ArmTruth]) -> None:
+def test_sag_lowers_the_stretched_arm(perfect_arm: Make) -> None:
     stretched = in_radians((0, 0, 0, 0, 0, 0))
     sagging = TrueArm(perfect_arm(sag_rad=(radians(0.03), radians(0.03))), seed=0)
     nominal = JointChain(description("kr6_r900_sixx")).flange(stretched)
     assert sagging.moving(stretched, (0.0,) * 6)[2, 3] < nominal[2, 3] - 0.5
 
 
-def test_repeatability_depends_on_the_motion_number_alone(perfect_arm: Callable[..., ArmTruth]) -> None:
+def test_repeatability_depends_on_the_motion_number_alone(perfect_arm: Make) -> None:
     home = in_radians(HOME_DEG)
     true = TrueArm(perfect_arm(repeatability_mm=0.015), seed=4)
     places = np.array([true.at_rest(home, (0.0,) * 6, number)[:3, 3] for number in range(400)])
@@ -179,9 +181,7 @@ def poses(bench: Any, idle: list[int], lost: set[int] = frozenset()) -> list[np.
     return found
 
 
-def test_the_pose_at_rest_does_not_depend_on_idle_time(
-    make_bench: Callable[..., Any], truth: ArmTruth
-) -> None:
+def test_the_pose_at_rest_does_not_depend_on_idle_time(make_bench: Make, truth: ArmTruth) -> None:
     first = poses(make_bench(truth=truth), [0, 0, 0])
     second = poses(make_bench(truth=truth), [500, 3, 77])
     for one, other in zip(first, second, strict=True):
@@ -189,7 +189,7 @@ def test_the_pose_at_rest_does_not_depend_on_idle_time(
 
 
 def test_lost_replies_during_a_motion_do_not_change_the_pose_at_rest(
-    make_bench: Callable[..., Any], truth: ArmTruth
+    make_bench: Make, truth: ArmTruth
 ) -> None:
     first = poses(make_bench(truth=truth), [0, 0, 0])
     second = poses(make_bench(truth=truth), [0, 0, 0], lost={1, 30, 31, 150, 298, 299})
@@ -198,7 +198,7 @@ def test_lost_replies_during_a_motion_do_not_change_the_pose_at_rest(
 
 
 def test_motions_are_counted_by_commands_and_not_by_the_pauses_between_them(
-    make_bench: Callable[..., Any], truth: ArmTruth
+    make_bench: Make, truth: ArmTruth
 ) -> None:
     for pause in (0, 400):
         bench = make_bench(truth=truth)
@@ -215,7 +215,7 @@ def test_motions_are_counted_by_commands_and_not_by_the_pauses_between_them(
 
 
 def test_another_seed_changes_the_pose_at_rest_by_the_repeatability(
-    make_bench: Callable[..., Any], truth: ArmTruth
+    make_bench: Make, truth: ArmTruth
 ) -> None:
     first = poses(make_bench(truth=truth, seed=1), [0, 0, 0])
     second = poses(make_bench(truth=truth, seed=2), [0, 0, 0])
@@ -224,7 +224,7 @@ def test_another_seed_changes_the_pose_at_rest_by_the_repeatability(
 
 
 def test_the_direction_of_approach_decides_on_which_backlash_flank_the_arm_rests(
-    make_bench: Callable[..., Any], perfect_arm: Callable[..., ArmTruth]
+    make_bench: Make, perfect_arm: Make
 ) -> None:
     truth = perfect_arm(backlash_rad=(np.radians(0.02),) + (0.0,) * 5)
     seen_mm = []
@@ -233,15 +233,14 @@ def test_the_direction_of_approach_decides_on_which_backlash_flank_the_arm_rests
         bench.enter_movecorr()
         goal, beyond = (3.0,) + (0.0,) * 5, (3.0 + overshoot,) + (0.0,) * 5
         bench.ramp(beyond)
-        bench.ramp(goal, from_deg=beyond)
-        bench.rest(goal)
+        bench.go(goal, from_deg=beyond)
         assert bench.controller.arm.axes_deg[0] == 3.0
         seen_mm.append(bench.published[-1].robot_from_flange[:3, 3])
     # The whole backlash at 445 mm from the axis.
     assert float(np.linalg.norm(seen_mm[0] - seen_mm[1])) == pytest.approx(445.0 * np.radians(0.02), rel=0.01)
 
 
-def test_the_true_flange_never_jumps(make_bench: Callable[..., Any], truth: ArmTruth) -> None:
+def test_the_true_flange_never_jumps(make_bench: Make, truth: ArmTruth) -> None:
     bench = make_bench(truth=truth)
     poses(bench, [0, 5, 0])
     places_mm = np.array([state.robot_from_flange[:3, 3] for state in bench.published])
@@ -256,9 +255,7 @@ def test_nothing_is_published_while_nothing_changes(bench: Any) -> None:
     assert len(bench.published) == before
 
 
-def test_the_pose_believed_by_the_controller_stays_nominal(
-    make_bench: Callable[..., Any], truth: ArmTruth
-) -> None:
+def test_the_pose_believed_by_the_controller_stays_nominal(make_bench: Make, truth: ArmTruth) -> None:
     bench = make_bench(truth=truth.model_copy(update={"home_deg": (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)}))
     believed = np.array(bench.controller.arm.frame[:3])
     really = bench.published[-1].robot_from_flange[:3, 3]

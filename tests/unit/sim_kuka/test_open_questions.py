@@ -23,6 +23,8 @@ from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
 
+Make = Callable[..., Any]  # a fixture that makes something
+
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {
     "first_request_s",  # of our own program on the controller
@@ -37,7 +39,7 @@ WIDE_DEG = (400.0,) * 6
 
 
 @pytest.fixture
-def bench_with(make_bench: Callable[..., Any]) -> Callable[..., Any]:
+def bench_with(make_bench: Make) -> Make:
     def make(context: RsiContext | None = None, cycle_ms: int | None = None, **parameters: Any) -> Any:
         bench = make_bench(context, parameters=ControllerParameters(**parameters), start=False)
         bench.controller.switch_drives(True)
@@ -70,9 +72,7 @@ def test_every_parameter_answers_a_question_or_belongs_to_the_simulation_alone()
 # -- drives
 
 
-def test_the_12_ms_filter_smooths_corrections_and_settles_exactly_on_them(
-    bench_with: Callable[..., Any],
-) -> None:
+def test_the_12_ms_filter_smooths_corrections_and_settles_exactly_on_them(bench_with: Make) -> None:
     behind = {}
     for cycle_ms, filter_s in ((12, 0.0), (12, 0.05), (4, 0.05), (4, 0.0001)):
         bench = bench_with(cycle_ms=cycle_ms, ipo_filter_s=filter_s)
@@ -86,26 +86,21 @@ def test_the_12_ms_filter_smooths_corrections_and_settles_exactly_on_them(
     assert behind[4, 0.05] == behind[4, 0.0001]
 
 
-def test_axes_are_reported_in_readout_steps_but_held_exactly(bench_with: Callable[..., Any]) -> None:
+def test_axes_are_reported_in_readout_steps_but_held_exactly(bench_with: Make) -> None:
     bench = bench_with(readout_step_deg=0.01)
     bench.enter_movecorr()
-    bench.ramp(on_a1(1.2345))
-    bench.rest(on_a1(1.2345))
+    bench.go(on_a1(1.2345))
     assert b'<AIPos A1="1.2300"' in bench.telegram()
     assert bench.controller.arm.axes_deg[0] == 1.2345
     fine = bench_with(readout_step_deg=0.0)
     fine.enter_movecorr()
-    fine.ramp(on_a1(1.2345))
-    fine.rest(on_a1(1.2345))
+    fine.go(on_a1(1.2345))
     assert b'<AIPos A1="1.2345"' in fine.telegram()
 
 
 @pytest.mark.parametrize(("answer", "rests_deg"), [("stop", None), ("clamp", 170.0)])
 def test_a_software_end_switch_stops_the_arm_or_clamps_the_correction(
-    bench_with: Callable[..., Any],
-    context_with: Callable[..., RsiContext],
-    answer: str,
-    rests_deg: float | None,
+    bench_with: Make, context_with: Make, answer: str, rests_deg: float | None
 ) -> None:
     context = context_with(
         axis_correction={"limits": "explicit", "lower_deg": (-400.0,) * 6, "upper_deg": WIDE_DEG},
@@ -119,20 +114,16 @@ def test_a_software_end_switch_stops_the_arm_or_clamps_the_correction(
         assert bench.controller.message.number == ControllerParameters().end_switch_message
         assert bench.controller.message.text.startswith("software end switch +A1")
         return
-    bench.ramp(on_a1(175.0), steps=2000)
-    bench.rest(on_a1(175.0))
+    bench.go(on_a1(175.0), steps=2000)
     assert bench.controller.arm.axes_deg[0] == rests_deg
-    bench.ramp(on_a1(165.0), from_deg=on_a1(175.0), steps=200)
-    bench.rest(on_a1(165.0))
+    bench.go(on_a1(165.0), from_deg=on_a1(175.0), steps=200)
     assert (bench.controller.arm.axes_deg[0], bench.controller.message) == (165.0, None)
 
 
 # -- telegrams
 
 
-def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(
-    bench_with: Callable[..., Any],
-) -> None:
+def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(bench_with: Make) -> None:
     stamps: dict[int, list[int]] = {32: [], 64: []}
     for bits, seen in stamps.items():
         bench = bench_with(ipoc_start=2**32 - 8, ipoc_bits=bits)
@@ -154,7 +145,7 @@ def test_the_ipoc_starts_at_its_set_value_and_wraps_at_its_bit_width(
     ],
 )
 def test_delay_d_counts_late_replies_as_configured(
-    bench_with: Callable[..., Any], tells: str, lag: int, said: list[int]
+    bench_with: Make, tells: str, lag: int, said: list[int]
 ) -> None:
     bench = bench_with(delay_tells=tells, delay_lag_cycles=lag)
     bench.enter_movecorr()
@@ -165,9 +156,7 @@ def test_delay_d_counts_late_replies_as_configured(
     assert seen == said
 
 
-def test_stat_reports_limits_only_when_configured(
-    bench_with: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
+def test_stat_reports_limits_only_when_configured(bench_with: Make, context_with: Make) -> None:
     for tells, stats in ((True, (0b11, 0)), (False, (0b1, 0))):
         bench = bench_with(context_with(axis_correction=None, axis_monitor=None), stat_tells_limits=tells)
         bench.enter_movecorr()
@@ -179,13 +168,10 @@ def test_stat_reports_limits_only_when_configured(
 
 
 @pytest.mark.parametrize(("lacking", "value"), [("holdon", 1.0), ("kept", 1.0), ("zero", 0.0)])
-def test_values_missing_from_a_reply_are_held_or_zeroed(
-    bench_with: Callable[..., Any], lacking: str, value: float
-) -> None:
+def test_values_missing_from_a_reply_are_held_or_zeroed(bench_with: Make, lacking: str, value: float) -> None:
     bench = bench_with(missing_element=lacking, step_share=10.0)
     bench.enter_movecorr()
-    bench.ramp(on_a1(1.0))
-    bench.rest(on_a1(1.0))
+    bench.go(on_a1(1.0))
     run = bench.controller.run
     for _ in range(40):
         reply = run.read(f'<Sen Type="KROSHU"><IPOC>{run.ipoc}</IPOC></Sen>'.encode())
@@ -215,9 +201,7 @@ def test_exponents_and_bad_numbers_are_read_as_configured() -> None:
 # -- the run
 
 
-def test_telegrams_can_start_with_movecorr_and_nothing_is_late_before_that(
-    bench_with: Callable[..., Any],
-) -> None:
+def test_telegrams_can_start_with_movecorr_and_nothing_is_late_before_that(bench_with: Make) -> None:
     bench = bench_with(streams_from="movecorr", movecorr_after_cycles=10)
     run = bench.controller.run
     first = run.ipoc
@@ -225,12 +209,11 @@ def test_telegrams_can_start_with_movecorr_and_nothing_is_late_before_that(
     assert (run.streams, run.ipoc, run.late) == (False, first, 0)
     bench.miss()
     assert (run.streams, run.ipoc, run.state) == (True, first, RsiState.MOVECORR)
-    bench.ramp(on_a1(1.0))
-    bench.rest(on_a1(1.0))
+    bench.go(on_a1(1.0))
     assert bench.controller.arm.axes_deg[0] == 1.0
 
 
-def test_in_t1_telegrams_can_wait_for_the_confirmation(make_bench: Callable[..., Any]) -> None:
+def test_in_t1_telegrams_can_wait_for_the_confirmation(make_bench: Make) -> None:
     bench = make_bench(parameters=ControllerParameters(streams_from="movecorr"), start=False)
     bench.controller.turn_key(OperationMode.T1)
     bench.controller.hold_start_key(True)
@@ -243,7 +226,7 @@ def test_in_t1_telegrams_can_wait_for_the_confirmation(make_bench: Callable[...,
     assert bench.controller.run.streams
 
 
-def test_corrections_may_act_from_the_first_telegram(bench_with: Callable[..., Any]) -> None:
+def test_corrections_may_act_from_the_first_telegram(bench_with: Make) -> None:
     moved = {}
     for act in ("movecorr", "rsi_on"):
         bench = bench_with(corrections_act=act, movecorr_after_cycles=50)
@@ -256,21 +239,18 @@ def test_corrections_may_act_from_the_first_telegram(bench_with: Callable[..., A
 
 
 @pytest.mark.parametrize(("scales", "reached"), [(False, 2.0), (True, 1.0)])
-def test_the_override_may_scale_corrections(
-    make_bench: Callable[..., Any], scales: bool, reached: float
-) -> None:
+def test_the_override_may_scale_corrections(make_bench: Make, scales: bool, reached: float) -> None:
     bench = make_bench(parameters=ControllerParameters(override_scales_corrections=scales), start=False)
     bench.controller.switch_drives(True)
     bench.controller.set_override(50)
     bench.controller.start()
     bench.enter_movecorr()
-    bench.ramp(on_a1(2.0))
-    bench.rest(on_a1(2.0))
+    bench.go(on_a1(2.0))
     assert bench.controller.arm.axes_deg[0] == reached
 
 
 @pytest.mark.parametrize("cancels", [False, True])
-def test_a_lost_eki_connection_may_end_the_run(bench_with: Callable[..., Any], cancels: bool) -> None:
+def test_a_lost_eki_connection_may_end_the_run(bench_with: Make, cancels: bool) -> None:
     bench = bench_with(eki_loss_cancels=cancels)
     bench.enter_movecorr()
     bench.controller.handle_eki_loss()
@@ -303,7 +283,7 @@ def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
 
 
 @pytest.mark.parametrize("asks", [False, True])
-def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Callable[..., Any], asks: bool) -> None:
+def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Make, asks: bool) -> None:
     bench = make_bench(parameters=ControllerParameters(first_request_s=3.0), start=False)
     heard: Any = Heard()
     channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
@@ -323,9 +303,7 @@ def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Callable[.
 
 
 @pytest.mark.parametrize("inverted", [0, 2, 7])
-def test_inverted_status_bits_apply_when_reported_and_when_received(
-    make_bench: Callable[..., Any], inverted: int
-) -> None:
+def test_inverted_status_bits_apply_when_reported_and_when_received(make_bench: Make, inverted: int) -> None:
     bench = make_bench(parameters=ControllerParameters(inverted_status=inverted), start=False)
     bench.controller.switch_drives(True)
     home_deg = list(bench.controller.arm.axes_deg)
@@ -340,7 +318,7 @@ def test_inverted_status_bits_apply_when_reported_and_when_received(
     assert bench.controller.arm.axes_deg == pytest.approx(home_deg, abs=1e-3)
 
 
-def test_a_text_is_cut_at_the_longest_krl_string(make_bench: Callable[..., Any]) -> None:
+def test_a_text_is_cut_at_the_longest_krl_string(make_bench: Make) -> None:
     bench = make_bench(parameters=ControllerParameters(longest_text=10), start=False)
     acknowledged = _ask(bench, f'<Cmd Id="{"7" * 30}" Name="NONSENSE"></Cmd>')[0]
     assert acknowledged.get("Id") == "7" * 10
@@ -350,9 +328,7 @@ def test_a_text_is_cut_at_the_longest_krl_string(make_bench: Callable[..., Any])
 # -- the true arm
 
 
-def test_thermal_drift_grows_with_time_in_motion_and_is_zero_when_cold(
-    perfect_arm: Callable[..., ArmTruth],
-) -> None:
+def test_thermal_drift_grows_with_time_in_motion_and_is_zero_when_cold(perfect_arm: Make) -> None:
     warm = TrueArm(perfect_arm(thermal_drift_mm=0.04, thermal_time_s=1000.0), seed=3)
     joints, flanks = (0.0, -1.3, 1.4, 0.0, 0.9, 0.0), (0.0,) * 6
     cold = warm.moving(joints, flanks, 0.0)
@@ -364,7 +340,7 @@ def test_thermal_drift_grows_with_time_in_motion_and_is_zero_when_cold(
     assert perfect_arm().thermal_drift_mm == 0.0  # results must not depend on the time before them
 
 
-def test_only_time_in_motion_counts_as_warming(bench_with: Callable[..., Any]) -> None:
+def test_only_time_in_motion_counts_as_warming(bench_with: Make) -> None:
     bench = bench_with()
     bench.enter_movecorr()
     for _ in range(100):

@@ -42,8 +42,7 @@ def test_corrections_wait_for_confirmation_in_t1_but_not_in_ext(in_T1: Any, benc
     assert in_T1.controller.acknowledge().code is AckCode.OK
     in_T1.answer()
     assert in_T1.controller.rsi_state is RsiState.MOVECORR
-    in_T1.ramp(on_a1(2.0))
-    in_T1.rest(on_a1(2.0))
+    in_T1.go(on_a1(2.0))
     assert in_T1.controller.arm.axes_deg[0] == 2.0
 
 
@@ -99,8 +98,7 @@ def test_an_overload_holds_the_arm_without_a_message_until_the_program_is_cancel
     controller.cancel()
     assert controller.start().code is AckCode.OK
     bench.enter_movecorr()
-    bench.ramp(on_a1(1.0))
-    bench.rest(on_a1(1.0))
+    bench.go(on_a1(1.0))
     assert controller.arm.axes_deg[0] == pytest.approx(held[0] + 1.0)
 
 
@@ -131,9 +129,7 @@ def test_in_t1_a_correction_faster_than_250_mm_per_second_stops_the_arm(in_T1: A
     assert controller.message.number == ControllerParameters().T1_speed_message
 
 
-def test_messages_texts_and_acknowledgements_are_each_shown_once(
-    capsys: pytest.CaptureFixture[str],
-) -> None:
+def test_messages_texts_and_acknowledgements_are_each_shown_once(capsys: pytest.CaptureFixture[str]) -> None:
     display = PendantDisplay(lambda: 12.5)
     silence, speed = rsi_timeout(100), too_fast("A1", 400.0, 360.0)
     for message, notice in (

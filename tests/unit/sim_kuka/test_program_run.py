@@ -8,14 +8,13 @@ from typing import Any
 import pytest
 from shared_controller import on_a1
 
-from ronna_hw.wire.kuka_context import RsiContext
 from ronna_hw.wire.kuka_eki import ProState, RsiState
 from sim.kuka.controller_parameters import ControllerParameters
 
+Make = Callable[..., Any]  # a fixture that makes something
 
-def test_ipoc_advances_by_the_cycle_time_and_a_new_run_starts_at_another_value(
-    make_bench: Callable[..., Any],
-) -> None:
+
+def test_ipoc_advances_by_the_cycle_time_and_a_new_run_starts_at_another_value(make_bench: Make) -> None:
     bench = make_bench()
     run = bench.controller.run
     first = run.ipoc
@@ -33,8 +32,7 @@ def test_corrections_move_the_arm_in_movecorr_and_show_in_aipos(bench: Any) -> N
     bench.enter_movecorr()
     assert bench.controller.rsi_state is RsiState.MOVECORR
     assert bench.controller.program_state is ProState.ACTIVE
-    bench.ramp(on_a1(10.0))
-    bench.rest(on_a1(10.0))
+    bench.go(on_a1(10.0))
     assert bench.A1_deg == 10.0
     assert b'<AIPos A1="10.0000"' in bench.telegram()
 
@@ -69,20 +67,19 @@ def test_stop_before_movecorr_raises_an_object_error(bench: Any) -> None:
 
 
 def test_a_stop_object_set_to_info_message_only_notifies_and_the_motion_continues(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     bench = make_bench(context_with(stop={"mode": "InfoMessage"}))
     bench.enter_movecorr()
     bench.ramp(on_a1(3.0))
     bench.answer(on_a1(3.0), stop=1)
     assert bench.controller.run.notice == "STOP1: stop requested"
-    bench.ramp(on_a1(4.0), from_deg=on_a1(3.0))
-    bench.rest(on_a1(4.0))
+    bench.go(on_a1(4.0), from_deg=on_a1(3.0))
     assert bench.A1_deg == 4.0
 
 
 def test_a_path_stop_brakes_the_arm_while_the_run_streams_and_path_fast_stops_shorter(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     ways = {}
     for mode in ("PathNormal", "Velocity", "PathFast"):
@@ -103,22 +100,19 @@ def test_a_path_stop_brakes_the_arm_while_the_run_streams_and_path_fast_stops_sh
 
 def test_a_restarted_run_uses_the_current_arm_position_as_its_base(bench: Any) -> None:
     bench.enter_movecorr()
-    bench.ramp(on_a1(7.0))
-    bench.rest(on_a1(7.0))
+    bench.go(on_a1(7.0))
     bench.answer(on_a1(7.0), stop=1)
     bench.controller.start()
     assert b'A1="7.0000"' in bench.telegram()
     bench.enter_movecorr()
     assert bench.A1_deg == 7.0
-    bench.ramp(on_a1(-7.0))
-    bench.rest(on_a1(-7.0))
+    bench.go(on_a1(-7.0))
     assert bench.A1_deg == 0.0
 
 
 def test_a_lost_reply_freezes_the_arm_with_holdon_1(bench: Any) -> None:
     bench.enter_movecorr()
-    bench.ramp(on_a1(5.0))
-    bench.rest(on_a1(5.0))
+    bench.go(on_a1(5.0))
     bench.miss(20)
     assert bench.A1_deg == 5.0
     assert bench.controller.run.late == 20
@@ -126,22 +120,21 @@ def test_a_lost_reply_freezes_the_arm_with_holdon_1(bench: Any) -> None:
 
 
 def test_a_lost_reply_with_holdon_0_commands_a_jump_back_and_ends_in_a_fault(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     context = context_with()
     receive = tuple(element.model_copy(update={"holdon": 0}) for element in context.receive)
     bench = make_bench(context.model_copy(update={"receive": receive}))
     assert not bench.controller.holds_corrections
     bench.enter_movecorr()
-    bench.ramp(on_a1(5.0))
-    bench.rest(on_a1(5.0))
+    bench.go(on_a1(5.0))
     bench.miss()
     assert bench.controller.rsi_state is RsiState.FAULT
     assert bench.message_number == 1074
 
 
 def test_relative_corrections_integrate_and_continue_while_replies_are_missing(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     bench = make_bench(context_with(program={"corrections": "relative"}))
     bench.enter_movecorr()
@@ -157,7 +150,7 @@ def test_relative_corrections_integrate_and_continue_while_replies_are_missing(
 
 @pytest.mark.parametrize(("counting", "ends"), [("consecutive", False), ("total", True)])
 def test_the_timeout_counts_late_replies_consecutively_or_in_total(
-    make_bench: Callable[..., Any], counting: Any, ends: bool
+    make_bench: Make, counting: Any, ends: bool
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(timeout_counting=counting))
     for _ in range(12):
@@ -222,7 +215,7 @@ def test_an_accepted_reply_counts_no_rejection(bench: Any) -> None:
 
 
 def test_only_send_counts_no_late_replies_and_applies_no_corrections(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     bench = make_bench(context_with(ethernet={"only_send": True}))
     for n in range(300):

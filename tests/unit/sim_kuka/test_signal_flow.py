@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 from shared_controller import on_a1
 
-from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.world.scene.model import ArmTruth
+
+Make = Callable[..., Any]  # a fixture that makes something
 
 A1_FULL_STEP_DEG = 360.0 * 0.004
 QUARTER_DEG = A1_FULL_STEP_DEG / 4
@@ -56,7 +57,7 @@ def test_a_jump_of_the_correction_at_speed_ends_in_a_braked_stop(bench: Any) -> 
     assert before < value + 3.0
 
 
-def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Callable[..., Any]) -> None:
+def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Make) -> None:
     bench = make_bench(parameters=ControllerParameters(step_share=2.0, acceleration_share=100.0))
     bench.enter_movecorr()
     for n in range(1, 3):
@@ -71,7 +72,7 @@ def test_speed_above_the_axis_limit_for_several_cycles_is_a_fault(make_bench: Ca
 @pytest.mark.parametrize("cycle_ms", [4, 12])
 @pytest.mark.parametrize("axis", range(6))
 def test_a_lost_reply_at_working_speed_causes_no_acceleration_fault(
-    make_bench: Callable[..., Any], cycle_ms: int, axis: int
+    make_bench: Make, cycle_ms: int, axis: int
 ) -> None:
     bench = make_bench(start=False)
     bench.controller.switch_drives(True)
@@ -98,7 +99,7 @@ def test_a_lost_reply_at_working_speed_causes_no_acceleration_fault(
 
 @pytest.mark.parametrize("lost", [3, 25])
 def test_a_motion_resumes_at_speed_after_few_lost_replies_and_faults_after_many(
-    make_bench: Callable[..., Any], lost: int
+    make_bench: Make, lost: int
 ) -> None:
     bench = make_bench(parameters=ControllerParameters(step_share=1.0))
     bench.enter_movecorr()
@@ -135,26 +136,22 @@ def test_sustained_excess_acceleration_is_a_fault_even_if_no_step_is_too_large(b
 
 def test_the_default_context_clamps_at_the_software_end_switches(bench: Any) -> None:
     bench.enter_movecorr()
-    bench.ramp(on_a1(175.0), steps=2000)
-    bench.rest(on_a1(175.0))
+    bench.go(on_a1(175.0), steps=2000)
     assert bench.A1_deg == 170.0
     assert bench.controller.message is None
     assert bench.controller.run.correction_stats == (0b11, 0)
 
 
 def test_a_context_without_limits_uses_the_narrow_vendor_defaults(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
+    make_bench: Make, context_with: Make
 ) -> None:
     bench = make_bench(context_with(axis_correction=None, axis_monitor=None))
     bench.enter_movecorr()
-    bench.ramp(on_a1(8.0))
-    bench.rest(on_a1(8.0))
+    bench.go(on_a1(8.0))
     assert bench.A1_deg == 5.0
 
 
-def test_a_monitor_stops_a_correction_that_the_limits_let_pass(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
+def test_a_monitor_stops_a_correction_that_the_limits_let_pass(make_bench: Make, context_with: Make) -> None:
     bench = make_bench(context_with(axis_monitor=None))
     bench.enter_movecorr()
     with pytest.raises(AssertionError):
@@ -163,7 +160,7 @@ def test_a_monitor_stops_a_correction_that_the_limits_let_pass(
     assert bench.A1_deg < 6.5
 
 
-def test_a_12_ms_cycle_allows_three_times_the_step(make_bench: Callable[..., Any]) -> None:
+def test_a_12_ms_cycle_allows_three_times_the_step(make_bench: Make) -> None:
     bench = make_bench(start=False)
     bench.controller.switch_drives(True)
     assert bench.controller.start(cycle_ms=12).code == 0
@@ -176,12 +173,7 @@ def test_a_12_ms_cycle_allows_three_times_the_step(make_bench: Callable[..., Any
     assert bench.message_number == 1074
 
 
-def position_bench(
-    make_bench: Callable[..., Any],
-    context_with: Callable[..., RsiContext],
-    truth: ArmTruth | None = None,
-    **tables: Any,
-) -> Any:
+def position_bench(make_bench: Make, context_with: Make, truth: ArmTruth | None = None, **tables: Any) -> Any:
     context = context_with(**tables)
     places = {"A1": "X", "A2": "Y", "A3": "Z", "A4": "A", "A5": "B", "A6": "C"}
     wiring = tuple(
@@ -193,29 +185,23 @@ def position_bench(
     return make_bench(context.model_copy(update={"wiring": wiring}), truth)
 
 
-def test_a_cartesian_correction_moves_the_tool_in_base(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
+def test_a_cartesian_correction_moves_the_tool_in_base(make_bench: Make, context_with: Make) -> None:
     bench = position_bench(make_bench, context_with)
     bench.enter_movecorr()
     start = bench.controller.arm.frame
     goal = (2.0, -1.0, 3.0, 1.0, 0.0, 0.0)
-    bench.ramp(goal)
-    bench.rest(goal)
+    bench.go(goal)
     moved = [b - a for a, b in zip(start, bench.controller.arm.frame, strict=True)]
     assert moved[:3] == pytest.approx([2.0, -1.0, 3.0], abs=1e-4)
     assert (moved[3] + 180) % 360 - 180 == pytest.approx(1.0, abs=1e-4)
     assert bench.controller.run.correction_stats == (0, 1)
 
 
-def test_cartesian_corrections_are_clamped_and_monitored(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
+def test_cartesian_corrections_are_clamped_and_monitored(make_bench: Make, context_with: Make) -> None:
     bench = position_bench(make_bench, context_with)
     start = bench.controller.arm.frame
     bench.enter_movecorr()
-    bench.ramp((8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    bench.rest((8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.go((8.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     assert bench.controller.arm.frame[0] - start[0] == pytest.approx(5.0, abs=1e-4)
     assert bench.controller.run.correction_stats == (0, 0b11)
     with pytest.raises(AssertionError):
@@ -224,7 +210,7 @@ def test_cartesian_corrections_are_clamped_and_monitored(
 
 
 def test_a_cartesian_correction_through_a_singularity_raises_a_wrist_velocity_fault(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext], perfect_arm: Callable[..., Any]
+    make_bench: Make, context_with: Make, perfect_arm: Make
 ) -> None:
     truth = perfect_arm(home_deg=(0.0, -80.0, 100.0, 20.0, 0.5, 0.0))
     bench = position_bench(make_bench, context_with, truth=truth)
@@ -238,9 +224,7 @@ def test_a_cartesian_correction_through_a_singularity_raises_a_wrist_velocity_fa
     assert (np.abs(np.degrees(np.diff(seen, axis=0))) <= full_step_deg).all()
 
 
-def test_relative_cartesian_corrections_integrate(
-    make_bench: Callable[..., Any], context_with: Callable[..., RsiContext]
-) -> None:
+def test_relative_cartesian_corrections_integrate(make_bench: Make, context_with: Make) -> None:
     bench = position_bench(make_bench, context_with, program={"corrections": "relative"})
     bench.enter_movecorr()
     start = bench.controller.arm.frame
@@ -253,15 +237,11 @@ def test_relative_cartesian_corrections_integrate(
 
 @pytest.mark.parametrize(("reference", "direction"), [("Base", (1.0, 0.0, 0.0)), ("Tool", (-1.0, 0.0, 0.0))])
 def test_corrections_refer_to_base_or_tool_as_configured(
-    make_bench: Callable[..., Any],
-    context_with: Callable[..., RsiContext],
-    reference: str,
-    direction: tuple[float, ...],
+    make_bench: Make, context_with: Make, reference: str, direction: tuple[float, ...]
 ) -> None:
     bench = position_bench(make_bench, context_with, position_correction={"reference": reference})
     bench.enter_movecorr()
     start = np.array(bench.controller.arm.frame[:3])
-    bench.ramp((2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
-    bench.rest((2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
+    bench.go((2.0, 0.0, 0.0, 0.0, 0.0, 0.0))
     moved = np.array(bench.controller.arm.frame[:3]) - start
     assert moved == pytest.approx(2.0 * np.array(direction), abs=1e-4)

@@ -21,6 +21,8 @@ from ronna_hw.wire.kuka_context import (
 from sim.kuka.errors import EthernetFileInvalid
 from sim.kuka.rsi.telegrams import ReplyReader, TelegramWriter
 
+Make = Callable[..., Any]  # a fixture that makes something
+
 FRAME = (445.0, 0.0, 810.0, 180.0, 0.0, 180.0)
 AXES = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 
@@ -219,7 +221,7 @@ ETHERNET_XML = """\ufeff<ROOT>
 
 
 @pytest.fixture
-def read_file(tmp_path: Path) -> Callable[..., RsiContext]:
+def read_file(tmp_path: Path) -> Make:
     from sim.kuka.rsi.ethernet_file import read_ethernet_file
 
     def read(text: str, context: RsiContext | None = None, longest_name: int = 255) -> RsiContext:
@@ -230,7 +232,7 @@ def read_file(tmp_path: Path) -> Callable[..., RsiContext]:
     return read
 
 
-def test_wiring_is_inferred_from_the_tags_of_a_foreign_file(read_file: Callable[..., RsiContext]) -> None:
+def test_wiring_is_inferred_from_the_tags_of_a_foreign_file(read_file: Make) -> None:
     context = read_file(ETHERNET_XML)
     assert {(wire.object, wire.input, wire.indx) for wire in context.wiring} == {
         ("POSCORR", "X", 1),
@@ -245,7 +247,7 @@ def test_wiring_is_inferred_from_the_tags_of_a_foreign_file(read_file: Callable[
     assert [(wire.indx, wire.object) for wire in context.feedback] == [(2, "AXISCORR")]
 
 
-def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Callable[..., RsiContext]) -> None:
+def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Make) -> None:
     text = ETHERNET_XML
     for number in range(5, 9):
         text = text.replace(
@@ -272,13 +274,13 @@ def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Callable[.
     ],
 )
 def test_a_broken_file_is_refused_and_its_mistake_named(
-    read_file: Callable[..., RsiContext], old: str, new: str, what: str
+    read_file: Make, old: str, new: str, what: str
 ) -> None:
     with pytest.raises(EthernetFileInvalid, match=what):
         read_file(ETHERNET_XML.replace(old, new))
 
 
-def test_a_file_name_that_is_too_long_is_refused(read_file: Callable[..., RsiContext]) -> None:
+def test_a_file_name_that_is_too_long_is_refused(read_file: Make) -> None:
     assert read_file(ETHERNET_XML, longest_name=len("link"))
     with pytest.raises(EthernetFileInvalid, match=r"link.xml is too long.*3 characters"):
         read_file(ETHERNET_XML, longest_name=3)

@@ -20,6 +20,8 @@ from sim.world.scene.model import TrackerTool
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 
 @pytest.mark.parametrize(
     ("behaviour", "line", "usual", "other"),
@@ -37,7 +39,7 @@ if TYPE_CHECKING:
     ],
 )
 def test_a_parameter_can_change_the_answer_to_a_command(
-    make_bench: Callable[..., Bench], behaviour: dict[str, Any], line: str, usual: str, other: str
+    make_bench: MakeBench, behaviour: dict[str, Any], line: str, usual: str, other: str
 ) -> None:
     for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
         bench.send("INIT ")
@@ -59,7 +61,7 @@ def test_a_parameter_can_change_the_answer_to_a_command(
     ],
 )
 def test_a_parameter_can_change_which_commands_a_mode_allows(
-    make_bench: Callable[..., Bench], behaviour: dict[str, Any], way: str, line: str, usual: str, other: str
+    make_bench: MakeBench, behaviour: dict[str, Any], way: str, line: str, usual: str, other: str
 ) -> None:
     for bench, answer in ((make_bench(), usual), (make_bench(**behaviour), other)):
         for step in filter(None, way.split(",")):
@@ -67,7 +69,7 @@ def test_a_parameter_can_change_which_commands_a_mode_allows(
         assert bench.send(line).startswith(answer)
 
 
-def test_replies_can_list_disabled_handles(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+def test_replies_can_list_disabled_handles(make_bench: MakeBench, pointer: TrackerTool) -> None:
     for status, shown in ((False, "02DISABLED\n"), (True, "02DISABLED00000011")):
         bench = make_bench(lists_disabled_handles=True, status_of_unseen_handles=status).ready()
         bench.enable(pointer)
@@ -84,7 +86,7 @@ def test_replies_can_list_disabled_handles(make_bench: Callable[..., Bench], poi
 
 
 def test_the_active_stray_of_a_passive_tool_has_two_forms(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     for behaviour, text, size in (
         ({}, "02\n", 13),
@@ -96,7 +98,7 @@ def test_the_active_stray_of_a_passive_tool_has_two_forms(
 
 
 def test_tool_markers_are_reported_by_bx_and_optionally_by_tx(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     bench = make_bench(text_tool_markers=True).ready().track(pointer)
     answer = bench.send("TX 0008")
@@ -121,7 +123,7 @@ def test_out_of_volume_bits_can_start_at_either_end_of_a_byte() -> None:
 
 
 def test_phinf_can_report_the_serial_number_in_either_byte_order(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     for number, shown in ((True, "3E000001"), (False, "0100003E")):
         bench = make_bench(serial_low_byte_first=number).ready()

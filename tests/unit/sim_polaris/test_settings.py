@@ -14,6 +14,8 @@ from sim.world.scene.named_scenes import named_scene
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 
 @pytest.mark.parametrize(
     ("line", "answer"),
@@ -113,7 +115,7 @@ def test_factory_values_are_restored_one_by_one_or_all_together(bench: Bench) ->
     assert bench.send("DFLT ") == "ERROR07"
 
 
-def test_a_unit_can_start_at_20_hz_and_lists_its_rates(make_bench: Callable[..., Bench]) -> None:
+def test_a_unit_can_start_at_20_hz_and_lists_its_rates(make_bench: MakeBench) -> None:
     bench = make_bench(saved_illuminator_rate=0)
     assert value(bench, "Param.Tracking.Illuminator Rate") == "0"
     assert bench.send("GETINFO Param.Tracking.Illuminator Rate").split(";")[1:6] == [
@@ -158,7 +160,7 @@ def test_the_watchdog_stops_tracking_when_the_host_is_silent(
     assert bench.send("PHSR 04") == "0101031"
 
 
-def test_the_watchdog_can_reset_the_unit(make_bench: Callable[..., Bench]) -> None:
+def test_the_watchdog_can_reset_the_unit(make_bench: MakeBench) -> None:
     bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
@@ -177,7 +179,7 @@ def test_an_invalid_watchdog_timeout_is_refused(bench: Bench, line: str, answer:
     assert bench.send(line) == answer
 
 
-def test_a_beep_is_refused_while_another_one_sounds(make_bench: Callable[..., Bench]) -> None:
+def test_a_beep_is_refused_while_another_one_sounds(make_bench: MakeBench) -> None:
     bench = make_bench(beep_s=0.5)
     assert bench.send("BEEP 2") == "1"
     assert bench.send("BEEP 1") == "0"
@@ -185,9 +187,7 @@ def test_a_beep_is_refused_while_another_one_sounds(make_bench: Callable[..., Be
     assert bench.send("BEEP 1") == "1"
 
 
-def test_the_near_bench_lies_within_the_vicra_volume(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_the_near_bench_lies_within_the_vicra_volume(make_bench: MakeBench, pointer: TrackerTool) -> None:
     bench = make_bench(named_scene("bench-near"), model=VICRA).ready()
     for handle, _ in enumerate(bench.world.scene.tracker.places, start=1):
         bench.track(pointer)
@@ -199,7 +199,7 @@ def test_the_near_bench_lies_within_the_vicra_volume(
 
 
 def test_a_vicra_reports_its_own_identity_limits_and_volume(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     bench = make_bench(model=VICRA).ready()
     assert bench.send("VER 4").split("\n") == [

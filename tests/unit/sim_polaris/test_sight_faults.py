@@ -18,6 +18,8 @@ from sim.world.scene.named_scenes import named_scene
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 POINTER_NUMBER = "8700340"
 BENCH_STRAYS = 3
 
@@ -135,9 +137,7 @@ def test_a_tool_partially_out_of_the_volume_is_flagged(tracked: Bench) -> None:
     assert not said.missing
 
 
-def test_a_unit_may_hide_tools_that_are_partially_out(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_a_unit_may_hide_tools_that_are_partially_out(make_bench: MakeBench, pointer: TrackerTool) -> None:
     bench = make_bench(poses_partially_out=False).ready().track(pointer)
     _, half_y = PYRAMID.half_widths_mm(1500.0)
     disturb(bench, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
@@ -218,7 +218,7 @@ def test_a_fault_leaves_no_trace_after_it_ends(tracked: Bench, line: str) -> Non
     )
 
 
-def test_the_same_faults_give_the_same_frames(make_bench: Callable[..., Bench], pointer: TrackerTool) -> None:
+def test_the_same_faults_give_the_same_frames(make_bench: MakeBench, pointer: TrackerTool) -> None:
     def record() -> list[bytes]:
         bench = make_bench().ready().track(pointer)
         disturb(bench, "sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
@@ -237,7 +237,7 @@ def phantom_scene() -> Scene:
 
 
 def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     bench = make_bench(phantom_scene()).ready().track(pointer)
     # two markers of the pointer lie in one plane with the sensors as well
@@ -250,9 +250,7 @@ def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
     assert found[:, 2].min() == pytest.approx(-2105.3, abs=2.5)
 
 
-def test_out_of_volume_bits_mark_the_strays_outside(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_out_of_volume_bits_mark_the_strays_outside(make_bench: MakeBench, pointer: TrackerTool) -> None:
     scene = named_scene("bench")
     strays = ((0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (0.0, 700.0, -1500.0))
     tracker = scene.tracker.model_copy(update={"strays_mm": strays})

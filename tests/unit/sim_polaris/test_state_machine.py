@@ -13,6 +13,8 @@ from sim.world.scene.model import TrackerTool
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 SETUP_ONLY = (
     "SFLIST 00", "SSTAT 0001", "VSEL 1", "IRATE 2", "PHSR 00", "PHRQ *********1****", "PHF 01",
     "PVWR 010000" + "00" * 64, "PINIT 01", "PENA 01D", "PDIS 01", "PHINF 01", "TSTART 80",
@@ -22,14 +24,12 @@ ALWAYS = ("APIREV ", "VER 0", "COMM 00000", "ECHO x", "BEEP 1", "GET Info.Timeou
 
 
 @pytest.mark.parametrize("line", [*SETUP_ONLY, *TRACKING_ONLY, "SET Param.User.String0=x"])
-def test_before_init_setup_and_tracking_commands_are_refused(
-    make_bench: Callable[[], Bench], line: str
-) -> None:
+def test_before_init_setup_and_tracking_commands_are_refused(make_bench: MakeBench, line: str) -> None:
     assert make_bench().send(line) == "ERROR10"
 
 
 @pytest.mark.parametrize("line", ALWAYS)
-def test_identity_and_settings_can_be_read_before_init(make_bench: Callable[[], Bench], line: str) -> None:
+def test_identity_and_settings_can_be_read_before_init(make_bench: MakeBench, line: str) -> None:
     assert not make_bench().send(line).startswith("ERROR")
 
 
@@ -72,7 +72,7 @@ def test_a_wrong_crc_is_reported_before_any_other_error_and_has_no_effect(bench:
     assert bench.send("TX 0001") == "ERROR0C"
 
 
-def test_an_unknown_command_is_reported_before_the_mode(make_bench: Callable[[], Bench]) -> None:
+def test_an_unknown_command_is_reported_before_the_mode(make_bench: MakeBench) -> None:
     assert make_bench().send_with_crc("NONSENSE:") == "ERROR01"
     assert make_bench().send("init ") == "ERROR01"
 

@@ -18,6 +18,8 @@ from sim.world.scene.named_scenes import robot_frame
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 SQUARE = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (80.0, 80.0, 0.0), (0.0, 80.0, 0.0))
 TRIANGLE = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))  # sides 50, 70, 86.0
 ONE_SIDE_SHARED = ((0.0, 0.0, 0.0), (0.0, 50.5, 0.0), (110.0, 0.0, 0.0))
@@ -67,14 +69,14 @@ def test_a_tool_can_break_unique_geometry_and_conflict_at_once(bench: Bench) -> 
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING04"
 
 
-def test_one_shared_segment_is_a_conflict_if_so_configured(make_bench: Callable[..., Bench]) -> None:
+def test_one_shared_segment_is_a_conflict_if_so_configured(make_bench: MakeBench) -> None:
     for rule, answer in (("triangle", "OKAY"), ("segment", "WARNING03")):
         bench = make_bench(conflict=rule).ready()
         judged(bench, write_definition(tool(TRIANGLE)))
         assert judged(bench, write_definition(tool(ONE_SIDE_SHARED))) == answer
 
 
-def test_a_unit_can_be_set_to_judge_only_flagged_definitions(make_bench: Callable[..., Bench]) -> None:
+def test_a_unit_can_be_set_to_judge_only_flagged_definitions(make_bench: MakeBench) -> None:
     bench = make_bench(judges_only_flagged=True).ready()
     square = write_definition(tool(SQUARE))
     assert judged(bench, changed(square, rom.FLAGS_OFFSET, b"\0")) == "OKAY"
@@ -90,7 +92,7 @@ def test_a_tool_without_a_wavelength_gets_the_default_with_a_warning_that_can_be
     assert bench.send("PINIT 01") == "OKAY"
 
 
-def test_older_firmware_warns_without_a_code(make_bench: Callable[..., Bench]) -> None:
+def test_older_firmware_warns_without_a_code(make_bench: MakeBench) -> None:
     bench = make_bench(warns_with_code=False).ready()
     assert judged(bench, write_definition(tool(SQUARE))) == "WARNING"
 
@@ -114,7 +116,7 @@ def test_a_wavelength_supported_by_no_volume_prevents_tracking(bench: Bench, poi
     ],
 )
 def test_a_bad_definition_gets_the_error_code_of_the_firmware(
-    make_bench: Callable[..., Bench], pointer: TrackerTool, offset: int, value: bytes, parameter: str
+    make_bench: MakeBench, pointer: TrackerTool, offset: int, value: bytes, parameter: str
 ) -> None:
     content = changed(write_definition(pointer), offset, value)
     old = make_bench()

@@ -20,6 +20,8 @@ from sim.world.world import ArmState
 if TYPE_CHECKING:
     from conftest import Bench
 
+MakeBench = Callable[..., "Bench"]
+
 
 def frame_number(answer: str) -> int:
     return int(answer.split("\n")[0][-8:], 16)
@@ -108,7 +110,7 @@ def test_each_request_gets_exactly_one_new_frame_on_an_unpaced_clock(
 
 
 def test_a_paced_clock_gives_sixty_frames_per_second_and_repeats_them(
-    make_bench: Callable[..., Bench], pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
+    make_bench: MakeBench, pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     bench = make_bench(paced=True)
     moments = [0.0]
@@ -154,7 +156,7 @@ def test_option_80_and_a_reset_restart_the_frame_numbers_and_a_plain_start_does_
 
 
 def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     def record(scene: Scene, skipped: int) -> list[bytes]:
         bench = make_bench(scene).ready().track(pointer)
@@ -168,9 +170,7 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
     assert record(named_scene("bench", seed=1), 0) != record(scene, 0)
 
 
-def test_a_frame_lost_on_the_line_is_sent_again(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
-) -> None:
+def test_a_frame_lost_on_the_line_is_sent_again(make_bench: MakeBench, pointer: TrackerTool) -> None:
     def record(lost: int | None) -> list[bytes]:
         bench = make_bench().ready().track(pointer)
         heard = []
@@ -215,7 +215,7 @@ def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerToo
     assert np.std(errors) > 0.1 * left
 
 
-def test_the_reference_frame_is_tracked_on_the_arm(make_bench: Callable[..., Bench]) -> None:
+def test_the_reference_frame_is_tracked_on_the_arm(make_bench: MakeBench) -> None:
     scene = named_scene("default")
     bench = make_bench(scene)
     truth = put_arm(bench)
@@ -227,7 +227,7 @@ def test_the_reference_frame_is_tracked_on_the_arm(make_bench: Callable[..., Ben
     assert quaternion == pytest.approx(quaternion_from_rotation(truth[:3, :3]), abs=0.01)
 
 
-def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> None:
+def test_fiducials_on_the_head_are_strays(make_bench: MakeBench) -> None:
     scene = named_scene("mini", seed=4)
     bench = make_bench(scene)
     put_arm(bench)
@@ -245,9 +245,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: Callable[..., Bench]) -> N
         assert np.linalg.norm(found - centre, axis=1).min() < 1.5
 
 
-def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(
-    make_bench: Callable[..., Bench],
-) -> None:
+def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_bench: MakeBench) -> None:
     scene = named_scene("mini", seed=3, x_frame=True)
     here = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(scene.head.robot_from_ct)
     spheres = apply(here, [one.centre_ct_mm for one in scene.head.fiducials])
@@ -267,9 +265,7 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(
     assert position(answer, 1) == pytest.approx(crossing, abs=1.0)
 
 
-def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(
-    make_bench: Callable[..., Bench],
-) -> None:
+def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_bench: MakeBench) -> None:
     scene = named_scene("mini", seed=3)
     place = scene.mount.guide.tip_from_frame
     assert place is not None
@@ -286,7 +282,7 @@ def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(
 
 
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
@@ -297,7 +293,7 @@ def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
     assert answer.split("\n")[1].startswith("07")
 
 
-def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Callable[..., Bench]) -> None:
+def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: MakeBench) -> None:
     bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
@@ -313,7 +309,7 @@ def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Call
 
 @pytest.mark.parametrize("line", ["tracker occlude tool robot_frame", "tracker occlude marker 2"])
 def test_occlusion_faults_hide_the_named_tool_or_marker_for_their_duration(
-    make_bench: Callable[..., Bench], line: str
+    make_bench: MakeBench, line: str
 ) -> None:
     bench = make_bench(named_scene("mini", seed=4))
     put_arm(bench)
@@ -332,7 +328,7 @@ def test_occlusion_faults_hide_the_named_tool_or_marker_for_their_duration(
 
 
 def test_a_tool_behind_the_volume_is_missing_unless_requested(
-    make_bench: Callable[..., Bench], pointer: TrackerTool
+    make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
     bench = make_bench(at_depth(2500.0)).ready().track(pointer)
     assert bench.send("TX 0001").startswith("0101MISSING00000071")

@@ -36,9 +36,7 @@ def frame_numbers(bench: Bench, count: int) -> list[int]:
     return [int(bench.send("TX 0001").split("\n")[0][-8:], 16) for _ in range(count)]
 
 
-def test_a_bump_withholds_poses_until_the_alert_is_read_and_is_kept_until_cleared(
-    tracked: Bench,
-) -> None:
+def test_a_bump_withholds_poses_until_the_alert_is_read_and_is_kept_until_cleared(tracked: Bench) -> None:
     happen(tracked, "bump")
     for _ in range(3):
         answer = tracked.send("TX 0801")
