@@ -61,6 +61,14 @@ class Bench:
         assert self.send("TSTART 80") == "OKAY"
         return self
 
+    def disturb(self, *lines: str) -> None:
+        """Replace the fault script by faults of the tracker that act from the beginning."""
+        self.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
+
+    def value(self, name: str) -> str:
+        """Value of a parameter in the reply to GET."""
+        return self.send(f"GET {name}").partition("=")[2]
+
     def load(self, content: bytes) -> int:
         """Request a handle and write a definition to it."""
         handle = int(self.send("PHRQ *********1****"), 16)
@@ -110,6 +118,12 @@ def make_bench() -> Callable[..., Bench]:
 def pointer() -> TrackerTool:
     """A tool that is not the reference frame."""
     return POINTER
+
+
+@pytest.fixture
+def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
+    """A unit that tracks the pointer."""
+    return bench.track(pointer)
 
 
 @pytest.fixture

@@ -17,7 +17,7 @@ NO_HANDLES = b"001414\r"
 
 
 def happen(bench: Bench, *lines: str) -> LineFaults:
-    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
+    bench.disturb(*lines)
     return LineFaults(bench.unit)
 
 

@@ -80,36 +80,31 @@ SENSITIVITY = "Param.Tracking.Sensitivity"
 BUMP, MAIN_VOLTAGE = 1 << 21, 1 << 2
 
 
-def value(bench: Bench, name: str) -> str:
-    """Value of a parameter in the reply to GET."""
-    return bench.send(f"GET {name}").partition("=")[2]
-
-
 def test_only_saved_settings_survive_a_reset(bench: Bench) -> None:
     for line in (f"SET {SENSITIVITY}=7", "SET Param.User.String1=ours", "SAVE ", f"SET {SENSITIVITY}=2"):
         assert bench.send(line) == "OKAY"
     bench.send("INIT ")
-    assert value(bench, SENSITIVITY) == "2"
+    assert bench.value(SENSITIVITY) == "2"
     bench.send("RESET 0")
-    assert value(bench, SENSITIVITY) == "7"
-    assert value(bench, "Param.User.String1") == "ours"
+    assert bench.value(SENSITIVITY) == "7"
+    assert bench.value("Param.User.String1") == "ours"
 
 
 def test_alerts_are_not_saved(bench: Bench) -> None:
     bench.send(f"SET Param.Simulated Alerts={BUMP}")
     bench.send("SAVE ")
     bench.send("RESET 0")
-    assert value(bench, "Param.Simulated Alerts") == "0"
-    assert value(bench, "Info.Status.Alerts") == "0"
+    assert bench.value("Param.Simulated Alerts") == "0"
+    assert bench.value("Info.Status.Alerts") == "0"
 
 
 def test_factory_values_are_restored_one_by_one_or_all_together(bench: Bench) -> None:
     bench.send(f"SET {SENSITIVITY}=7")
     bench.send("SET Param.User.String0=x")
     assert bench.send(f"DFLT {SENSITIVITY}") == "OKAY"
-    assert value(bench, SENSITIVITY) == "4"
+    assert bench.value(SENSITIVITY) == "4"
     assert bench.send("DFLT Param.*") == "OKAY"
-    assert value(bench, "Param.User.String0") == ""
+    assert bench.value("Param.User.String0") == ""
     assert bench.send("DFLT Features.Hardware.Model") == "ERROR39"
     assert bench.send("DFLT Param.Nothing") == "ERROR34"
     assert bench.send("DFLT ") == "ERROR07"
@@ -117,7 +112,7 @@ def test_factory_values_are_restored_one_by_one_or_all_together(bench: Bench) ->
 
 def test_a_unit_can_start_at_20_hz_and_lists_its_rates(make_bench: MakeBench) -> None:
     bench = make_bench(saved_illuminator_rate=0)
-    assert value(bench, "Param.Tracking.Illuminator Rate") == "0"
+    assert bench.value("Param.Tracking.Illuminator Rate") == "0"
     assert bench.send("GETINFO Param.Tracking.Illuminator Rate").split(";")[1:6] == [
         "1", "3", "0", "2", "20Hz,30Hz,60Hz",
     ]  # fmt: skip
@@ -128,20 +123,20 @@ def test_bump_detection_can_be_switched_off(bench: Bench) -> None:
 
     bench.send("SET Param.Bump Detector.Bump Detection=0")
     bench.unit.alerts.raise_alert(Alert.BUMP)
-    assert value(bench, "Param.Bump Detector.Bumped") == "0"
+    assert bench.value("Param.Bump Detector.Bumped") == "0"
     bench.send("SET Param.Bump Detector.Bump Detection=1")
     bench.unit.alerts.raise_alert(Alert.BUMP)
-    assert value(bench, "Info.Status.Bump Detected") == "1"
-    assert value(bench, "Param.Bump Detector.Clear") == "0"
+    assert bench.value("Info.Status.Bump Detected") == "1"
+    assert bench.value("Param.Bump Detector.Clear") == "0"
 
 
 def test_a_second_bump_is_a_new_alert(bench: Bench) -> None:
     from ronna_hw.wire.polaris import Alert
 
     bench.unit.alerts.raise_alert(Alert.BUMP)
-    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+    assert bench.value("Info.Status.New Alerts") == str(BUMP)
     bench.unit.alerts.raise_alert(Alert.BUMP)
-    assert value(bench, "Info.Status.New Alerts") == str(BUMP)
+    assert bench.value("Info.Status.New Alerts") == str(BUMP)
 
 
 @pytest.mark.parametrize("line", ["SET Param.Watch Dog Timer=2", "HCWDOG 2"])
@@ -150,7 +145,7 @@ def test_the_watchdog_stops_tracking_when_the_host_is_silent(
 ) -> None:
     bench.enable(pointer)
     assert bench.send(line) == "OKAY"
-    assert value(bench, "Param.Watch Dog Timer") == "2"
+    assert bench.value("Param.Watch Dog Timer") == "2"
     bench.send("TSTART 80")
     for _ in range(5):
         bench.world.clock.sleep(1.5)
@@ -211,9 +206,9 @@ def test_a_vicra_reports_its_own_identity_limits_and_volume(
         "(C) Northern Digital Inc.",
     ]
     assert bench.send("VER 5") == "014"
-    assert value(bench, "Features.Firmware.Version") == "007.000.011"
+    assert bench.value("Features.Firmware.Version") == "007.000.011"
     assert bench.send("SFLIST 02") == "6"
-    assert value(bench, "Features.Tools.Enabled Tools") == "6"
+    assert bench.value("Features.Tools.Enabled Tools") == "6"
     assert bench.send("SFLIST 03").startswith("17-133600")
     assert bench.send("SFLIST 00") == "00000012"
     assert bench.send("VSEL 2") == "ERROR24"

@@ -55,15 +55,6 @@ def tell(bench: Bench, options: str = "1803") -> Told:
     )
 
 
-@pytest.fixture
-def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
-    return bench.track(pointer)
-
-
-def disturb(bench: Bench, *lines: str) -> None:
-    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
-
-
 def test_an_undisturbed_tool_is_tracked(tracked: Bench) -> None:
     said = tell(tracked)
     assert not said.missing
@@ -73,7 +64,7 @@ def test_an_undisturbed_tool_is_tracked(tracked: Bench) -> None:
 
 
 def test_a_hidden_tool_is_reported_missing_for_too_few_markers(tracked: Bench) -> None:
-    disturb(tracked, f"occlude tool {POINTER_NUMBER}")
+    tracked.disturb(f"occlude tool {POINTER_NUMBER}")
     said = tell(tracked)
     assert said.missing
     assert (said.status, said.information, said.digits) == (0x31, 0x02, "0000")
@@ -81,11 +72,11 @@ def test_a_hidden_tool_is_reported_missing_for_too_few_markers(tracked: Bench) -
 
 
 def test_a_tool_is_tracked_with_one_marker_hidden_but_not_with_two(tracked: Bench) -> None:
-    disturb(tracked, f"occlude tool {POINTER_NUMBER} marker 2")
+    tracked.disturb(f"occlude tool {POINTER_NUMBER} marker 2")
     one = tell(tracked)
     assert not one.missing
     assert one.digits == "3033"
-    disturb(tracked, f"occlude tool {POINTER_NUMBER} marker 2", f"occlude tool {POINTER_NUMBER} marker 4")
+    tracked.disturb(f"occlude tool {POINTER_NUMBER} marker 2", f"occlude tool {POINTER_NUMBER} marker 4")
     two = tell(tracked)
     assert two.missing
     assert (two.information, two.digits) == (0x02, "0000")
@@ -93,7 +84,7 @@ def test_a_tool_is_tracked_with_one_marker_hidden_but_not_with_two(tracked: Benc
 
 
 def test_a_bent_tool_does_not_fit_its_definition(tracked: Bench) -> None:
-    disturb(tracked, f"bend tool {POINTER_NUMBER} 20 mm")
+    tracked.disturb(f"bend tool {POINTER_NUMBER} 20 mm")
     said = tell(tracked)
     assert said.missing
     assert said.information == 0x01
@@ -103,14 +94,14 @@ def test_a_bent_tool_does_not_fit_its_definition(tracked: Bench) -> None:
 
 def test_a_slightly_bent_tool_is_tracked_with_a_larger_error(tracked: Bench) -> None:
     straight = float(tracked.send("TX 0001")[49:55]) / 1e4
-    disturb(tracked, f"bend tool {POINTER_NUMBER} 1.5 mm")
+    tracked.disturb(f"bend tool {POINTER_NUMBER} 1.5 mm")
     bent = float(tracked.send("TX 0001")[49:55]) / 1e4
     assert bent > straight + 0.2
 
 
 @pytest.mark.parametrize(("angle", "digits"), [("-60", "3333"), ("100", "1111"), ("-120", "1111")])
 def test_a_tool_turned_beyond_its_angle_is_missing(tracked: Bench, angle: str, digits: str) -> None:
-    disturb(tracked, f"turn tool {POINTER_NUMBER} {angle} deg")
+    tracked.disturb(f"turn tool {POINTER_NUMBER} {angle} deg")
     said = tell(tracked)
     assert said.missing is (digits == "1111")
     assert said.digits == digits
@@ -118,7 +109,7 @@ def test_a_tool_turned_beyond_its_angle_is_missing(tracked: Bench, angle: str, d
 
 
 def test_a_tool_moved_out_of_the_volume_is_reported_only_on_request(tracked: Bench) -> None:
-    disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 -1000 mm")
+    tracked.disturb(f"move tool {POINTER_NUMBER} 0 0 -1000 mm")
     unasked = tell(tracked, "1003")
     assert unasked.missing
     assert unasked.status == 0x31 | PortStatus.OUT_OF_VOLUME
@@ -131,7 +122,7 @@ def test_a_tool_moved_out_of_the_volume_is_reported_only_on_request(tracked: Ben
 
 def test_a_tool_partially_out_of_the_volume_is_flagged(tracked: Bench) -> None:
     _, half_y = PYRAMID.half_widths_mm(1500.0)
-    disturb(tracked, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
+    tracked.disturb(f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
     said = tell(tracked, "1003")
     assert said.status == 0x31 | PortStatus.PARTIALLY_OUT_OF_VOLUME
     assert not said.missing
@@ -140,20 +131,20 @@ def test_a_tool_partially_out_of_the_volume_is_flagged(tracked: Bench) -> None:
 def test_a_unit_may_hide_tools_that_are_partially_out(make_bench: MakeBench, pointer: TrackerTool) -> None:
     bench = make_bench(poses_partially_out=False).ready().track(pointer)
     _, half_y = PYRAMID.half_widths_mm(1500.0)
-    disturb(bench, f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
+    bench.disturb(f"move tool {POINTER_NUMBER} 0 {300.0 + half_y - 75.0:.1f} 0 mm")
     assert tell(bench, "1003").missing
     assert not tell(bench, "1803").missing
 
 
 def test_a_tool_behind_the_sensor_is_not_seen_at_all(tracked: Bench) -> None:
-    disturb(tracked, f"move tool {POINTER_NUMBER} 0 0 3000 mm")
+    tracked.disturb(f"move tool {POINTER_NUMBER} 0 0 3000 mm")
     said = tell(tracked)
     assert said.missing
     assert said.digits == "0000"
 
 
 def test_additional_strays_stay_where_they_are(tracked: Bench) -> None:
-    disturb(tracked, "strays 5")
+    tracked.disturb("strays 5")
     first, second = tell(tracked).strays_mm, tell(tracked).strays_mm
     assert len(first) == len(second) == BENCH_STRAYS + 5
     for stray in first:
@@ -161,19 +152,19 @@ def test_additional_strays_stay_where_they_are(tracked: Bench) -> None:
 
 
 def test_no_more_strays_are_reported_than_the_unit_supports(tracked: Bench) -> None:
-    disturb(tracked, f"strays {MAXIMUM_STRAYS}")
+    tracked.disturb(f"strays {MAXIMUM_STRAYS}")
     assert len(tell(tracked).strays_mm) == MAXIMUM_STRAYS
 
 
 def test_reflections_come_and_go(tracked: Bench) -> None:
-    disturb(tracked, "reflections 10")
+    tracked.disturb("reflections 10")
     counts = [len(tell(tracked).strays_mm) - BENCH_STRAYS for _ in range(60)]
     assert len(set(counts)) > 2
     assert 0.5 * REFLECTION_PRESENCE < np.mean(counts) / 10 < 1.5 * REFLECTION_PRESENCE
 
 
 def test_a_loose_stereo_match_reports_phantoms_on_the_epipolar_planes(tracked: Bench) -> None:
-    disturb(tracked, "phantoms 30 mm")
+    tracked.disturb("phantoms 30 mm")
     said = tell(tracked)
     assert len(said.strays_mm) > BENCH_STRAYS
     truth = np.array(tracked.world.scene.tracker.strays_mm)
@@ -189,7 +180,7 @@ def test_a_loose_stereo_match_reports_phantoms_on_the_epipolar_planes(tracked: B
 
 
 def test_sunlight_flags_too_much_infrared_for_system_and_tool_and_adds_strays(tracked: Bench) -> None:
-    disturb(tracked, "sunlight")
+    tracked.disturb("sunlight")
     seen = [tell(tracked) for _ in range(20)]
     assert all(said.system_status == 0x0002 for said in seen)
     assert all(said.status & PortStatus.IR_INTERFERENCE for said in seen)
@@ -197,7 +188,7 @@ def test_sunlight_flags_too_much_infrared_for_system_and_tool_and_adds_strays(tr
 
 
 def test_interference_flags_the_tool_and_not_the_system(tracked: Bench) -> None:
-    disturb(tracked, f"interference tool {POINTER_NUMBER}")
+    tracked.disturb(f"interference tool {POINTER_NUMBER}")
     said = tell(tracked)
     assert said.status == 0x31 | PortStatus.IR_INTERFERENCE
     assert said.information == 0x14
@@ -221,7 +212,7 @@ def test_a_fault_leaves_no_trace_after_it_ends(tracked: Bench, line: str) -> Non
 def test_the_same_faults_give_the_same_frames(make_bench: MakeBench, pointer: TrackerTool) -> None:
     def record() -> list[bytes]:
         bench = make_bench().ready().track(pointer)
-        disturb(bench, "sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
+        bench.disturb("sunlight", "strays 5", "phantoms 5 mm", f"bend tool {POINTER_NUMBER} 1 mm")
         return [bench.raw("BX 1803") for _ in range(20)]
 
     assert record() == record()
@@ -242,7 +233,7 @@ def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
     bench = make_bench(phantom_scene()).ready().track(pointer)
     # two markers of the pointer lie in one plane with the sensors as well
     assert len(tell(bench).strays_mm) == 3 + 2 + 2
-    disturb(bench, f"occlude tool {POINTER_NUMBER}")
+    bench.disturb(f"occlude tool {POINTER_NUMBER}")
     found = tell(bench).strays_mm
     assert len(found) == 3 + 2
     # similar triangles over the base of 500 mm: 1600 * 500 / (500 + 120) and / (500 - 120)

@@ -53,6 +53,13 @@ def put_arm(bench: Bench) -> np.ndarray:
     return inverse(matrix_of(scene.tracker.robot_from_tracker)) @ flange @ flange_from_marker
 
 
+def with_arm(make_bench: MakeBench, scene: Scene, *tools: TrackerTool) -> Bench:
+    """A unit that tracks tools in a room with an arm at home."""
+    bench = make_bench(scene)
+    put_arm(bench)
+    return bench.ready().track(*tools)
+
+
 def at_depth(depth_mm: float) -> Scene:
     """The bench with its first place moved along the axis of the tracker."""
     scene = named_scene("bench")
@@ -229,10 +236,7 @@ def test_the_reference_frame_is_tracked_on_the_arm(make_bench: MakeBench) -> Non
 
 def test_fiducials_on_the_head_are_strays(make_bench: MakeBench) -> None:
     scene = named_scene("mini", seed=4)
-    bench = make_bench(scene)
-    put_arm(bench)
-    bench.send("INIT ")
-    bench.track(robot_frame())
+    bench = with_arm(make_bench, scene, robot_frame())
     answer = bench.send("TX 1801")
     assert "MISSING" not in answer
     tracker_from_ct = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(
@@ -249,16 +253,10 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_b
     scene = named_scene("mini", seed=3, x_frame=True)
     here = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(scene.head.robot_from_ct)
     spheres = apply(here, [one.centre_ct_mm for one in scene.head.fiducials])
-    as_strays = make_bench(scene)
-    put_arm(as_strays)
-    as_strays.send("INIT ")
-    as_strays.track(robot_frame())
+    as_strays = with_arm(make_bench, scene, robot_frame())
     seen = strays(as_strays.send("TX 1801"))
     assert np.linalg.norm(seen[:, None] - spheres, axis=2).min(axis=0).max() < 1.5
-    as_tool = make_bench(scene)
-    put_arm(as_tool)
-    as_tool.send("INIT ")
-    as_tool.track(robot_frame(), frame_on_head())
+    as_tool = with_arm(make_bench, scene, robot_frame(), frame_on_head())
     answer = as_tool.send("TX 1801")
     assert len(strays(answer)) == 0
     crossing = spheres[0] + 35.0 / 96.0 * (spheres[2] - spheres[0])
@@ -269,10 +267,7 @@ def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_
     scene = named_scene("mini", seed=3)
     place = scene.mount.guide.tip_from_frame
     assert place is not None
-    bench = make_bench(scene)
-    put_arm(bench)
-    bench.send("INIT ")
-    bench.track(robot_frame(), scene.tracker.tools[-1])
+    bench = with_arm(make_bench, scene, robot_frame(), scene.tracker.tools[-1])
     bench.world.mount_tool(scene.mount.tool_number_stereo)
     assert "MISSING" in bench.send("TX 0001").split("\n")[1]
     bench.world.mount_tool(scene.mount.tool_number_guide)
@@ -284,10 +279,7 @@ def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
     make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
-    bench = make_bench(named_scene("mini", seed=4))
-    put_arm(bench)
-    bench.send("INIT ")
-    bench.track(pointer)
+    bench = with_arm(make_bench, named_scene("mini", seed=4), pointer)
     answer = bench.send("TX 1801")
     assert answer.startswith("0101MISSING00000031")  # the pointer is not in this room
     assert answer.split("\n")[1].startswith("07")

@@ -15,21 +15,8 @@ if TYPE_CHECKING:
     from conftest import Bench
 
 
-@pytest.fixture
-def tracked(bench: Bench, pointer: TrackerTool) -> Bench:
-    return bench.track(pointer)
-
-
-def happen(bench: Bench, *lines: str) -> None:
-    bench.world.set_fault_script("\n".join(f"at 0 s: tracker {line}" for line in lines))
-
-
 def system_status(bench: Bench) -> str:
     return bench.send("TX 0801")[-4:]
-
-
-def value(bench: Bench, name: str) -> str:
-    return bench.send(f"GET {name}").partition("=")[2]
 
 
 def frame_numbers(bench: Bench, count: int) -> list[int]:
@@ -37,27 +24,27 @@ def frame_numbers(bench: Bench, count: int) -> list[int]:
 
 
 def test_a_bump_withholds_poses_until_the_alert_is_read_and_is_kept_until_cleared(tracked: Bench) -> None:
-    happen(tracked, "bump")
+    tracked.disturb("bump")
     for _ in range(3):
         answer = tracked.send("TX 0801")
         assert answer.startswith("0101MISSING")
         assert answer.endswith("0100")
-    assert value(tracked, "Info.Status.Alerts") == str(1 << 21)
-    assert value(tracked, "Param.Bump Detector.Bumped") == "1"
-    assert value(tracked, "Info.Status.New Alerts") == str(1 << 21)
+    assert tracked.value("Info.Status.Alerts") == str(1 << 21)
+    assert tracked.value("Param.Bump Detector.Bumped") == "1"
+    assert tracked.value("Info.Status.New Alerts") == str(1 << 21)
     answer = tracked.send("TX 0801")
     assert "MISSING" not in answer
     assert answer.endswith("0000")
-    assert value(tracked, "Param.Bump Detector.Bumped") == "1"
+    assert tracked.value("Param.Bump Detector.Bumped") == "1"
     assert tracked.send("SET Param.Bump Detector.Clear=1") == "OKAY"
-    assert value(tracked, "Info.Status.Alerts") == "0"
-    assert value(tracked, "Param.Bump Detector.Bumped") == "0"
+    assert tracked.value("Info.Status.Alerts") == "0"
+    assert tracked.value("Param.Bump Detector.Bumped") == "0"
 
 
 def test_a_cleared_bump_does_not_recur(tracked: Bench) -> None:
-    happen(tracked, "bump")
+    tracked.disturb("bump")
     system_status(tracked)
-    value(tracked, "Info.Status.New Alerts")
+    tracked.value("Info.Status.New Alerts")
     tracked.send("SET Param.Bump Detector.Clear=1")
     assert [system_status(tracked) for _ in range(5)] == ["0000"] * 5
 
@@ -69,26 +56,26 @@ def test_a_unit_that_is_too_hot_or_too_cold_gives_no_poses(tracked: Bench, fault
     tracked.world.clock.sleep(0.1)
     assert tracked.send("TX 0801").startswith("0101MISSING")
     assert system_status(tracked) == "0300"  # and an alert that nobody has read
-    assert value(tracked, "Info.Status.New Alerts") == str(1 << bit)
+    assert tracked.value("Info.Status.New Alerts") == str(1 << bit)
     assert system_status(tracked) == "0200"
     tracked.world.clock.sleep(0.2)
     assert "MISSING" not in tracked.send("TX 0801")
-    assert value(tracked, "Info.Status.Alerts") == "0"
+    assert tracked.value("Info.Status.Alerts") == "0"
 
 
 def test_a_hardware_fault_shows_in_tstart_init_alerts_and_system_status(
     bench: Bench, pointer: TrackerTool
 ) -> None:
     bench.enable(pointer)
-    happen(bench, "alert 5")
+    bench.disturb("alert 5")
     assert bench.send("TSTART 80") == "ERROR12"
     assert bench.send("INIT ") == "WARNING01"
-    assert value(bench, "Info.Status.Alerts") == str(1 << 5)
-    happen(bench)
+    assert bench.value("Info.Status.Alerts") == str(1 << 5)
+    bench.disturb()
     bench.track(pointer)
-    happen(bench, "alert 0")
+    bench.disturb("alert 0")
     bench.send("TX 0801")
-    assert value(bench, "Info.Status.New Alerts") == str(1 << 0 | 1 << 5)  # both are news
+    assert bench.value("Info.Status.New Alerts") == str(1 << 0 | 1 << 5)  # both are news
     assert system_status(bench) == "0010"
     assert bench.send("TX 0801").startswith("0101MISSING")
 
@@ -98,13 +85,13 @@ def test_a_unit_with_a_hardware_fault_may_refuse_to_initialise(
     make_bench: Callable[..., Bench], answer: str
 ) -> None:
     bench = make_bench(hardware_fault_at_init=answer)
-    happen(bench, "alert 1")
+    bench.disturb("alert 1")
     assert bench.send("INIT ") == answer
     assert bench.send("PHSR 00") == "ERROR10"
 
 
 def test_a_watchdog_timeout_ends_tracking(tracked: Bench) -> None:
-    happen(tracked, "watchdog")
+    tracked.disturb("watchdog")
     assert tracked.send("TX 0801") == "ERROR0C"
     assert tracked.send("TSTART ") == "OKAY"
     assert "MISSING" not in tracked.send("TX 0801")
@@ -129,7 +116,7 @@ def test_the_plug_fault_connects_a_wired_tool_for_its_duration(tracked: Bench) -
 
 
 def test_a_corrupt_definition_is_refused(bench: Bench, pointer: TrackerTool) -> None:
-    happen(bench, "corrupt definitions")
+    bench.disturb("corrupt definitions")
     handle = bench.load(write_definition(pointer))
     assert bench.send(f"PINIT {handle:02X}") == "ERROR13"
     assert bench.send(f"PENA {handle:02X}D") == "ERROR0E"
@@ -138,7 +125,7 @@ def test_a_corrupt_definition_is_refused(bench: Bench, pointer: TrackerTool) -> 
 def test_a_unit_allows_no_more_tools_and_handles_than_the_fault_permits(
     bench: Bench, pointer: TrackerTool
 ) -> None:
-    happen(bench, "allow 1 tools", "allow 2 handles")
+    bench.disturb("allow 1 tools", "allow 2 handles")
     bench.enable(pointer)
     second = bench.load(write_definition(pointer))
     bench.send(f"PINIT {second:02X}")
@@ -150,9 +137,9 @@ def test_tracking_does_not_start_with_a_volume_for_another_wavelength(
     bench: Bench, pointer: TrackerTool
 ) -> None:
     bench.enable(pointer)
-    happen(bench, "wrong wavelength")
+    bench.disturb("wrong wavelength")
     assert bench.send("TSTART 80") == "ERROR22"
-    happen(bench)
+    bench.disturb()
     assert bench.send("TSTART 80") == "OKAY"
 
 
@@ -161,7 +148,7 @@ def test_a_slow_command_takes_the_set_time(
     bench: Bench, pointer: TrackerTool, name: str, seconds: float
 ) -> None:
     handle = bench.load(write_definition(pointer))
-    happen(bench, f"slow {name} {seconds} s")
+    bench.disturb(f"slow {name} {seconds} s")
     took = {}
     for line in (f"PINIT {handle:02X}", f"PENA {handle:02X}D", "TSTART 80", "TSTOP ", "INIT "):
         began_s = bench.world.clock.now_s()
@@ -182,18 +169,18 @@ def test_a_unit_that_measures_nothing_new_repeats_its_frame(tracked: Bench) -> N
 
 def test_skipped_frames_leave_gaps_in_the_frame_numbers(tracked: Bench) -> None:
     first = frame_numbers(tracked, 3)
-    happen(tracked, "skip 4 frames")
+    tracked.disturb("skip 4 frames")
     jumping = frame_numbers(tracked, 4)
     assert first == [1, 2, 3]
     assert [after - before for before, after in pairwise(jumping)] == [5, 5, 5]
-    happen(tracked)
+    tracked.disturb()
     assert frame_numbers(tracked, 2)[1] - jumping[-1] == 2
 
 
 def test_restarted_tracking_skips_no_more_frames(tracked: Bench) -> None:
-    happen(tracked, "skip 4 frames")
+    tracked.disturb("skip 4 frames")
     frame_numbers(tracked, 2)
-    happen(tracked)
+    tracked.disturb()
     assert tracked.send("TSTOP ") == tracked.send("TSTART 80") == "OKAY"
     assert frame_numbers(tracked, 3) == [1, 2, 3]
 
@@ -222,7 +209,7 @@ def test_a_restarted_unit_sends_reset_once_and_requires_init(
 ) -> None:
     moments = later()
     monkeypatch.setattr("sim.polaris.line.interpreter.time.monotonic", lambda: next(moments))
-    happen(tracked, "restart")
+    tracked.disturb("restart")
     assert tracked.raw("TX 0801") == b""
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.send("PHSR 00") == "ERROR10"
