@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import logging
 import os
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from unittest.mock import patch
@@ -13,7 +12,7 @@ from unittest.mock import patch
 import numpy as np
 from arm_looks import SPHERES_MM, LookingArm
 from console_requests import ORIGIN, Console
-from good_inputs import FAULTS, ORDERS
+from good_inputs import FAULTS, ORDERS, Take, reading
 from plan_editors import draw, scan
 from scipy.spatial.transform import Rotation
 
@@ -42,7 +41,6 @@ from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
 BALL_MM = (700.0, 20.0, 250.0)
-Take = Callable[[bytes], object]
 HEAD = b"[head]\ncentre_ct_mm = [1.0, -5.0, 20.0]\nsemi_axes_mm = [75.0, 95.0, 85.5]\nname = 'h'\n"
 CROSSING = (b"10,-40,50\n11,-41,49.5\n12,-42,49\n", b"[[10,-40,50],[11.5,-41,49]]")
 VARIABLES = (b"debug", b"tracker=debug,engine=warning", b"group", b"ronna-sim=info,=error")
@@ -52,22 +50,13 @@ def command_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
     """What each takes when all is well, and what takes it; `folder` is theirs."""
     folder.mkdir()
 
-    def of(name: str, read: Callable[[Path], object]) -> Take:
-        path = folder / name
-
-        def take(data: bytes) -> object:
-            path.write_bytes(data)
-            return read(path)
-
-        return take
-
     return {
         "order": (ORDERS, _orders()),
         "structure": (CROSSING, _structure()),
         "unsaved plan": _unsaved(folder),
-        "fault script of a case": ((FAULTS,), of("faults.txt", _script)),
-        "looks of a calibration": (_looks(), of("looks.json", _calibration)),
-        "head of a scene": ((HEAD,), of("head.toml", _head)),
+        "fault script of a case": ((FAULTS,), reading(folder / "faults.txt", _script)),
+        "looks of a calibration": (_looks(), reading(folder / "looks.json", _calibration)),
+        "head of a scene": ((HEAD,), reading(folder / "head.toml", _head)),
         "world": _world(folder),
         "variables": (VARIABLES, _variables),
     }

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from functools import partial
 from typing import cast
 
-from good_inputs import DESCRIPTION, PACKET_BYTES, STATE, TELEGRAM, packets
+from good_inputs import DESCRIPTION, PACKET_BYTES, STATE, TELEGRAM, Take, packets
 
 from conformance.case import Nonconformity, NotShown, check
 from conformance.gige.client import GigeFeatures, GigeLink
@@ -20,7 +20,6 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.gige_vision import TEXT_BYTES, Bootstrap, GevStatus
 from ronna_hw.wire.polaris import BX_START, crc16
 
-Take = Callable[[bytes], object]
 XML_AT = 0x10000
 LONGEST_READ_BYTES = 536
 LEFT_UNREAD_BYTES = 1 << 20  # of a socket between two ends of one process

@@ -7,9 +7,12 @@ import io
 import json
 import struct
 import zipfile
+from collections.abc import Callable
+from pathlib import Path
 
 from ronna_hw.evidence.journal_reading import FIRST
 
+Take = Callable[[bytes], object]
 PACKET_BYTES = 108
 PARSER_NAMES = (
     "theatre TOML",
@@ -32,6 +35,9 @@ PARSER_NAMES = (
     "recorded pixels",
     "control line",
     "fault script",
+    "Ethernet file",
+    "DICOM",
+    "DICOM deflated",
     "GenICam XML",
     "GenICam ZIP",
     "GenICam formula",
@@ -43,9 +49,6 @@ PARSER_NAMES = (
     "EKI",
     "RSI",
     "RSI reply",
-    "Ethernet file",
-    "DICOM",
-    "DICOM deflated",
     "run",
     "log",
     "tape",
@@ -175,6 +178,16 @@ points_mm = [[10.0, -40.5, 50.0], [12.0, -41.0, 49.5]]
 TOOL = b'part_number = "P"\nmarkers_mm = [[0, 0, 0], [0, 50, 0], [0, 100, 1.5]]\nmade_on = 2025-01-01\n'
 ANSWERS = b'default = "first"\n[answers]\nregistration = "yes"\n"approach:T1" = "no"\n'
 FAULTS = b"at 12.5 s: tracker occlude marker 3 for 2 s\nwhen step == relocalization: robot drop 5 % for 1 s\n"
+
+
+def reading(path: Path, read: Callable[[Path], object]) -> Take:
+    """Take bytes by writing them to a file and reading that."""
+
+    def take(data: bytes) -> object:
+        path.write_bytes(data)
+        return read(path)
+
+    return take
 
 
 def events_file() -> bytes:

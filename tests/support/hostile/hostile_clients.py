@@ -9,7 +9,7 @@ import struct
 import time
 from collections.abc import Iterator, Sequence
 
-from hostile_mutants import mutants
+from mutations import mutants
 
 from ronna_hw.wire.gige_vision import (
     CCP_CONTROL,

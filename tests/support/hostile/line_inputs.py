@@ -13,7 +13,8 @@ from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
 
-from more_hostile_inputs import ROOM_REQUESTS
+from good_inputs import Take
+from record_inputs import ROOM_REQUESTS
 
 from drivers.kuka_rsi.eki.client import RECEIVE_BYTES, EkiClient
 from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram
@@ -30,7 +31,6 @@ from sim.world.control_port import Room, _Conversation
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
-Take = Callable[[bytes], object]
 TOKEN = b'{"token": "a"}\n'
 GAUGE = Gauge(joints_deg=(-40.0, -75.0, 99.0, 0.0, 66.0, 180.0))
 ONE_APPROACH = b"0.01 -0.02 0.03 0.04 -0.05\n"

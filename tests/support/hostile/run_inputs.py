@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 from clinical_case import FIRST, HOME_RAD, ClinicalCell, given
+from good_inputs import Take
 from prepared_results import (
     LINK,
     checked_paths,
@@ -40,7 +40,6 @@ from ronna_hw.evidence.journal_reading import FIRST as NO_LINE
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import Record, read_record, write_record
 
-Take = Callable[[bytes], object]
 TRUTH = Truth(targets=(TargetTruth(id=FIRST, application_error_mm=0.4, lateral_mm=0.4, axial_mm=-0.1),))
 CHECK = {
     "schema": 1,

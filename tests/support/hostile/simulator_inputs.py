@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import contextlib
 import struct
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import count
 from xml.etree import ElementTree
 
-from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
+from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS, Take
 from hostile_clients import loading, with_right_checksum
 
 from ronna_hw.bounded_input import InputRefused, parse_xml
@@ -45,7 +45,6 @@ from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, wr
 from sim.world.scene.named_scenes import named_scene, robot_frame
 from sim.world.world import World
 
-Take = Callable[[bytes], object]
 LONGEST_HOST_LINE = 1024
 PIECE_BYTES = 50
 CYCLES = 20  # of the controller after a conversation: what it began goes on

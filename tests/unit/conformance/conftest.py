@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import socket
+import threading
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import ExitStack, suppress
 from typing import Any
 
 import pytest
@@ -17,6 +20,7 @@ from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
+from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import ConnectError
 
 
@@ -60,6 +64,33 @@ class QuickClock(HostClock):
 
     def sleep(self, duration_s: float) -> None:
         return
+
+
+@pytest.fixture
+def serve() -> Iterator[Callable[[Callable[[bytes], Iterable[bytes]]], Endpoint]]:
+    """Serve clients over TCP, one after another, by a function of the data read."""
+    with ExitStack() as servers:
+
+        def start(answer: Callable[[bytes], Iterable[bytes]]) -> Endpoint:
+            server = socket.create_server(("127.0.0.1", 0))
+
+            def run() -> None:
+                with suppress(OSError):
+                    while True:
+                        peer, _ = server.accept()
+                        with peer:
+                            while data := peer.recv(4096):
+                                for part in answer(data):
+                                    peer.sendall(part)
+
+            thread = threading.Thread(target=run, daemon=True)
+            thread.start()
+            servers.callback(thread.join)
+            servers.callback(server.close)
+            servers.callback(server.shutdown, socket.SHUT_RDWR)
+            return Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1])
+
+        yield start
 
 
 @pytest.fixture

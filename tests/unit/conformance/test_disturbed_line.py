@@ -5,10 +5,9 @@ from __future__ import annotations
 import os
 import pty
 import socket
-import threading
 import time
 import tty
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -16,37 +15,11 @@ from conformance.disturbed_line import DisturbedLine
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 
 
-class Echo:
-    """A device that says back what it hears."""
-
-    def __init__(self) -> None:
-        self.server = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = Endpoint("tcp", host="127.0.0.1", port=self.server.getsockname()[1])
-        self.thread = threading.Thread(target=self.serve, daemon=True)
-        self.thread.start()
-
-    def serve(self) -> None:
-        while True:
-            try:
-                peer, _ = self.server.accept()
-            except OSError:
-                return
-            with peer:
-                while data := peer.recv(4096):
-                    peer.sendall(data)
-
-    def close(self) -> None:
-        self.server.shutdown(socket.SHUT_RDWR)
-        self.server.close()
-        self.thread.join()
-
-
 @pytest.fixture
-def line() -> Iterator[DisturbedLine]:
-    device = Echo()
-    with DisturbedLine(device.endpoint) as line:
+def line(serve: Callable[..., Endpoint]) -> Iterator[DisturbedLine]:
+    """A line to a device that says back what it hears."""
+    with DisturbedLine(serve(lambda data: [data])) as line:
         yield line
-    device.close()
 
 
 def test_the_line_is_reached_from_this_computer_only(line: DisturbedLine) -> None:

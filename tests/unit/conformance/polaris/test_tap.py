@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import socket
-import threading
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import pytest
 
@@ -15,43 +14,15 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 BINARY = bytes.fromhex("C4A5 0D00 2983 01 0102 31000000 2D010000 0000 9E7D")
 
 
-class SlowUnit:
-    """Answers BX by a binary reply in two pieces, everything else by OKAY."""
-
-    def __init__(self) -> None:
-        self.server = socket.create_server(("127.0.0.1", 0))
-        self.endpoint = Endpoint("tcp", host="127.0.0.1", port=self.server.getsockname()[1])
-        self.thread = threading.Thread(target=self.serve, daemon=True)
-        self.thread.start()
-
-    def serve(self) -> None:
-        try:
-            peer, _ = self.server.accept()
-        except OSError:
-            return
-        with peer, peer.makefile("rb", buffering=0) as lines:
-            said = b""
-            while byte := lines.read(1):
-                said += byte
-                if byte != b"\r":
-                    continue
-                if said.startswith(b"BX"):
-                    peer.sendall(BINARY[:9])
-                    peer.sendall(BINARY[9:])
-                else:
-                    peer.sendall(with_crc("OKAY"))
-                said = b""
-
-    def close(self) -> None:
-        self.server.close()
+def answer(command: bytes) -> tuple[bytes, ...]:
+    """BX by a binary reply in two pieces, everything else by OKAY."""
+    return (BINARY[:9], BINARY[9:]) if command.startswith(b"BX") else (with_crc("OKAY"),)
 
 
 @pytest.fixture
-def tap() -> Iterator[PolarisTap]:
-    unit = SlowUnit()
-    with PolarisTap(unit.endpoint) as tap:
+def tap(serve: Callable[..., Endpoint]) -> Iterator[PolarisTap]:
+    with PolarisTap(serve(answer)) as tap:
         yield tap
-    unit.close()
 
 
 @pytest.fixture

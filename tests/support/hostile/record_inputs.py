@@ -1,4 +1,4 @@
-"""Further parsers of what comes from outside: files of a run and of a theatre, and compressed slices."""
+"""Records of a run, a theatre and a study, and compressed slices, with what reads them."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ import gdcm
 import numpy as np
 import psutil
 from bounded_cost import LIMIT_S
-from good_inputs import JOURNAL_OF_A_RUN, PLACE, TEMPLATE
+from good_inputs import JOURNAL_OF_A_RUN, PLACE, TEMPLATE, Take, reading
 from painted_ct import compress_slice, write_series
 
 from conformance.case import Nonconformity
@@ -70,7 +70,6 @@ from studies.campaign.study import add_up
 from studies.correspondence import clinical
 from studies.registration import RegistrationStudy
 
-Take = Callable[[bytes], object]
 ROOM_REQUESTS = (
     b'{"do":"mount","number":1}',
     b'{"do":"fault","line":"now: tracker bump"}',
@@ -128,18 +127,14 @@ LEFT = {
 }
 
 
-def further_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
+def record_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
     """What each takes when all is well, and what takes it; `folder` is theirs."""
     run = folder / "run"
     for name in ("records", "report", "theatre", "readings", "raw"):
         (run / name).mkdir(parents=True)
 
     def of(name: str, read: Callable[[Path], object], where: Path = run) -> Take:
-        def take(data: bytes) -> object:
-            (where if where == folder else run).joinpath(name).write_bytes(data)
-            return read(where)
-
-        return take
+        return reading((where if where == folder else run) / name, lambda _path: read(where))
 
     room = Room(World.create(named_scene("mini"), paced=False), None)
     mono = bytes(range(240)) * 5

@@ -1,0 +1,207 @@
+"""What devices send to the drivers, and the simulated controller's replies, with what takes them."""
+
+from __future__ import annotations
+
+import contextlib
+import re
+import struct
+import zipfile
+from collections.abc import Callable
+from math import isfinite
+
+from good_inputs import DESCRIPTION, FORMULAS, PACKET_BYTES, REPLIES, STATE, TELEGRAM, Take, packets, zipped
+
+from drivers.basler_stereo import gvcp
+from drivers.basler_stereo.features.description import parse_description, parse_url, unzip_description
+from drivers.basler_stereo.features.feature_map import FeatureMap
+from drivers.basler_stereo.features.formula import evaluate
+from drivers.basler_stereo.identity import decode_identity
+from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
+from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
+from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read_state
+from drivers.kuka_rsi.realtime.telegram import TelegramReader
+from drivers.ndi_polaris.command_link import open_ascii, split_binary
+from drivers.ndi_polaris.measuring_volume import parse_volumes
+from drivers.ndi_polaris.replies import decode_bx, decode_tx
+from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
+from drivers.ndi_polaris.tool_definition import decode_definition
+from ronna_hw.bounded_input import InputRefused
+from ronna_hw.errors import RonnaError
+from ronna_hw.wire import polaris
+from ronna_hw.wire.kuka_context import load_context
+from sim.kuka.rsi.telegrams import ReplyReader
+
+_IN_PIECES = re.compile(rb"&|<[!?]")  # XML in which a text need not be together
+
+
+def driver_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
+    """What each takes when all is well, and what takes it."""
+    ours = load_context()
+    sentype = ours.ethernet.sentype.encode()
+    bx = (
+        struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)[:46],
+        struct.pack("<3B2I2BBB3fH", 2, 1, 2, 0x31, 301, 2, 4, 1, 0, 10.0, -20.0, -1500.0, 0),
+    )
+    tx = (
+        b"0102+10000+00000+00000+00000+001050-002025-150000+0012500000031" + b"0000012C\n000000",
+        b"0101MISSING000000310000012D\n033+001000+002000-150000-001000-002000-250000+000000+000000-1000000002",
+    )
+    return {
+        "GenICam XML": ((DESCRIPTION,), _features),
+        "GenICam ZIP": ((zipped(DESCRIPTION), zipped(DESCRIPTION, zipfile.ZIP_STORED)), unzip_description),
+        "GenICam formula": (FORMULAS, _formula),
+        "GVCP": (
+            tuple(
+                struct.pack(">4H", 0, command, len(payload), 1) + payload
+                for command, payload in (
+                    (0x81, b"\0\0\0\7"),
+                    (0x85, struct.pack(">I8x", 0x200)),
+                    (3, bytes(248)),
+                    (0x89, b"\0\0\0\7"),
+                    (0x81, b"Local:cam.xml;100000;4ed4"),
+                )
+            ),
+            _gvcp,
+        ),
+        "GVSP": ((packets(),), _gvsp),
+        "Polaris BX": (bx, _binary),
+        "Polaris text": (
+            (
+                *tx,
+                b"15-000240000-000095000-000055700+000015200+000031100+000035600+000041400+000049500+000078300+000093500",
+            ),
+            _with_right_crc,
+        ),
+        "Polaris .rom": (((SHIPPED_TOOLS / "robot_frame.rom").read_bytes(),), _rom),
+        "EKI": ((STATE, STATE + b"\0\r\n" + STATE), _eki),
+        "RSI": ((TELEGRAM,), _rsi(TelegramReader(("DEF_RIst", "DEF_AIPos", "DEF_EIPos", "DEF_Delay")))),
+        "RSI reply": (
+            tuple(reply.replace(b"RONNA", sentype) for reply in REPLIES),
+            _reply(ReplyReader(ours.receive, ours.ethernet.sentype), sentype),
+        ),
+    }
+
+
+class _Camera:
+    def read(self, address: int, count: int) -> bytes:
+        return struct.pack(">I", address % (1 << 32)) * (count // 4)
+
+    def write(self, address: int, data: bytes) -> None:
+        assert len(data) % 4 == 0
+        assert 0 <= address < 1 << 32
+
+
+def _features(data: bytes) -> None:
+    nodes = parse_description(data)
+    features = FeatureMap(nodes, _Camera())
+    for name in list(nodes)[:50]:
+        for ask in (
+            features.number,
+            features.limits,
+            features.has,
+            features.entries,
+            features.choice,
+            lambda name: features.set_number(name, 5),
+            features.command_write,
+        ):
+            with contextlib.suppress(RonnaError):
+                ask(name)
+
+
+def _gvcp(data: bytes) -> None:
+    acknowledge = gvcp.decode(data)
+    if acknowledge is None:
+        return
+    assert len(acknowledge.payload) <= len(data) - 8
+    gvcp.pending_ms(acknowledge.payload)
+    for read in (
+        lambda payload: decode_identity(payload, "127.0.0.1"),
+        lambda payload: gvcp.register_value(payload, "a register"),
+        lambda payload: gvcp.memory_data(payload, 0x200, 8),
+        lambda payload: parse_url(payload.decode("ascii", "replace")),
+    ):
+        with contextlib.suppress(RonnaError):
+            read(gvcp.require_success(acknowledge, "asking"))
+
+
+def _gvsp(data: bytes) -> None:
+    assembler = FrameAssembler(1200, 136)
+    for number, begin in enumerate(range(0, len(data), PACKET_BYTES)):
+        frame = assembler.accept(memoryview(data)[begin : begin + PACKET_BYTES], 0.01 * number)
+        if frame is not None and frame.leader is not None:
+            assert frame.leader.area
+        assembler.overdue(0.01 * number)
+    assembler.overdue(1000.0)
+
+
+def _eki(data: bytes) -> None:
+    scanner = TelegramScanner()
+    for begin in range(0, len(data), RECEIVE_BYTES):
+        for telegram in scanner.feed(data[begin : begin + RECEIVE_BYTES]):
+            read_state(parse_telegram(telegram), 0.0)
+
+
+def _with_right_crc(data: bytes) -> None:
+    """The CRC is no secret: who means ill sends the right one."""
+    text = data.replace(b"\r", b"")
+    for strays in (True, False):
+        with contextlib.suppress(RonnaError):
+            reply = decode_tx(open_ascii(text + b"%04X" % polaris.crc16(text)), strays=strays)
+            positions = [report.position_mm for report in reply.handles if report.position_mm is not None]
+            assert all(isfinite(value) for position in positions for value in position)
+    with contextlib.suppress(RonnaError):
+        parse_volumes(open_ascii(text + b"%04X" % polaris.crc16(text)))
+
+
+def _binary(data: bytes) -> None:
+    with contextlib.suppress(RonnaError):
+        split_binary(data)
+    with contextlib.suppress(RonnaError):
+        assert len(decode_bx(data, strays=False).handles) == data[0]
+    assert len(decode_bx(data).handles) == data[0]
+
+
+def _rom(data: bytes) -> None:
+    block = bytearray(data.ljust(752, b"\0")[:752])
+    struct.pack_into("<H", block, 4, sum(block[6:]) & 0xFFFF)  # a right checksum
+    with contextlib.suppress(RonnaError):
+        decode_definition(bytes(block))
+    decode_definition(data)
+
+
+def _formula(data: bytes) -> None:
+    text = data.decode("latin-1")
+    for whole in (True, False):
+        with contextlib.suppress(RonnaError):
+            evaluate(text, {"A": 3, "B": 2.5, "TO": 7}, whole=whole)
+
+
+def _rsi(reader: TelegramReader) -> Callable[[bytes], object]:
+    """What is read must be numbers that the bytes hold."""
+
+    def take(data: bytes) -> None:
+        found = reader.read(data)
+        assert all(map(isfinite, found.axes_deg))
+        assert found.ipoc.isdigit()
+        _held((found.ipoc, b"KUKA"), data)
+
+    return take
+
+
+def _reply(reader: ReplyReader, sentype: bytes) -> Callable[[bytes], object]:
+    """Likewise."""
+
+    def take(data: bytes) -> None:
+        reply = reader.read(data)
+        if reply is None:
+            raise InputRefused("no reply")
+        assert all(value is None or isfinite(value) for value in reply.values)
+        assert 0 <= reply.ipoc < 10**20
+        _held((sentype, b"IPOC"), data)
+
+    return take
+
+
+def _held(parts: tuple[bytes, ...], data: bytes) -> None:
+    if not _IN_PIECES.search(data):
+        assert all(part in data for part in parts)
