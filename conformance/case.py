@@ -159,6 +159,13 @@ def check(condition: bool, expected: str, found: object = "") -> None:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
+def present(value: S | None, expected: str, found: object = "") -> S:
+    """Return a value that must not be None; raises Nonconformity like `check`."""
+    check(value is not None, expected, found)
+    assert value is not None, "check has raised"
+    return value
+
+
 @contextmanager
 def read_as(expected: str) -> Iterator[None]:
     """Decode a device's bytes in a context; raises Nonconformity if they are not `expected`.

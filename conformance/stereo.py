@@ -7,7 +7,7 @@ from functools import partial
 
 import numpy as np
 
-from conformance.case import NotShown, Suite, check, refused
+from conformance.case import NotShown, Suite, check, present, refused
 from conformance.device_cases import (
     DeviceCases,
     closes,
@@ -42,10 +42,8 @@ def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
 def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
     """Both images of a pair, which must be complete."""
     check(reading.validity is Validity.OK, "a complete pair", reading.validity)
-    if reading.left is None or reading.right is None:
-        check(False, "an image from both cameras in a complete pair")
-        raise AssertionError("check has raised")
-    return reading.left, reading.right
+    what = "an image from both cameras in a complete pair"
+    return present(reading.left, what), present(reading.right, what)
 
 
 SUITE.case("S01", "the driver implements StereoPair and starts disconnected")(

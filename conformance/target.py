@@ -126,7 +126,10 @@ def configured(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig
 
 
 def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
-    named = [_named(text) for text in endpoints]
+    named = []
+    for text in endpoints:
+        name, separator, address = text.partition("=")
+        named.append((name, address) if separator and "://" not in name else (None, text))
     names = [name for name, _ in named]
     if len(named) > 1 and (None in names or len(set(names)) < len(names)):
         raise NoDeviceChosen("each of several endpoints needs a name", action="Write NAME=URI for each.")
@@ -149,11 +152,6 @@ def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
         got=", ".join(name or "one without a name" for name in addresses),
         action=f"Example: {given}.",
     )
-
-
-def _named(text: str) -> tuple[str | None, str]:
-    name, separator, address = text.partition("=")
-    return (name, address) if separator and "://" not in name else (None, text)
 
 
 def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str, DeviceConfig]:

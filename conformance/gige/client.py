@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from functools import cached_property
 from xml.etree.ElementTree import Element
 
-from conformance.case import NotShown, check, read_as
+from conformance.case import Nonconformity, NotShown, check, read_as
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.bounded_input import parse_xml, unzip
 from ronna_hw.endpoints import parse_endpoint
@@ -71,8 +71,7 @@ class GigeLink:
             self._socket.send(datagram)
             if (answer := self._answer(self._request_id)) is not None:
                 return answer
-        check(False, f"an answer from {self.address} to command 0x{command:04X}", "none")
-        raise AssertionError("check has raised")
+        raise Nonconformity(f"expected an answer from {self.address} to command 0x{command:04X}, got none")
 
     def silent_after(self, datagram: bytes) -> bool:
         """Send a datagram; returns whether nothing comes back."""
@@ -130,8 +129,8 @@ class GigeLink:
 
     def _answer(self, request_id: int) -> Reply | None:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
-        while (left_s := deadline_s - time.monotonic()) > 0:
-            self._socket.settimeout(left_s)
+        while (remaining_s := deadline_s - time.monotonic()) > 0:
+            self._socket.settimeout(remaining_s)
             try:
                 datagram = self._socket.recv(65536)
             except (TimeoutError, ConnectionRefusedError):
@@ -188,7 +187,9 @@ class GigeFeatures:
             self._link.memory(begin + offset, min(PIECE_BYTES, -(-(count - offset) // 4) * 4))
             for offset in range(0, count, PIECE_BYTES)
         )
-        return parse_xml(_unpacked(name, data[:count]), LARGEST_FILE_BYTES)
+        content = data[:count]
+        plain = unzip(content, LARGEST_FILE_BYTES) if name.lower().endswith(".zip") else content.rstrip(b"\0")
+        return parse_xml(plain, LARGEST_FILE_BYTES)
 
     @cached_property
     def nodes(self) -> dict[str, Element]:
@@ -302,12 +303,6 @@ class GigeFeatures:
         length = int(_text(register, "Length") or "4", 0)
         check(0 < length <= PIECE_BYTES, f"a register of 1 to {PIECE_BYTES} bytes", length)
         return length
-
-
-def _unpacked(name: str, data: bytes) -> bytes:
-    if not name.lower().endswith(".zip"):
-        return data.rstrip(b"\0")
-    return unzip(data, LARGEST_FILE_BYTES)
 
 
 def _kind(node: Element) -> str:

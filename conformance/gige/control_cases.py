@@ -43,7 +43,7 @@ on_camera = CASES.with_each(cameras)
 
 
 @runtime_checkable
-class TellsBlockIds(StereoPair, Protocol):
+class ReportsBlockIds(StereoPair, Protocol):
     """A pair that reports the block ids of its last images."""
 
     @property
@@ -155,7 +155,7 @@ def description_is_xml(camera: GigeLink) -> None:
 @case("G27", "block ids start at 1 and increase by 1")
 def block_ids_step_by_one(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.CONFIGURED)
-    if not isinstance(pair, TellsBlockIds):
+    if not isinstance(pair, ReportsBlockIds):
         raise NotShown("the driver does not expose block ids")
     pair.activate()
     for number in range(1, PAIRS + 1):

@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from conformance.case import check, read_as
+from conformance.case import check, present, read_as
 from conformance.gige.client import GigeFeatures, GigeLink, controlled
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
@@ -128,9 +128,7 @@ class GigeStream:
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
             packet = self.packet(max(0.001, deadline_s - time.monotonic()))
-            check(packet is not None, "a whole image", f"{len(found)} packets")
-            assert packet is not None
-            found.append(packet)
+            found.append(present(packet, "a whole image", f"{len(found)} packets"))
         return found
 
     def silent(self) -> bool:

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from conformance.case import NotShown, check, read_as
+from conformance.case import NotShown, check, present, read_as
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.bounded_input import parse_xml
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -77,11 +77,11 @@ class EkiLine:
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
             while (raw := self._cut_off()) is None:
-                left_s = until_s - time.monotonic()
+                remaining_s = until_s - time.monotonic()
                 wanted = f"{tag} {identifier} within {ANSWER_LIMIT_S:g} s"
                 room = LONGEST_TELEGRAM - len(self._received)
-                check(left_s > 0 and room > 0, wanted, self._received[-80:] or "nothing")
-                self._socket.settimeout(left_s)
+                check(remaining_s > 0 and room > 0, wanted, self._received[-80:] or "nothing")
+                self._socket.settimeout(remaining_s)
                 try:
                     data = self._socket.recv(room)
                 except TimeoutError:
@@ -95,8 +95,8 @@ class EkiLine:
     def closed_by_controller(self) -> bool:
         """Whether the controller closes the connection in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
-        while (left_s := until_s - time.monotonic()) > 0:
-            self._socket.settimeout(left_s)
+        while (remaining_s := until_s - time.monotonic()) > 0:
+            self._socket.settimeout(remaining_s)
             try:
                 if not self._socket.recv(MOST_BYTES):
                     return True
@@ -153,10 +153,7 @@ class Telegram:
     @read_as("an IPOC in digits")
     def ipoc(self) -> int:
         """The time stamp that a reply must carry."""
-        match = IPOC.search(self.raw)
-        check(match is not None, "an IPOC in digits", self.raw[-80:])
-        assert match is not None
-        return int(match[1])
+        return int(present(IPOC.search(self.raw), "an IPOC in digits", self.raw[-80:])[1])
 
     @property
     @read_as("an integer D")
@@ -188,9 +185,7 @@ class RsiLine:
     def next(self) -> Telegram:
         """Receive the next telegram; raises Nonconformity if none arrives."""
         telegram = self._receive(NEXT_LIMIT_S)
-        check(telegram is not None, f"a telegram within {NEXT_LIMIT_S:g} s", "nothing")
-        assert telegram is not None
-        return telegram
+        return present(telegram, f"a telegram within {NEXT_LIMIT_S:g} s", "nothing")
 
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False

@@ -13,7 +13,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, NotShown, check
+from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, NotShown, check, present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.kuka.client import (
     AXES,
@@ -167,11 +167,11 @@ def late_reply_shifts_nothing(line: RsiLine) -> None:
 def correction_is_held(line: RsiLine) -> None:
     if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
         raise NotShown("the context's corrections do not have HOLDON 1")
-    base, turn = _turned(line)
+    base, turn = _turn_a6(line)
     # Without the hold the arm would turn back within some cycles, and return some cycles later.
     seen = [line.next() for _ in range(MISSED)] + line.cycles(FEW, turn)
     held = [telegram.values("AIPos")["A6"] - base for telegram in seen]
-    _back(line)
+    _undo_turn(line)
     for angle in held:
         check(abs(angle - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", angle)
 
@@ -196,9 +196,9 @@ def timeout_ends_the_run(line: RsiLine) -> None:
 def correction_is_absolute(line: RsiLine) -> None:
     if line.context.program.corrections != "absolute":
         raise NotShown("the context uses relative corrections")
-    base, turn = _turned(line)
+    base, turn = _turn_a6(line)
     there = line.cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
-    back = _back(line)
+    back = _undo_turn(line)
     check(abs(there - base - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", there - base)
     check(abs(back - base) < FOLLOWED_DEG, "A6 back at its start", back - base)
 
@@ -206,9 +206,8 @@ def correction_is_absolute(line: RsiLine) -> None:
 @case("K21", "the first telegram has the axes that the controller reported before the start")
 def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     with idle_controller(dut) as (eki, _):
-        axis = eki.state().find("Axis")
-    check(axis is not None, "an Axis in the state")
-    before = {} if axis is None else {name: float(axis.get(name, "nan")) for name in AXES}
+        axis = present(eki.state().find("Axis"), "an Axis in the state")
+    before = {name: float(axis.get(name, "nan")) for name in AXES}
     with stream(dut) as line:
         (first,) = line.cycles(1)
     moved = max(abs(first.values("AIPos")[name] - before[name]) for name in AXES)
@@ -257,7 +256,7 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
-def _turned(line: RsiLine) -> tuple[float, dict[str, float]]:
+def _turn_a6(line: RsiLine) -> tuple[float, dict[str, float]]:
     """Turn A6 slightly, in even steps; returns its previous angle, and the correction that holds it there."""
     telegrams: list[Telegram] = line.cycles(FEW)
     base = telegrams[-1].values("AIPos")["A6"]
@@ -268,7 +267,7 @@ def _turned(line: RsiLine) -> tuple[float, dict[str, float]]:
     return base, turn
 
 
-def _back(line: RsiLine) -> float:
+def _undo_turn(line: RsiLine) -> float:
     """Undo the turn; returns the angle of A6 afterwards."""
     for share in range(FEW, -1, -1):
         line.cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
-from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check
+from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check, present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
 from conformance.kuka.client import AXES, IPOC
@@ -80,9 +80,7 @@ def corrections(reply: bytes) -> list[float]:
     for tag in tags:
         name, _, attribute = tag.partition(".")
         match = re.search(rf'<{name} [^>]*\b{attribute}="([^"]+)"'.encode(), reply)
-        check(match is not None, f"{tag} in the reply", reply[:80])
-        assert match is not None
-        found.append(float(match[1]))
+        found.append(float(present(match, f"{tag} in the reply", reply[:80])[1]))
     return found
 
 

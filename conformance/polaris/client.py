@@ -13,12 +13,11 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
-from conformance.case import Nonconformity, check, read_as
+from conformance.case import Nonconformity, check, present, read_as
 from conformance.device_under_test import DeviceUnderTest
-from ronna_hw.endpoints import Endpoint
 from ronna_hw.wire.polaris import (
     BX_CRC_BYTES,
     BX_HEADER_BYTES,
@@ -82,12 +81,6 @@ class SerialLine:
         self._port.close()
 
 
-def _open(endpoint: Endpoint) -> socket.socket | SerialLine:
-    if endpoint.scheme == "serial":
-        return SerialLine(endpoint.path)
-    return socket.create_connection((endpoint.host, endpoint.port), REPLY_LIMIT_S)
-
-
 def with_crc(text: str) -> bytes:
     """Command or text reply with its CRC in four upper-case digits, and CR."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
@@ -112,9 +105,7 @@ class PolarisLink:
     def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
         """The text of the next ASCII reply."""
         heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
-        match = _ASCII.fullmatch(heard)
-        check(match is not None, "text, four upper-case hex digits and CR", heard)
-        assert match is not None
+        match = present(_ASCII.fullmatch(heard), "text, four upper-case hex digits and CR", heard)
         check(int(match[2], 16) == crc16(match[1]), f"the CRC {crc16(match[1]):04X}", match[2].decode())
         return match[1].decode("ascii")
 
@@ -219,8 +210,8 @@ class PolarisLink:
         heard = b""
         until_s = time.monotonic() + limit_s
         while not complete(heard):
-            left_s = until_s - time.monotonic()
-            ready = left_s > 0 and select.select([self.line], [], [], left_s)[0]
+            remaining_s = until_s - time.monotonic()
+            ready = remaining_s > 0 and select.select([self.line], [], [], remaining_s)[0]
             data = self.line.recv(65536) if ready else b""
             whole = bool(data) and len(heard) < LONGEST_HEARD_BYTES
             check(whole, f"a reply within {limit_s:g} s", heard[-SHOWN_BYTES:].hex(" ") or "nothing")
@@ -237,13 +228,15 @@ def is_error(text: str) -> bool:
 def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
     """A plain client of the unit under test, in the state in which its last client left it."""
     dut.release()
-    line = _open(dut.endpoint)
-    try:
+    endpoint = dut.endpoint
+    with closing(
+        SerialLine(endpoint.path)
+        if endpoint.scheme == "serial"
+        else socket.create_connection((endpoint.host, endpoint.port), REPLY_LIMIT_S)
+    ) as line:
         link = PolarisLink(line)
         link.rest()
         yield link
-    finally:
-        line.close()
 
 
 @contextmanager
@@ -266,7 +259,7 @@ OPTION_STRAYS = 0x1000
 
 
 @dataclass(frozen=True)
-class HandleSeen:
+class HandleReport:
     """A handle in a reply: `pose` is q0 qx qy qz tx ty tz error, None if missing."""
 
     handle: str
@@ -282,14 +275,14 @@ class HandleSeen:
 
 
 @dataclass(frozen=True)
-class Seen:
+class BxReply:
     """A complete reply; `strays_at` is the offset of the first stray's position in the body.
 
     `strays_outside` are the flags with the low bit of each byte first, as most clients read them,
     `strays_outside_mirrored` with the high bit first: the order is undocumented.
     """
 
-    handles: tuple[HandleSeen, ...]
+    handles: tuple[HandleReport, ...]
     strays_mm: tuple[Vector3, ...]
     strays_outside: tuple[bool, ...]
     strays_outside_mirrored: tuple[bool, ...]
@@ -302,7 +295,7 @@ class Seen:
         return max((handle.frame for handle in self.handles), default=0)
 
 
-def read_body(body: bytes, options: int) -> Seen:
+def read_body(body: bytes, options: int) -> BxReply:
     """Decode a body with option 0001; raises Nonconformity if its length is wrong."""
     try:
         return _read_body(body, options)
@@ -310,13 +303,13 @@ def read_body(body: bytes, options: int) -> Seen:
         raise Nonconformity(f"expected a whole body, got {len(body)} bytes: {error}") from error
 
 
-def _read_body(body: bytes, options: int) -> Seen:
+def _read_body(body: bytes, options: int) -> BxReply:
     at, handles = 1, []
     for _ in range(body[0]):
         handle, status = f"{body[at]:02X}", body[at + 1]
         at += 2
         if status == HandleStatus.DISABLED:
-            handles.append(HandleSeen(handle, HandleStatus.DISABLED))
+            handles.append(HandleReport(handle, HandleStatus.DISABLED))
             continue
         check(status in (HandleStatus.VALID, HandleStatus.MISSING), "handle status 01, 02 or 04", status)
         pose = None
@@ -325,7 +318,7 @@ def _read_body(body: bytes, options: int) -> Seen:
             at += 32
         port_status, frame = struct.unpack_from("<2I", body, at)
         at += 8 + (TOOL_INFORMATION_BYTES if options & OPTION_TOOL_INFORMATION else 0)
-        handles.append(HandleSeen(handle, HandleStatus(status), pose, port_status, frame))
+        handles.append(HandleReport(handle, HandleStatus(status), pose, port_status, frame))
     strays: list[Vector3] = []
     outside: tuple[bool, ...] = ()
     mirrored: tuple[bool, ...] = ()
@@ -343,7 +336,7 @@ def _read_body(body: bytes, options: int) -> Seen:
             at += POSITION_BYTES
     check(len(body) == at + 2, f"{at + 2} bytes in the body", len(body))
     (system_status,) = struct.unpack_from("<H", body, at)
-    return Seen(tuple(handles), tuple(strays), outside, mirrored, strays_at, system_status)
+    return BxReply(tuple(handles), tuple(strays), outside, mirrored, strays_at, system_status)
 
 
 def place_markers(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:

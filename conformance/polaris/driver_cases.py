@@ -28,7 +28,7 @@ from conformance.polaris.fixtures import (
     SPECTRA_SHAPE,
     TOOL_DEFINITION,
     WITH_TOOL,
-    TellsBaud,
+    ReportsBaud,
     definition,
     markers_of,
     volume_in_use,
@@ -258,7 +258,7 @@ def illuminators_are_set(dut: DeviceUnderTest) -> None:
 def rate_is_raised(dut: DeviceUnderTest) -> None:
     tracker = dut.at(Lifecycle.ACTIVE)
     tracker.read_frame(PATIENT_S)  # at its working rate
-    baud = tracker.baud if isinstance(tracker, TellsBaud) else None
+    baud = tracker.baud if isinstance(tracker, ReportsBaud) else None
     dut.release()
     if baud is None:
         raise NotShown("the driver does not report its baud rate")

@@ -13,9 +13,9 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from conformance.case import Need, check
+from conformance.case import Need, check, present
 from conformance.device_under_test import DeviceUnderTest
-from conformance.polaris.client import PolarisLink, Seen, Vector3, idle_unit, read_body
+from conformance.polaris.client import BxReply, PolarisLink, Vector3, idle_unit, read_body
 from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import PARAMETER_SELECTED_VOLUME, SFLIST_VOLUME_CHARACTERS
 
@@ -29,7 +29,7 @@ SERIAL = (*NEEDS, SERIAL_LINE)
 
 
 @runtime_checkable
-class HoldsDefinitions(Protocol):
+class ReportsDefinitions(Protocol):
     """A tracker that reports which tool definitions it loads."""
 
     @property
@@ -39,7 +39,7 @@ class HoldsDefinitions(Protocol):
 
 
 @runtime_checkable
-class TellsBaud(Protocol):
+class ReportsBaud(Protocol):
     """A tracker that reports the rate of its serial line."""
 
     @property
@@ -51,7 +51,7 @@ class TellsBaud(Protocol):
 def definition(dut: DeviceUnderTest) -> bytes:
     """The first tool definition that the driver would load."""
     tracker = dut.make()
-    assert isinstance(tracker, HoldsDefinitions), "the case needs a tool definition"
+    assert isinstance(tracker, ReportsDefinitions), "the case needs a tool definition"
     return next(iter(tracker.definition_blocks.values()))
 
 
@@ -64,7 +64,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
         yield unit
 
 
-def read_frame(unit: PolarisLink, options: int = 0x0001) -> Seen:
+def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
     """The frame by BX with these options."""
     return read_body(unit.binary(f"BX:{options:04X}"), options)
 
@@ -209,9 +209,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
     volumes = []
     for record in records:
         check(len(record) == SFLIST_VOLUME_CHARACTERS, "74 characters with the line feed", len(record))
-        match = _RECORD.fullmatch(record)
-        check(match is not None, "a shape and ten numbers", record)
-        assert match is not None
+        match = present(_RECORD.fullmatch(record), "a shape and ten numbers", record)
         numbers = tuple(int(match[2][at : at + 7]) for at in range(0, 70, 7))
         volumes.append(MeasuringVolume(match[1], numbers))
     return tuple(volumes)

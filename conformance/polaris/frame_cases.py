@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from conformance.case import HOST_TIME, CaseList, NotShown, check
+from conformance.case import HOST_TIME, CaseList, NotShown, check, present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
 from conformance.polaris.fixtures import (
@@ -112,9 +112,8 @@ def tx_grammar(unit: PolarisLink) -> None:
     }
     for options, form in forms.items():
         text = unit.ask(f"TX:{options}")
-        match = re.fullmatch(form, text)
-        check(match is not None, f"the form of TX {options}", repr(text))
-        if options == "1801" and match is not None:
+        match = present(re.fullmatch(form, text), f"the form of TX {options}", repr(text))
+        if options == "1801":
             count = int(match[1], 16)
             check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
             check(len(match[3]) == 21 * count, "a position per stray", len(match[3]))
@@ -159,9 +158,7 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
         )
         check(after.frame > before.frame, f"a frame number above {before.frame}", after.frame)
         form = rf"01{after.handle}MISSING[0-9A-F]{{8}}([0-9A-F]{{8}})\n[0-9A-F]{{4}}"
-        match = re.fullmatch(form, text)
-        check(match is not None, "MISSING, status and frame number", repr(text))
-        assert match is not None
+        match = present(re.fullmatch(form, text), "MISSING, status and frame number", repr(text))
         check(int(match[1], 16) >= after.frame, f"a frame number of {after.frame} or more", match[1])
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 from conformance.case import CHECKED_REPLIES
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris import driver_cases, frame_cases, unit_cases, volume_cases
-from conformance.polaris.fixtures import POLARIS_BYTES, SERIAL_LINE, TOOL_DEFINITION, HoldsDefinitions
+from conformance.polaris.fixtures import POLARIS_BYTES, SERIAL_LINE, TOOL_DEFINITION, ReportsDefinitions
 from conformance.protocol import Checklist, ProtocolCases
 
 _LINES: dict[int, str] = {
@@ -103,7 +103,7 @@ def offers(dut: DeviceUnderTest) -> frozenset[str]:
         if dut.endpoint.scheme == "serial":
             met.add(SERIAL_LINE)
     tracker = dut.make()
-    if isinstance(tracker, HoldsDefinitions) and tracker.definition_blocks:
+    if isinstance(tracker, ReportsDefinitions) and tracker.definition_blocks:
         met.add(TOOL_DEFINITION)
     return frozenset(need.name for need in met)
 

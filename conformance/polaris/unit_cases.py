@@ -148,12 +148,12 @@ def handles_are_distinct(unit: PolarisLink) -> None:
 @on_tool("P18", "PHSR lists a handle as occupied, initialised or enabled at each step")
 def handle_lists(unit: PolarisLink) -> None:
     handle = unit.request_handle()
-    _is_listed_under(unit, handle, "00", "02")
+    _check_listed(unit, handle, "00", "02")
     unit.okay(f"PHF:{handle}")
     handle = unit.load(unit.definition)
-    _is_listed_under(unit, handle, "00", "04")
+    _check_listed(unit, handle, "00", "04")
     unit.okay(f"PDIS:{handle}")
-    _is_listed_under(unit, handle, "00", "03")
+    _check_listed(unit, handle, "00", "03")
 
 
 @on_unit("P19", "PVWR accepts blocks of 64 bytes up to address 07C0, in upper- or lower-case hex")
@@ -186,7 +186,7 @@ def enabling_needs_initialising(unit: PolarisLink) -> None:
 
 @on_tool("P22", "PHINF returns type, manufacturer, revision, serial and part number of the definition")
 def tool_information(unit: PolarisLink) -> None:
-    _tells_the_definition(unit, unit.load(unit.definition), unit.definition)
+    _check_information(unit, unit.load(unit.definition), unit.definition)
 
 
 @on_tool("P23", "PHINF returns options 0001, 0004 and 0020 in sequence, 67 characters")
@@ -204,19 +204,19 @@ def both_makers_definitions_load(unit: PolarisLink) -> None:
     ours, theirs = unit.definition, published_definition()
     handles = unit.load(ours), unit.load(theirs)
     check(unit.handles("04") == sorted(handles), "both enabled", unit.handles("04"))
-    _tells_the_definition(unit, handles[0], ours)
-    _tells_the_definition(unit, handles[1], theirs)
+    _check_information(unit, handles[0], ours)
+    _check_information(unit, handles[1], theirs)
     part = unit.ask(f"PHINF:{handles[1]}0004")
     check(part.rstrip().encode() == PUBLISHED_PART, PUBLISHED_PART.decode(), part)
 
 
-def _is_listed_under(unit: PolarisLink, handle: str, *queries: str) -> None:
+def _check_listed(unit: PolarisLink, handle: str, *queries: str) -> None:
     """The handle must be listed by exactly these of the five queries."""
     found = tuple(query for query in ("00", "01", "02", "03", "04") if handle in unit.handles(query))
     check(found == queries, f"handle {handle} under {' and '.join(queries)}", found)
 
 
-def _tells_the_definition(unit: PolarisLink, handle: str, block: bytes) -> None:
+def _check_information(unit: PolarisLink, handle: str, block: bytes) -> None:
     about = unit.ask(f"PHINF:{handle}0001")
     check(len(about) == 33, "33 characters", len(about))
     check(int(about[:2], 16) == block[layout.MAIN_TYPE_OFFSET], "the main type", about[:2])

@@ -63,7 +63,7 @@ def strays_need_illuminators(dut: DeviceUnderTest) -> None:
         volume = volume_in_use(unit)
         unit.load(block)
         unit.okay("TSTART:80")
-        flags = _judged_strays(dut, unit, volume)
+        flags = _check_strays(dut, unit, volume)
     if not flags:
         raise NotShown("no stray marker is in view")
 
@@ -118,7 +118,7 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
             raise NotShown("the tool is not in view, or too close to a face of the volume")
 
 
-def _judged_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
+def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
     """The flags of the strays; all must agree with the volume, in one bit order or the other."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()

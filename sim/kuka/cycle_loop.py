@@ -243,10 +243,7 @@ class CycleLoop:
         run = self._controller.run
         self._display.update(self._controller.message, run.notice if run is not None else "")
         if run is not None:
-            run.rejected.report(time.monotonic(), self._log_rejected)
-
-    def _log_rejected(self, reason: str, count: int) -> None:
-        self._log.info(reason, so_far=count)
+            run.rejected.report(time.monotonic(), lambda reason, count: self._log.info(reason, so_far=count))
 
     def _report_change(self) -> None:
         """Make the channels report a changed state at once, not at the end of their period."""

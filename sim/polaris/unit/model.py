@@ -7,7 +7,7 @@ slopes in 1/100 000.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from types import MappingProxyType
 
@@ -120,23 +120,17 @@ SPECTRA = UnitModel(
     illuminator_rates=(0, 1, 2),
     longest_command=1024,
 )
-VICRA = UnitModel(
+VICRA = replace(
+    SPECTRA,
     name="Polaris Vicra",
     serial_number="P6-00042",
     firmware="007.000.011",
     combined_revision="014",
     package="014.002",
-    api_revision="G.001.005",
-    characterization_date="06/05/24",
-    freeze_date="01/04/10",
     volumes=(VICRA_VOLUME,),
-    handles=24,
     enabled_tools=6,
     wired_ports=0,
     passive_ports=6,
-    wireless_ports=1,
-    baud_codes="01234567A",
     illuminator_rates=(0,),
-    longest_command=1024,
 )
 UNIT_MODELS: MappingProxyType[str, UnitModel] = MappingProxyType({"spectra": SPECTRA, "vicra": VICRA})

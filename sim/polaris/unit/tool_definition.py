@@ -30,8 +30,7 @@ TEST_MARKERS_MM = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))
 CONSTANT_TEN = 10.0
 CONSTANT_NINE = 9
 # Serial number of written definitions: sequence 1, day 0, month 0, year 2024. Some clients reject zero.
-SERIAL_SEQUENCE = 1
-SERIAL_YEAR = 2024
+SERIAL = 1 << rom.SERIAL_SEQUENCE_BITS[0] | (2024 - rom.SERIAL_FIRST_YEAR) << rom.SERIAL_YEAR_BITS[0]
 
 _u16 = struct.Struct("<H")
 _u32 = struct.Struct("<I")
@@ -134,7 +133,7 @@ def write_definition(tool: TrackerTool) -> bytes:
     content[rom.CONSTANT_ONE_OFFSET] = 1
     content[rom.MAIN_TYPE_OFFSET] = rom.MAIN_TYPE_REFERENCE
     content[rom.SUBTYPE_OFFSET] = rom.MAIN_TYPE_REFERENCE - SUBTYPE_BELOW_TYPE
-    _u32.pack_into(content, rom.SERIAL_OFFSET, _serial())
+    _u32.pack_into(content, rom.SERIAL_OFFSET, SERIAL)
     content[rom.MAXIMUM_ANGLE_OFFSET] = MAXIMUM_ANGLE_DEG
     content[rom.MARKER_COUNT_OFFSET] = count
     content[rom.MINIMUM_MARKER_COUNT_OFFSET] = rom.ROM_MINIMUM_MARKERS
@@ -169,12 +168,6 @@ def built_in_definition() -> bytes:
 def checksum(content: bytes) -> int:
     """Checksum of a definition; zero padding does not change it."""
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
-
-
-def _serial() -> int:
-    sequence_bit, _ = rom.SERIAL_SEQUENCE_BITS
-    year_bit, _ = rom.SERIAL_YEAR_BITS
-    return (SERIAL_SEQUENCE << sequence_bit) | ((SERIAL_YEAR - rom.SERIAL_FIRST_YEAR) << year_bit)
 
 
 def _vectors(content: bytes, offset: int, count: int, what: str) -> Vectors:

@@ -213,7 +213,7 @@ def feed(parser: Parser, count: int, seed: int) -> int:
 
 def taken(parser: Parser, data: bytes) -> bool:
     """Whether it was read, at bounded cost, and not refused. Raises what is no error of ours."""
-    begun_s = time.thread_time()
+    began_s = time.thread_time()
     try:
         parser.take(data)
         read = True
@@ -225,7 +225,7 @@ def taken(parser: Parser, data: bytes) -> bool:
         kept = Path(tempfile.gettempdir()) / "hostile_input.bin"
         kept.write_bytes(data)
         raise AssertionError(f"{error!r} for {data[:200]!r}, {len(data)} bytes, kept in {kept}") from error
-    spent_s = time.thread_time() - begun_s
+    spent_s = time.thread_time() - began_s
     assert spent_s < LIMIT_S, f"{spent_s:.1f} s for {data[:200]!r}"
     return read
 

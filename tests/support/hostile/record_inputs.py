@@ -302,11 +302,11 @@ def _compressed(folder: Path, syntax: int) -> tuple[tuple[bytes, ...], Take]:
 
     def take(data: bytes) -> object:
         path.write_bytes(data)
-        begun_s = _spent_s(decoder)
+        began_s = _spent_s(decoder)
         try:
             return read_pixels_into(target, header, decoder)
         finally:
-            spent_s = _spent_s(decoder) - begun_s
+            spent_s = _spent_s(decoder) - began_s
             assert spent_s < LIMIT_S, f"{spent_s:.1f} s of its decoder"
 
     return (path.read_bytes(),), take

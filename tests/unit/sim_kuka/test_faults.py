@@ -27,7 +27,7 @@ LASTING: list[tuple[str, Callable[[Any, Any], bool]]] = [
     ("eki silence", lambda _, channel: channel.silent),
     ("eki taken", lambda _, channel: channel.occupied),
 ]
-HAPPENINGS: list[tuple[str, Callable[[Any], bool]]] = [
+MOMENTARY: list[tuple[str, Callable[[Any], bool]]] = [
     ("drives off", lambda c: not c.drives_on),
     ("collision", lambda c: c.message.number == c.parameters.collision_message),
     ("trip torque", lambda c: c.message.number == 1073),
@@ -65,7 +65,7 @@ def test_a_lasting_fault_acts_until_it_ends(
         assert acts(bench.controller, channel) is expected
 
 
-@pytest.mark.parametrize(("fault", "happened"), HAPPENINGS, ids=[fault for fault, _ in HAPPENINGS])
+@pytest.mark.parametrize(("fault", "happened"), MOMENTARY, ids=[fault for fault, _ in MOMENTARY])
 def test_a_one_time_fault_has_happened_by_the_next_cycle(
     world: World, faults: ControllerFaults, bench: Any, fault: str, happened: Callable[[Any], bool]
 ) -> None:
