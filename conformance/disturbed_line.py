@@ -29,18 +29,42 @@ class _End(Protocol):
     def close(self) -> None: ...
 
 
-class DisturbedLine:
+class LineThread:
+    """Runs `_serve` in a thread of its own within a `with` block; `_ended` asks it to return."""
+
+    def __init__(self, name: str) -> None:
+        self._ended = False
+        self._thread = threading.Thread(target=self._serve, name=name, daemon=True)
+
+    def __enter__(self) -> Self:
+        self._thread.start()
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self._ended = True
+        self._thread.join()
+        self._close()
+
+    def _serve(self) -> None:
+        raise NotImplementedError
+
+    def _close(self) -> None:
+        raise NotImplementedError
+
+
+class DisturbedLine(LineThread):
     """A context manager; the driver connects to `endpoint`. One client at a time."""
 
     def __init__(self, device: Endpoint) -> None:
+        super().__init__("disturbed line")
         self._device = device.require("tcp", "serial")
         self._server = socket.create_server(("127.0.0.1", 0))
         self._next: Disturbance | None = None
         self._injected: list[bytes] = []
         self._silent = False
         self._cut = False
-        self._ended = False
-        self._thread = threading.Thread(target=self._serve, name="disturbed line", daemon=True)
 
     @property
     def endpoint(self) -> str:
@@ -71,15 +95,7 @@ class DisturbedLine:
         """Close the connection; a new one is accepted."""
         self._cut = True
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended = True
-        self._thread.join()
+    def _close(self) -> None:
         self._server.close()
 
     def _serve(self) -> None:

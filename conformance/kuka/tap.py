@@ -11,10 +11,8 @@ import threading
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from types import TracebackType
-from typing import Self
 
-from conformance.disturbed_line import DisturbedLine
+from conformance.disturbed_line import DisturbedLine, LineThread
 from ronna_hw.endpoints import Endpoint
 
 MOST_BYTES = 65536
@@ -30,10 +28,11 @@ class Traffic:
     replies: list[bytes] = field(default_factory=list)
 
 
-class RsiTap:
+class RsiTap(LineThread):
     """Listens where the controller sends, and forwards to where the driver listens."""
 
     def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
+        super().__init__("RSI tap")
         self._driver = (driver.host, driver.port)
         self._outside = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         self._outside.bind((controller_sends_to.host, controller_sends_to.port))
@@ -41,10 +40,9 @@ class RsiTap:
         self._inside.bind((LOOPBACK, 0))
         self._controller: tuple[str, int] | None = None
         self._held: list[bytes] = []
-        self._holding = self._ended = False
+        self._holding = False
         self._lock = threading.Lock()
         self._passed = Traffic()
-        self._thread = threading.Thread(target=self._serve, name="RSI tap", daemon=True)
 
     def traffic(self) -> Traffic:
         """The traffic since the last call."""
@@ -81,15 +79,7 @@ class RsiTap:
             self._held.clear()
             self._holding = False
 
-    def __enter__(self) -> Self:
-        self._thread.start()
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self._ended = True
-        self._thread.join()
+    def _close(self) -> None:
         self._outside.close()
         self._inside.close()
 

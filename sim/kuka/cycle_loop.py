@@ -98,7 +98,7 @@ class CycleLoop:
                 else:
                     self._autostart.tick(time.monotonic())
                     if self._controller.run is None:
-                        self._wait(time.monotonic() + IDLE_WAIT_S)
+                        self._wait_until(None, time.monotonic() + IDLE_WAIT_S)
         finally:
             self._clock.end_stream()
             self._close_rsi()
@@ -217,7 +217,7 @@ class CycleLoop:
             self._controller.settle()
             if self._clock.paced:
                 self._deadline_s = max(self._deadline_s + cycle_s, time.monotonic())
-                self._wait(self._deadline_s)
+                self._wait_until(self._controller.run, self._deadline_s)
             else:
                 self._advance(round(cycle_s * 1e9))
                 self._end_stream_at_rest()  # before the motion is reported as done
@@ -296,20 +296,13 @@ class CycleLoop:
             if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
                 return None
 
-    def _wait_until(self, run: RsiRun, moment_s: float) -> None:
-        """Wait and serve the channels; ends early if the run does."""
+    def _wait_until(self, run: RsiRun | None, moment_s: float) -> None:
+        """Wait and serve the channels; ends early if the run does, or another one begins."""
         while not self._ending and self._controller.run is run:
             remaining_s = moment_s - time.monotonic()
             if remaining_s <= 0.0:
                 return
             self._wait_once(remaining_s, None)
-
-    def _wait(self, moment_s: float) -> None:
-        run = self._controller.run
-        remaining_s = moment_s - time.monotonic()
-        while remaining_s > 0.0 and not self._ending and self._controller.run is run:
-            self._wait_once(remaining_s, None)
-            remaining_s = moment_s - time.monotonic()
 
     def _wait_once(self, timeout_s: float, rsi: socket.socket | None) -> bool:
         """Wait once, serving channels and timers; returns True if the RSI socket is readable."""

@@ -179,7 +179,7 @@ class Parameter:
 
 def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
     """All parameters with factory values, in the order in which a wildcard lists them."""
-    return (*_features(model, wired_ports), *_settings(model), *_status(), *_others(model))
+    return (*_features(model, wired_ports), *_settings(model), *_status(model))
 
 
 def _features(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
@@ -231,7 +231,7 @@ def _settings(model: UnitModel) -> tuple[Parameter, ...]:
     )
 
 
-def _status() -> tuple[Parameter, ...]:
+def _status(model: UnitModel) -> tuple[Parameter, ...]:
     timeouts = (
         Parameter(f"{wire.PARAMETER_TIMEOUT_PREFIX}{name}", f"{seconds:g}", "Seconds")
         for name, seconds in wire.COMMAND_TIMEOUT_S.items()
@@ -244,11 +244,6 @@ def _status() -> tuple[Parameter, ...]:
         Parameter(BUMP_DETECTED, "0"),
         Parameter("Info.Status.New Log Entry", "0"),
         *timeouts,
-    )
-
-
-def _others(model: UnitModel) -> tuple[Parameter, ...]:
-    return (
         Parameter("Config.Password", "", "Opens further parameters", True),
         Parameter("Config.Combined Firmware Revision", model.combined_revision),
         Parameter("Config.Ext Device Syncing", "0"),

@@ -9,12 +9,12 @@ from typing import Any
 import pytest
 from shared_controller import on_a1
 
-from ronna_hw.endpoints import Endpoint, parse_endpoint
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
-from sim.errors import BadFaultScript, EndpointTaken
+from sim.errors import BadFaultScript
 from sim.kuka.autostart import Autostart
 from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S, ControllerParameters
-from sim.kuka.eki.server import EkiServer, split_requests
+from sim.kuka.eki.server import split_requests
 from sim.kuka.errors import ClientAddressInvalid
 from sim.kuka.pendant import TRIPS as MESSAGES
 from sim.kuka.rsi.link import RsiSocket, resolve
@@ -180,16 +180,6 @@ def test_requests_are_extracted_from_padding_fragments_and_merged_reads() -> Non
         second, left = split_requests(rest + stream[cut:])
         assert first + second == [one, two, nested]
         assert left == b""
-
-
-def test_a_port_in_use_has_its_own_error() -> None:
-    server = EkiServer(Endpoint("tcp", "127.0.0.1", 0))
-    try:
-        with pytest.raises(EndpointTaken) as caught:
-            EkiServer(parse_endpoint(server.endpoint))
-        assert caught.value.code == "SIM-004"
-    finally:
-        server.close()
 
 
 def test_an_unresolvable_client_address_has_its_own_error() -> None:

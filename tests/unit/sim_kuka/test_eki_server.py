@@ -193,33 +193,22 @@ def test_a_request_to_a_full_buffer_closes_the_connection(line: Line) -> None:
     assert line.program.read == []
 
 
-def test_the_sdk_client_receives_the_status_once_and_again_when_it_changes(
-    line: Line, make_bench: Callable[..., Any]
+@pytest.mark.parametrize(
+    ("kind", "period_s", "element"),
+    [(SdkChannel, 1.0, b"<Status "), (ProjectChannel, STATE_PERIOD_MS / 5000.0, b"<State ")],
+)
+def test_a_client_receives_the_state_once_and_again_as_soon_as_it_changes(
+    line: Line, make_bench: Callable[..., Any], kind: Any, period_s: float, element: bytes
 ) -> None:
     controller = make_bench(start=False).controller
-    channel = SdkChannel(line.server, controller, Autostart(controller, wanted=False))
+    channel = kind(line.server, controller, Autostart(controller, wanted=False))
     said = []
     for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
         change()
-        line.time.now_s += 1.0
+        line.time.now_s += period_s  # the project's channel repeats an unchanged state later
         channel.tick(line.time.now_s)
         line.loop()
-        said.append(line.heard().count(b"<Status "))
-    assert said == [1, 0, 1, 0]
-
-
-def test_the_driver_receives_a_state_change_before_the_next_periodic_state_is_due(
-    line: Line, make_bench: Callable[..., Any]
-) -> None:
-    controller = make_bench(start=False).controller
-    channel = ProjectChannel(line.server, controller, Autostart(controller, wanted=False))
-    said = []
-    for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
-        change()
-        line.time.now_s += STATE_PERIOD_MS / 5000.0
-        channel.tick(line.time.now_s)
-        line.loop()
-        said.append(line.heard().count(b"<State "))
+        said.append(line.heard().count(element))
     assert said == [1, 0, 1, 0]
 
 
@@ -236,4 +225,5 @@ def test_a_port_conflict_names_the_process_holding_the_port_and_suggests_a_free_
         address = Endpoint("tcp", "127.0.0.1", other.getsockname()[1])
         with pytest.raises(EndpointTaken, match=rf"in use by .*\(pid {os.getpid()}\)") as refused:
             EkiServer(address)
+    assert refused.value.code == "SIM-004"
     assert "--eki-project tcp://127.0.0.1:0" in refused.value.advice

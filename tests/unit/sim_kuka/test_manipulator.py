@@ -181,18 +181,14 @@ def poses(bench: Any, idle: list[int], lost: set[int] = frozenset()) -> list[np.
     return found
 
 
-def test_the_pose_at_rest_does_not_depend_on_idle_time(make_bench: Make, truth: ArmTruth) -> None:
-    first = poses(make_bench(truth=truth), [0, 0, 0])
-    second = poses(make_bench(truth=truth), [500, 3, 77])
-    for one, other in zip(first, second, strict=True):
-        assert np.array_equal(one, other)
-
-
-def test_lost_replies_during_a_motion_do_not_change_the_pose_at_rest(
-    make_bench: Make, truth: ArmTruth
+@pytest.mark.parametrize(
+    ("idle", "lost"), [([500, 3, 77], set()), ([0, 0, 0], {1, 30, 31, 150, 298, 299})], ids=["idle", "lost"]
+)
+def test_neither_idle_time_nor_lost_replies_change_the_pose_at_rest(
+    make_bench: Make, truth: ArmTruth, idle: list[int], lost: set[int]
 ) -> None:
     first = poses(make_bench(truth=truth), [0, 0, 0])
-    second = poses(make_bench(truth=truth), [0, 0, 0], lost={1, 30, 31, 150, 298, 299})
+    second = poses(make_bench(truth=truth), idle, lost)
     for one, other in zip(first, second, strict=True):
         assert np.array_equal(one, other)
 
