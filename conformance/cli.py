@@ -68,7 +68,7 @@ def conformance(
     suite = target.suite.only(only or [])
     with device_under_test(target) as dut:
         moves = suite.moving() if "motion" in dut.offers and not sim else []
-        person = _who_confirms(suite.motions, moves, dut, confirmed_by) if moves else ""
+        person = _confirming_person(suite.motions, moves, dut, confirmed_by) if moves else ""
         with progress_bar(f"{kind} suite") as progress:
             report = run_suite(suite, dut, progress, confirmed_by=person)
     document = report.as_document()
@@ -83,7 +83,7 @@ def conformance(
     return EXIT_DONE if report.passed else EXIT_FAILED
 
 
-def _who_confirms(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
+def _confirming_person(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
     """The name of the person who confirms that the device may move; raises CNF-005 without one."""
     from conformance.errors import NotConfirmed
 

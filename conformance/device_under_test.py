@@ -52,9 +52,9 @@ class DeviceUnderTest:
             device.deactivate()
         if state is Lifecycle.CONNECTED and device.state is Lifecycle.CONFIGURED:
             device = self._shared = self.make()
-        return self.brought_to(state, device)
+        return self.bring_to(state, device)
 
-    def brought_to(self, state: Lifecycle, device: Any) -> Any:
+    def bring_to(self, state: Lifecycle, device: Any) -> Any:
         """A device from `make`, brought from its present state to `state`."""
         steps = (device.connect, device.configure, device.activate)
         for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:

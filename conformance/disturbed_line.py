@@ -128,19 +128,19 @@ class DisturbedLine(LineThread):
                     if not data:
                         return
                     if key.fileobj is client:
-                        self._from_driver(data)
+                        self._note_command(data)
                         _write_all(device.fileno(), data)
                     elif not self._silent:
-                        held += self._in_order(self._disturbed(data), held)
+                        held += self._in_order(self._disturb(data), held)
                 while self._injected:
                     held += self._in_order([(0.0, self._injected.pop(0))], held)
                 while held and held[0][0] <= time.monotonic():
                     client.sendall(held.pop(0)[1])
 
-    def _from_driver(self, data: bytes) -> None:
+    def _note_command(self, data: bytes) -> None:
         """Hook for subclasses: data from the driver, passed on unchanged."""
 
-    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
+    def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         disturbance, self._next = self._next, None
         return disturbance(data) if disturbance else [(0.0, data)]
 

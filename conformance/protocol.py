@@ -90,7 +90,7 @@ def protocol_of(driver: str) -> ProtocolCases:
     return load_protocol(load_driver(driver).wire_protocol)
 
 
-def composed(suite: Suite, protocol: ProtocolCases) -> Suite:
+def compose_suite(suite: Suite, protocol: ProtocolCases) -> Suite:
     """The cases of a suite followed by those of the protocol; raises ValueError on a repeated number."""
     cases = (*suite.cases, *protocol.cases)
     counts = Counter(case.number for case in cases)

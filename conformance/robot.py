@@ -217,7 +217,7 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
 @SUITE.case("R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,))
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
-    ends = _stopped_on_the_way(dut, arm, start, StopKind.HOLD)
+    ends = _stop_on_the_way(dut, arm, start, StopKind.HOLD)
     check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
     check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
     refused(lambda: arm.move_joints(start), StateError, "move_joints in hold")
@@ -233,7 +233,7 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
 @SUITE.case("R15", "a protective stop is latched; recover clears it without motion", needs=(MOTION,))
 def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
-    ends = _stopped_on_the_way(dut, arm, start, StopKind.PROTECTIVE)
+    ends = _stop_on_the_way(dut, arm, start, StopKind.PROTECTIVE)
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
     check(observe(arm, Lifecycle.FAULT).fault is not None, "the fault observed")
@@ -253,12 +253,12 @@ SUITE.case("R16", "closing ends in bounded time, is final and may be repeated")(
 def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
     first = dut.make()
     identity = first.connect()
-    before = dut.brought_to(Lifecycle.ACTIVE, first).read_state().joints_rad
+    before = dut.bring_to(Lifecycle.ACTIVE, first).read_state().joints_rad
     first.close()
     second = dut.make()
     again = second.connect()
     check(identity == again, f"the identity {identity}", again)
-    check_standstill(dut.brought_to(Lifecycle.ACTIVE, second).read_state(), before)
+    check_standstill(dut.bring_to(Lifecycle.ACTIVE, second).read_state(), before)
     dut.release()
 
 
@@ -363,9 +363,7 @@ def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.preview(beyond, start_rad=here), LimitError, "a target beyond the stated range")
 
 
-def _stopped_on_the_way(
-    dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind
-) -> list[RonnaError]:
+def _stop_on_the_way(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind) -> list[RonnaError]:
     """Stop a motion on its way; returns the errors that the motion raised."""
     mover, ends = start_moving(dut, arm, start)
     try:

@@ -184,7 +184,7 @@ def no_camera_there(dut: DeviceUnderTest) -> None:
 @SUITE.case("S14", "closing ends in bounded time, is final, and releases control")
 def closing_is_bounded(dut: DeviceUnderTest) -> None:
     pair = dut.make()
-    dut.brought_to(Lifecycle.ACTIVE, pair)
+    dut.bring_to(Lifecycle.ACTIVE, pair)
     closes(pair, CLOSE_LIMIT_S)
     both(dut.at(Lifecycle.ACTIVE).grab_pair())
 

@@ -12,7 +12,7 @@ from typing import Any, Protocol, runtime_checkable
 from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
 from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
-from conformance.protocol import ProtocolCases, composed, protocol_of
+from conformance.protocol import ProtocolCases, compose_suite, protocol_of
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.probing import ONLY, Search
@@ -91,18 +91,18 @@ def resolve(kind: str, choice: Choice) -> Target:
     driver = choice.driver or suite.driver
     if choice.config is not None:
         theatre = read_theatre_file(choice.config)
-        name, config = _from_file(theatre, kind, choice.device)
+        name, config = _find_in_file(theatre, kind, choice.device)
         clock, driver = theatre.clock.endpoint, choice.driver or config.driver
         config = config.model_copy(update={"driver": driver})
     elif choice.endpoints:
-        addresses = _by_name(choice.endpoints)
+        addresses = _parse_endpoints(choice.endpoints)
         _require_roles(driver, addresses)
-        config = configured(driver, addresses)
+        config = config_for_suite(driver, addresses)
     protocol = protocol_of(driver)
     if choice.sim and protocol.simulator is None:
         raise NoSimulator(f"there is no simulator for the wire protocol of {driver}")
     return Target(
-        suite=composed(suite, protocol),
+        suite=compose_suite(suite, protocol),
         protocol=protocol,
         name=name,
         driver=driver,
@@ -113,7 +113,7 @@ def resolve(kind: str, choice: Choice) -> Target:
     )
 
 
-def configured(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
+def config_for_suite(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
     """A driver at these endpoints (None for a single unnamed one), with its conformance options."""
     factory = load_driver(driver)
     options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
@@ -125,7 +125,7 @@ def configured(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig
     return DeviceConfig(driver=driver, endpoints=named, options=options)
 
 
-def _by_name(endpoints: Sequence[str]) -> dict[str | None, str]:
+def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
     named = []
     for text in endpoints:
         name, separator, address = text.partition("=")
@@ -154,7 +154,7 @@ def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
     )
 
 
-def _from_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str, DeviceConfig]:
+def _find_in_file(theatre: TheatreFile, kind: str, device: str | None) -> tuple[str, DeviceConfig]:
     if kind == "robot":
         name = device or (next(iter(theatre.robot)) if len(theatre.robot) == 1 else None)
         if name is None or name not in theatre.robot:
@@ -201,7 +201,7 @@ def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
             child = stack.enter_context(
                 ChildProcess(f"ronna-sim {arguments[0]}", command(SIMULATOR_MODULE, *arguments))
             )
-            config = configured(
+            config = config_for_suite(
                 target.driver, child.ready.get("endpoints") or {None: child.ready["endpoint"]}
             )
         dut = build_device_under_test(

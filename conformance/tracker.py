@@ -64,7 +64,7 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
 def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
     """(line, tracker): an active tracker on a line that can misbehave; closes every connection afterwards."""
     with dut.disturbed_line() as line:
-        yield line, dut.brought_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
+        yield line, dut.bring_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()
 
 
@@ -183,7 +183,7 @@ SUITE.case("T14", "closing ends in bounded time, is final and may be repeated")(
 
 @SUITE.case("T15", "reconnecting opens a new connection to the same device")
 def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
-    first = dut.brought_to(Lifecycle.ACTIVE, dut.make())
+    first = dut.bring_to(Lifecycle.ACTIVE, dut.make())
     first.read_frame()
     first.close()
     second = dut.make()
@@ -247,7 +247,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
         check(observe(tracker, Lifecycle.FAULT).fault is not None, "the fault observed")
         tracker.recover("conformance suite")
         check(tracker.state is Lifecycle.CONFIGURED, "state configured", tracker.state)
-        dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame()
+        dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame()
 
 
 @SUITE.case(

@@ -62,7 +62,7 @@ class GigeStream:
     def __exit__(self, *reason: object) -> None:
         self.close()
 
-    def latched(self) -> int:
+    def latch_ticks(self) -> int:
         """The camera's present tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)

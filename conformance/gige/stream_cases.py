@@ -241,17 +241,17 @@ def stamps_grow(stream: GigeStream) -> None:
 
 
 @on_stream(
-    "G30", "the counter can be latched and reset, and agrees with the images' stamps", needs=(HOST_TIME,)
+    "G30", "the counter can be latch_ticks and reset, and agrees with the images' stamps", needs=(HOST_TIME,)
 )
 def latch_and_reset(stream: GigeStream) -> None:
     start_acquisition(stream)
-    before = stream.latched()
+    before = stream.latch_ticks()
     (frame,) = frames(stream, 1)
-    after = stream.latched()
+    after = stream.latch_ticks()
     ticks = leader_of(frame).ticks
     check(before <= ticks <= after, f"a stamp between {before} and {after}", ticks)
     stream.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_RESET)
-    check(stream.latched() < after, "a smaller count after the reset")
+    check(stream.latch_ticks() < after, "a smaller count after the reset")
 
 
 @on_stream("G31", "packets of the last 16 images are resent byte by byte")
@@ -320,7 +320,7 @@ def stop_ends_the_stream(stream: GigeStream) -> None:
     stream.features.set("TriggerMode", "Off")
     start_acquisition(stream).frame()
     stream.features.execute("AcquisitionStop")
-    stopped = stream.latched()
+    stopped = stream.latch_ticks()
     # an image exposed before the stop may still arrive
     starts = [decode_leader(packet).ticks for packet in stream.last_packets() if packet.kind == LEADER]
     late = [ticks for ticks in starts if ticks > stopped]

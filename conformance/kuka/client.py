@@ -31,7 +31,7 @@ class EkiLine:
 
     def __init__(self, endpoint: Endpoint) -> None:
         self.endpoint = endpoint
-        self._socket = self._connected()
+        self._socket = self._connect()
         self._received = b""
         self._number = 0
         self.between = b""
@@ -50,7 +50,7 @@ class EkiLine:
         """Close the connection and connect again."""
         self._socket.close()
         self._received = b""
-        self._socket = self._connected()
+        self._socket = self._connect()
 
     def send(self, data: bytes) -> None:
         """Send bytes as they are."""
@@ -76,7 +76,7 @@ class EkiLine:
         """Element with this tag and identifier; raises Nonconformity if it does not arrive in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
-            while (raw := self._cut_off()) is None:
+            while (raw := self._next_element()) is None:
                 remaining_s = until_s - time.monotonic()
                 wanted = f"{tag} {identifier} within {ANSWER_LIMIT_S:g} s"
                 room = LONGEST_TELEGRAM - len(self._received)
@@ -106,7 +106,7 @@ class EkiLine:
                 return True
         return False
 
-    def _cut_off(self) -> bytes | None:
+    def _next_element(self) -> bytes | None:
         """The next complete element received."""
         match = _ELEMENT.search(self._received)
         if match is None:
@@ -115,7 +115,7 @@ class EkiLine:
         self._received = self._received[match.end() :]
         return match[0]
 
-    def _connected(self) -> socket.socket:
+    def _connect(self) -> socket.socket:
         try:
             opened = socket.create_connection((self.endpoint.host, self.endpoint.port), ANSWER_LIMIT_S)
         except OSError as error:

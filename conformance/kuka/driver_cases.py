@@ -58,7 +58,7 @@ def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap
 def streaming(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
     """A driver as in `tapped` whose stream is running."""
     with tapped(dut, **endpoints) as (arm, tap):
-        yield dut.brought_to(Lifecycle.ACTIVE, arm), tap
+        yield dut.bring_to(Lifecycle.ACTIVE, arm), tap
 
 
 @contextmanager
@@ -95,7 +95,7 @@ def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
 def one_reply_each(dut: DeviceUnderTest) -> None:
     with streaming(dut) as (_, tap):
         # On a busy computer telegrams arrive in bursts, and only the newest is answered.
-        unanswered = min(_unanswered(tap) for _ in range(WINDOWS))
+        unanswered = min(_count_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
         _stall(tap)
         late = tap.traffic()
@@ -107,7 +107,7 @@ def one_reply_each(dut: DeviceUnderTest) -> None:
         check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
 
 
-def _unanswered(tap: RsiTap) -> int:
+def _count_unanswered(tap: RsiTap) -> int:
     """Count the unanswered of at least `CYCLES` telegrams; none may be answered twice."""
     heard = _exchanges(tap)
     stamps = _stamps(heard.replies)
@@ -127,7 +127,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
     with tapped(dut) as (arm, tap):
         for _ in range(2):
             tap.traffic()
-            dut.brought_to(Lifecycle.ACTIVE, arm)
+            dut.bring_to(Lifecycle.ACTIVE, arm)
             first = _exchanges(tap).replies[0]
             check(not any(corrections(first)), "zero", corrections(first))
             arm.deactivate()

@@ -120,10 +120,10 @@ class PiecewiseLine(DisturbedLine):
         super().__init__(device)
         self.asked: list[bytes] = []  # data from the driver, read by read
 
-    def _from_driver(self, data: bytes) -> None:
+    def _note_command(self, data: bytes) -> None:
         self.asked.append(data)
 
-    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
+    def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         if self.gather_s:
             return [(self.gather_s, data)]
         return [(0.0, data[at : at + 1]) for at in range(len(data))]

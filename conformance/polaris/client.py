@@ -187,7 +187,7 @@ class PolarisLink:
         self.rest()
 
     @contextmanager
-    def hurried(self) -> Iterator[None]:
+    def at_fast_baud(self) -> Iterator[None]:
         """Use a faster baud rate inside the block on a serial line; no effect over TCP."""
         if not isinstance(self.line, SerialLine):
             yield

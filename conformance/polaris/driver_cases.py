@@ -84,7 +84,7 @@ def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, A
     """(tap, tracker): a driver that has read a frame through a tap."""
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
-        dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
+        dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
         try:
             yield tap, tracker
         finally:
@@ -139,7 +139,7 @@ def retries_are_harmless(dut: DeviceUnderTest) -> None:
         tap.change(name, lambda reply: reply[:-1])
         tracker.read_frame(PATIENT_S)
     with polaris_tap(dut) as tap:
-        tracker = dut.brought_to(Lifecycle.CONNECTED, dut.make(endpoint=tap.endpoint))
+        tracker = dut.bring_to(Lifecycle.CONNECTED, dut.make(endpoint=tap.endpoint))
         tap.change("PHRQ", lambda _reply: b"")
         with contextlib.suppress(RonnaError):
             tracker.configure()
@@ -158,7 +158,7 @@ def errors_are_typed(dut: DeviceUnderTest) -> None:
         with polaris_tap(dut) as tap:
             tracker = dut.make(endpoint=tap.endpoint)
             tap.answer(name, text)
-            error = refused(partial(dut.brought_to, Lifecycle.ACTIVE, tracker), RonnaError, text)
+            error = refused(partial(dut.bring_to, Lifecycle.ACTIVE, tracker), RonnaError, text)
             check(bool(error.code), "an error with a code", repr(error))
             check(text in str(error), f"{text} in the message", error)
             codes.add(error.code)
@@ -171,7 +171,7 @@ def warnings_are_success(dut: DeviceUnderTest) -> None:
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint)
         tap.answer("PINIT", "WARNING05")
-        dut.brought_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
+        dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)
         notices = tracker.notices
         dut.release()
     check(any("wavelength" in notice or "05" in notice for notice in notices), "the warning", notices)
@@ -271,7 +271,7 @@ def rate_is_raised(dut: DeviceUnderTest) -> None:
     needs=WITH_TOOL,
 )
 def leaves_the_unit_idle(dut: DeviceUnderTest) -> None:
-    dut.brought_to(Lifecycle.ACTIVE, dut.make()).read_frame(PATIENT_S)
+    dut.bring_to(Lifecycle.ACTIVE, dut.make()).read_frame(PATIENT_S)
     with plain_unit(dut) as unit:  # at the power-up rate, without INIT
         unit.refused("BX:0001", 0x0C)
         check(unit.handles() == [], "no handles", unit.handles())

@@ -101,7 +101,7 @@ def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
     for slot, marker in enumerate(markers_of(block)):
         values = (value + move for value, move in zip(marker, shift_mm, strict=True))
         struct.pack_into("<3f", changed, layout.MARKER_POSITIONS_OFFSET + 12 * slot, *values)
-    return _sealed(changed)
+    return _seal(changed)
 
 
 def reverse_normals(block: bytes) -> bytes:
@@ -112,7 +112,7 @@ def reverse_normals(block: bytes) -> bytes:
         at = layout.MARKER_NORMALS_OFFSET + 12 * slot
         normal = struct.unpack_from("<3f", block, at)
         struct.pack_into("<3f", changed, at, *(-value for value in normal))
-    return _sealed(changed)
+    return _seal(changed)
 
 
 def published_definition() -> bytes:
@@ -143,10 +143,10 @@ def published_definition() -> bytes:
     block[layout.FLAGS_OFFSET] = layout.FLAG_UNIQUE_GEOMETRY
     block[layout.MARKER_TYPE_OFFSET] = layout.MARKER_PASSIVE_SPHERE
     struct.pack_into("<3f", block, layout.FACE_NORMALS_OFFSET, 0.0, 0.0, -1.0)
-    return _sealed(block)
+    return _seal(block)
 
 
-def _sealed(block: bytearray) -> bytes:
+def _seal(block: bytearray) -> bytes:
     total = sum(block[layout.CHECKSUM_FROM :]) & 0xFFFF
     struct.pack_into("<H", block, layout.CHECKSUM_OFFSET, total)
     return bytes(block)

@@ -122,7 +122,7 @@ def tx_grammar(unit: PolarisLink) -> None:
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
 def tx_and_bx_agree(dut: DeviceUnderTest) -> None:
     block = definition(dut)
-    with idle_unit(dut) as unit, unit.hurried():  # both within one frame
+    with idle_unit(dut) as unit, unit.at_fast_baud():  # both within one frame
         unit.load(block)
         unit.okay("TSTART:80")
         for _ in range(SAME_FRAME_TRIES):

@@ -43,7 +43,7 @@ class PolarisTap(DisturbedLine):
         """Count the commands that start like this."""
         return sum(command.startswith(beginning) for command in self.commands)
 
-    def _from_driver(self, data: bytes) -> None:
+    def _note_command(self, data: bytes) -> None:
         *lines, self._said = (self._said + data).split(CR)
         for line in lines:
             text = line.decode("latin-1")
@@ -55,7 +55,7 @@ class PolarisTap(DisturbedLine):
             self._name, self._reply = name, b""
             self.commands.append(f"{name}:{argument}")
 
-    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
+    def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         self._reply += data
         with self._lock:
             wanted = next((item for item in self._changes if item[0] == self._name), None)
@@ -63,7 +63,7 @@ class PolarisTap(DisturbedLine):
             if whole:
                 self.replies[self._name] = self._reply
             if wanted is None:
-                return super()._disturbed(data)
+                return super()._disturb(data)
             if not whole:
                 return []  # held until it is complete and can be changed
             self._changes.remove(wanted)

@@ -100,7 +100,7 @@ def byte_by_byte(unit: PolarisLink) -> None:
 @on_serial_line("P08", "OKAY to COMM comes at the old baud rate, then the unit uses the new one")
 def rate_changes_after_the_answer(unit: PolarisLink) -> None:
     about = unit.ask("APIREV:")
-    with unit.hurried():
+    with unit.at_fast_baud():
         check(unit.ask("APIREV:") == about, f"the same reply at {FAST_BAUD} baud")
     check(unit.ask("APIREV:") == about, f"the same reply at {DEFAULT_BAUD} baud again")
 

@@ -95,7 +95,7 @@ def volumes_are_reported(dut: DeviceUnderTest) -> None:
 def volume_formulas(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     minimum = block[layout.MINIMUM_MARKER_COUNT_OFFSET]
-    with idle_unit(dut) as unit, unit.hurried():
+    with idle_unit(dut) as unit, unit.at_fast_baud():
         volume = volume_in_use(unit)
         judged = set()
         for target_mm in _places(volume):

@@ -74,7 +74,7 @@ def kuka(
     from ronna_hw.endpoints import parse_endpoint
     from sim.kuka.autostart import Autostart
     from sim.kuka.controller import Controller
-    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, changed_parameters
+    from sim.kuka.controller_parameters import SUBMIT_CYCLE_S, ControllerParameters, parse_parameters
     from sim.kuka.cycle_loop import CycleLoop
     from sim.kuka.eki.server import EkiServer
     from sim.kuka.manipulator import Manipulator
@@ -87,7 +87,7 @@ def kuka(
         for name, value, meaning in rows(ControllerParameters):
             typer.echo(f"{name}={value}  {meaning}")
         return
-    parameters = changed_parameters(parameter or ())
+    parameters = parse_parameters(parameter or ())
     context = _read_context(rsi_config, rsi_context, corrections, cycle_ms, parameters.longest_file_name)
     TelegramWriter(context.send, context.ethernet.precision, (0.0,) * 6, (0.0,) * 6)  # rejects a bad layout
     ethernet = context.ethernet

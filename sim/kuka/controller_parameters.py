@@ -144,7 +144,7 @@ class ControllerParameters:
     T1_speed_message: Annotated[int, "Number of the message: too fast for T1."] = 421
 
 
-def changed_parameters(assignments: Iterable[str]) -> ControllerParameters:
+def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """Apply `NAME=VALUE` to the default parameters; raises KRC-003 for an unknown name or invalid value."""
     return changed(ControllerParameters(), assignments, UnknownParameter)
 

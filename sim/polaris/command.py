@@ -47,9 +47,9 @@ def polaris(
     from sim.polaris.line.pseudo_terminal import PseudoTerminal
     from sim.polaris.line.server import EndSignal, Server, listen
     from sim.polaris.tracker_unit import Unit
-    from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
+    from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
-    from sim.polaris.unit.ports import plugged_in
+    from sim.polaris.unit.ports import plug_in
     from sim.world.process import announce, end_with_parent, open_world, own_control_port
 
     if list_parameters:
@@ -57,9 +57,9 @@ def polaris(
             typer.echo(f"{name}={value}  {meaning}")
         return
     address = None if endpoint == SERIAL_PTY else parse_endpoint(endpoint, listening=True).require("tcp")
-    behaviour = changed_behaviour(setting or [])
+    behaviour = parse_behaviour(setting or [])
     kind = UNIT_MODELS[model.value]
-    tools = plugged_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
+    tools = plug_in(wired or [], kind.wired_ports, behaviour.user_memory_bytes)
     if scene == "bench" and model is ModelName.VICRA:
         scene = "bench-near"  # the usual bench is outside the Vicra's volume
     room = open_world(world, scene, faults, FAULT_DEVICES)

@@ -146,7 +146,7 @@ class Unit:
         status = self.alerts.system_status | self.port_changes | self.measurer.light
         kept = self._frame
         if kept is None or kept.number != number or kept.system_status != status:
-            kept = self._frame = self._measured(number, status, self.ports.enabled())
+            kept = self._frame = self._measure(number, status, self.ports.enabled())
         if self.port_changes and self.behaviour.port_change_until == "reply":
             self.port_changes = SystemStatus(0)
         return kept
@@ -158,9 +158,9 @@ class Unit:
     def diagnostic_frame(self, port: Port) -> Frame:
         """Measure one tool, enabled or not, and everything else in view, in diagnostic mode."""
         self.measurer.forget_tools()  # the previous frame may have shown another tool
-        return self._measured(self.frames.number(), self.alerts.system_status, (port,))
+        return self._measure(self.frames.number(), self.alerts.system_status, (port,))
 
-    def _measured(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:
+    def _measure(self, number: int, status: SystemStatus, ports: tuple[Port, ...]) -> Frame:
         seen = tuple(port for port in ports if port.occupied)
         since_start = self.frames.since_start(number)
         frame = self.measurer.frame(number, since_start, seen, self.volume, status)
@@ -232,9 +232,9 @@ class FrameCounter:
     def number(self) -> int:
         """Number of the requested frame; waits for the next frame if the clock can be advanced."""
         if self._clock.paced:
-            self.last = self._measured(self._count_at(self._clock.now_ns()))
+            self.last = self._measured_count(self._count_at(self._clock.now_ns()))
             return self.last
-        latest = self._measured(max(self.last, self._count_at(self._clock.now_ns())))
+        latest = self._measured_count(max(self.last, self._count_at(self._clock.now_ns())))
         self.last = latest + self._step
         self._clock.wait_until_ns(self._moment_ns(self.last))
         self._clock.expect_reader(self._moment_ns(self.last + self._step))
@@ -263,7 +263,7 @@ class FrameCounter:
         """Frames since the start of tracking: counter of the noise."""
         return frame - self._begin
 
-    def _measured(self, count: int) -> int:
+    def _measured_count(self, count: int) -> int:
         return count - (count - self._begin) % self._step
 
     @property

@@ -16,9 +16,9 @@ from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildPr
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.records import write_whole
 from sim.errors import BadCalibrationFile, BadDeviceParameter
-from sim.kuka.controller_parameters import changed_parameters
+from sim.kuka.controller_parameters import parse_parameters
 from sim.kuka.pendant import PENDANT_PREFIX
-from sim.polaris.unit.behaviour import changed_behaviour
+from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
 from sim.theatre.records import refer_to_tip
 from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
@@ -208,6 +208,6 @@ def parameters_by_device(settings: Sequence[str]) -> dict[str, tuple[str, ...]]:
             )
         name = COMMANDS[device]
         found[name] = (*found.get(name, ()), assignment)
-    changed_parameters(found.get("kuka", ()))
-    changed_behaviour(found.get("polaris", ()))
+    parse_parameters(found.get("kuka", ()))
+    parse_behaviour(found.get("polaris", ()))
     return found

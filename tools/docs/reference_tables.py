@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from conformance.case import Suite
-from conformance.protocol import composed, load_protocol
+from conformance.protocol import compose_suite, load_protocol
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.named_parameters import rows
 
@@ -185,7 +185,7 @@ def _outcome(row: dict[str, Any]) -> str:
 def checklist(generic: Suite, wire_protocol: str) -> str:
     """The checklist of a protocol, with the cases of its suite."""
     protocol = load_protocol(wire_protocol)
-    cases, lines = composed(generic, protocol).cases, protocol.checklist
+    cases, lines = compose_suite(generic, protocol).cases, protocol.checklist
     assert lines is not None, f"{wire_protocol} has a checklist"
     return table(
         ("line", "requirement", "cases", ""),

@@ -65,13 +65,13 @@ class ProjectChannel:
         }
         server.attach(self)
 
-    def opened(self) -> None:
+    def client_connected(self) -> None:
         """Send the state to a client that has connected."""
         self._sent = ()
         self._idle_until_s = time.monotonic() + self._controller.parameters.first_request_s
         self.tick(time.monotonic())
 
-    def closed(self) -> None:
+    def client_disconnected(self) -> None:
         """Handle the loss of the client; a parameter decides whether that ends a running program."""
         self._autostart.arm()
         self._controller.handle_eki_loss()

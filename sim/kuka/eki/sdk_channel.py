@@ -86,13 +86,13 @@ class SdkChannel:
         self._reset()
         server.attach(self)
 
-    def opened(self) -> None:
+    def client_connected(self) -> None:
         """Reset for a client that has connected; the status follows unsolicited."""
         self._reset()
         self._sent = None
         self._first_status_s = time.monotonic() + FIRST_STATUS_LOOPS * SUBMIT_CYCLE_S
 
-    def closed(self) -> None:
+    def client_disconnected(self) -> None:
         """Reset after the client has disconnected."""
         self._reset()
         self._autostart.arm()

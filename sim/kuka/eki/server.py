@@ -39,13 +39,13 @@ _OPENING = re.compile(rb"<[A-Za-z_]")
 class Peer(Protocol):
     """The program behind a channel."""
 
-    def opened(self) -> None:
+    def client_connected(self) -> None:
         """Called when a client has connected."""
 
     def request(self, element: ElementTree.Element) -> None:
         """Called with each complete request."""
 
-    def closed(self) -> None:
+    def client_disconnected(self) -> None:
         """Called when the client has disconnected."""
 
 
@@ -155,7 +155,7 @@ class EkiServer:
         if client is not None:
             client.close()
             if self._peer is not None:
-                self._peer.closed()
+                self._peer.client_disconnected()
 
     def close(self) -> None:
         """Stop listening."""
@@ -178,7 +178,7 @@ class EkiServer:
             self._client = client
             self._next_s = time.monotonic() + self._spacing_s
             if self._peer is not None:
-                self._peer.opened()
+                self._peer.client_connected()
 
     @staticmethod
     def _is_readable(client: socket.socket) -> bool:

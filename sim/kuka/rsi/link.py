@@ -143,7 +143,7 @@ class LinkFaults:
         if self.is_active("network_cut") or self._strikes("lose_telegrams"):
             return None, False
         if self._strikes("corrupt_telegrams"):
-            return self._corrupted(telegram, "corrupt_telegrams"), False
+            return self._corrupt_data(telegram, "corrupt_telegrams"), False
         return telegram, True
 
     def incoming(self, datagram: bytes | None, read: Callable[[bytes], Reply | None]) -> Reply | None:
@@ -163,8 +163,8 @@ class LinkFaults:
         if self._strikes("drop"):
             return before
         if self._strikes("corrupt_replies"):
-            datagram = self._corrupted(datagram, "corrupt_replies")
-        datagram = self._altered(datagram)
+            datagram = self._corrupt_data(datagram, "corrupt_replies")
+        datagram = self._alter(datagram)
         copies = [datagram, datagram] if self._strikes("duplicate_replies") else [datagram]
         delay_cycles = max(
             (int(fault.argument) for fault in self._active.get("delay_replies", ())), default=0
@@ -179,12 +179,12 @@ class LinkFaults:
         # overtaken datagrams come after those that overtook them
         return [*copies, *before]
 
-    def _altered(self, datagram: bytes) -> bytes:
+    def _alter(self, datagram: bytes) -> bytes:
         """Return a reply that may still be XML but is no valid answer."""
         if self._strikes("wrong_ipoc"):
-            datagram = _restamped(datagram, WRONG_BY)
+            datagram = _restamp(datagram, WRONG_BY)
         if self._strikes("future_ipoc"):
-            datagram = _restamped(datagram, FUTURE_BY)
+            datagram = _restamp(datagram, FUTURE_BY)
         if self.is_active("constant_ipoc"):
             found = STAMP.search(datagram)
             self._stamp = self._stamp or (found[0] if found else b"0")
@@ -207,7 +207,7 @@ class LinkFaults:
         self._hit(kind)
         return True
 
-    def _corrupted(self, data: bytes, kind: str) -> bytes:
+    def _corrupt_data(self, data: bytes, kind: str) -> bytes:
         """Truncate the data, or invalidate one byte."""
         chance = self._chance(kind)
         chance.random()  # skip the draw that selected it
@@ -220,5 +220,5 @@ class LinkFaults:
         return noise(self._seed, f"robot {kind}", self.cycle)
 
 
-def _restamped(datagram: bytes, by_ms: int) -> bytes:
+def _restamp(datagram: bytes, by_ms: int) -> bytes:
     return STAMP.sub(lambda stamp: b"%d" % (int(stamp[0]) + by_ms), datagram)

@@ -145,7 +145,7 @@ class PositionCorrector:
         shift_mm = step[:3, 3] + self._shift_mm if self._relative else step[:3, 3]
         turn = step[:3, :3] @ self._turn if self._relative else step[:3, :3]
         self._shift_mm = np.clip(shift_mm, self._limits.lower_mm, self._limits.upper_mm)
-        self._turn = self._limited(turn)
+        self._turn = self._limit_turn(turn)
         self.stat = ACTIVE_BIT
         for number in range(3):
             if self._shift_mm[number] != shift_mm[number]:
@@ -170,7 +170,7 @@ class PositionCorrector:
         self.joints_deg = joints
         return None
 
-    def _limited(self, turn: Matrix) -> Matrix:
+    def _limit_turn(self, turn: Matrix) -> Matrix:
         angle_deg = degrees(_angle(turn))
         if angle_deg <= self._limits.max_rotation_deg:
             return turn

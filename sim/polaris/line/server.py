@@ -132,7 +132,7 @@ class Server:
         waiting = self._poll(*channel.files())
         self._restart_silence()
         while (ready := self._wait(waiting)) is not None:
-            if self._yields():
+            if self._must_yield():
                 return
             if unsolicited := interpreter.unsolicited():
                 channel.send(unsolicited, interpreter.reply_line)
@@ -156,7 +156,7 @@ class Server:
         if self._listener is not None:
             self._silent_until_s = time.monotonic() + self._silent_host_s
 
-    def _yields(self) -> bool:
+    def _must_yield(self) -> bool:
         """Whether a silent network host must yield to one waiting to connect."""
         now_s = time.monotonic()
         if self._listener is None or now_s < self._silent_until_s:

@@ -224,11 +224,11 @@ class MarkerVisibility:
         arm, mounted = self._scene.arm(), self._scene.mounted_tool()
         key = (None if arm is None else arm.robot_from_flange.tobytes(), mounted, disturbance)
         if self._kept is None or key != self._key:
-            self._kept = self._computed(ports, disturbance, arm, mounted)
+            self._kept = self._compute(ports, disturbance, arm, mounted)
             self._key = key
         return self._kept
 
-    def _computed(
+    def _compute(
         self, ports: tuple[Port, ...], disturbance: Disturbance, arm: ArmState | None, mounted: int
     ) -> VisibleMarkers:
         scene = self._scene
@@ -242,7 +242,7 @@ class MarkerVisibility:
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
         on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
-        fixed = self._fixed(disturbance, as_tool=on_head)
+        fixed = self._fixed_spheres(disturbance, as_tool=on_head)
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
@@ -274,7 +274,7 @@ class MarkerVisibility:
             phantoms=ghost_group,
         )
 
-    def _fixed(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
+    def _fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
         """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
         scene = self._scene
         more = extra_strays(self._seed, disturbance.strays, self._volume)

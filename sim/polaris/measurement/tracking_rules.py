@@ -122,10 +122,10 @@ class _Judge:
 
         normals = definition.normals[markers] @ fit.rotation.T
         facing = _facing(normals, measured, definition.maximum_angle_deg)
-        used = self._kept(list(range(len(markers))), facing, markers, MarkerState.BEYOND_ANGLE)
+        used = self._keep(list(range(len(markers))), facing, markers, MarkerState.BEYOND_ANGLE)
         status = _status([within[k] for k in used], definition)
         if sum(within[k] for k in used) >= definition.minimum_markers:
-            used = self._kept(used, within, markers, DROPPED_OUT_OF_VOLUME)
+            used = self._keep(used, within, markers, DROPPED_OUT_OF_VOLUME)
         if len(used) < definition.minimum_markers:
             return self._verdict(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
 
@@ -135,8 +135,8 @@ class _Judge:
         near = [False] * len(markers)
         for k, distance in zip(used, fit.distances_mm.tolist(), strict=True):
             near[k] = distance <= definition.maximum_error_mm
-        good = self._kept(used, near, markers, MarkerState.BEYOND_ERROR)
-        if len(good) < definition.minimum_markers or not _spread_enough(body[good], definition):
+        good = self._keep(used, near, markers, MarkerState.BEYOND_ERROR)
+        if len(good) < definition.minimum_markers or not _is_spread_enough(body[good], definition):
             return self._verdict(None, status, ToolInformation.BAD_FIT, chosen.face)
         if len(good) < len(used):
             fit = fit_rigid_body(body[good], measured[good])
@@ -144,7 +144,7 @@ class _Judge:
             self._digits[markers[k]] = int(MarkerState.USED) if within[k] else USED_OUT_OF_VOLUME
         return self._verdict(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
-    def _kept(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
+    def _keep(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
         """Keep the markers that pass a rule; the others get the digit of that rule."""
         for k in numbers:
             if not keep[k]:
@@ -173,7 +173,7 @@ def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
     return PortStatus.PARTIALLY_OUT_OF_VOLUME if count else PortStatus.OUT_OF_VOLUME
 
 
-def _spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
+def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
     """Whether the used markers are spread enough along each of their principal axes.
 
     NDI's measure is not public; this one is the distance between the outermost markers.

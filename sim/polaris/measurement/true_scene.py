@@ -127,7 +127,7 @@ class TrueScene:
         tool = self._tools.get(definition.part_number)
         markers = definition.markers_mm if tool is None else np.array(tool.markers_mm)
         names = frozenset({definition.part_number} if tool is None else {tool.name, tool.part_number})
-        return _disturbed(names, self._places[place], markers, disturbance)
+        return _disturb(names, self._places[place], markers, disturbance)
 
     def is_head_frame(self, definition: ToolDefinition) -> bool:
         """Whether this is the x-shaped frame, with its spheres on the head."""
@@ -154,7 +154,7 @@ class TrueScene:
         flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         names = frozenset({tool.name, tool.part_number})
-        return _disturbed(names, pose, np.array(tool.markers_mm), disturbance)
+        return _disturb(names, pose, np.array(tool.markers_mm), disturbance)
 
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance
@@ -164,7 +164,7 @@ class TrueScene:
             return None
         pose = self._tracker_from(disturbance.room) @ self._guide.bore_frame(arm.robot_from_flange)
         names = frozenset({GUIDE_FRAME_NAME, GUIDE_FRAME_PART_NUMBER})
-        return _disturbed(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
+        return _disturb(names, pose @ tip_from_frame, np.array(GUIDE_FRAME_MARKERS_MM), disturbance)
 
     def _tracker_from(self, room: RoomShift) -> Matrix:
         """TRACKER <- ROBOT (4, 4), with the tracker displaced by the room's faults."""
@@ -173,9 +173,7 @@ class TrueScene:
         return self._tracker_from_robot @ inverse(rigid_move(room.tracker_rad, room.tracker_mm))
 
 
-def _disturbed(
-    names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance
-) -> TrueTool:
+def _disturb(names: frozenset[str], pose: Vectors, markers_mm: Vectors, disturbance: Disturbance) -> TrueTool:
     """Apply the faults that name a tool."""
     for name, push_mm in disturbance.bent:
         if name in names:

@@ -166,6 +166,6 @@ class UnitBehaviour:
     line_separation_mm: Annotated[float, "Line separation reported by 3D for every marker."] = 0.05
 
 
-def changed_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
+def parse_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
     """Apply `NAME=VALUE` assignments to the defaults; raises PSU-001."""
     return changed(UnitBehaviour(), assignments, BadUnitParameter)

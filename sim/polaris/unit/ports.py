@@ -217,7 +217,7 @@ class WiredPorts:
         return self.tools.get(number) if number in self.plugged else None
 
 
-def plugged_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
+def plug_in(definitions: list[Path], ports: int, user_memory_bytes: int) -> WiredPorts:
     """Plug in one wired tool per definition file; without any, the unit has no sockets. Raises PSU-002."""
     sockets = WiredPorts(ports if definitions else 0)
     for number, path in enumerate(definitions, start=1):

@@ -212,19 +212,19 @@ def wavelength_of(tool: ToolDefinition) -> int:
     return tool.marker_type & WAVELENGTH_BITS
 
 
-def _judged(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+def _is_judged(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
     return bool(tool.flags & rom.FLAG_UNIQUE_GEOMETRY) or not behaviour.judges_only_flagged
 
 
 def _has_unique_segments(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool:
-    if not _judged(tool, behaviour):
+    if not _is_judged(tool, behaviour):
         return True
     lengths = sorted(_segments_mm(tool).values())
     return all(b - a >= behaviour.segment_tolerance_mm for a, b in pairwise(lengths))
 
 
 def _conflict(tool: ToolDefinition, other: ToolDefinition, behaviour: UnitBehaviour) -> bool:
-    if not (_judged(tool, behaviour) and _judged(other, behaviour)):
+    if not (_is_judged(tool, behaviour) and _is_judged(other, behaviour)):
         return False
     tolerance_mm = behaviour.conflict_tolerance_mm
     ours, theirs = _segments_mm(tool), _segments_mm(other)

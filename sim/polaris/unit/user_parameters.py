@@ -62,7 +62,7 @@ class UserParameters:
 
     def value(self, name: str) -> str:
         """Value of a parameter; raises Refusal for an unknown name."""
-        known = self._known(name)
+        known = self._find(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
@@ -73,7 +73,7 @@ class UserParameters:
     def list(self, pattern: str) -> tuple[Parameter, ...]:
         """Parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
         if not pattern.endswith(WILDCARD):
-            return (self._known(pattern),)
+            return (self._find(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
         found = tuple(p for name, p in self._parameters.items() if name.startswith(beginning))
         if not found:
@@ -134,14 +134,14 @@ class UserParameters:
             self._alerts.detects_bumps = value == "1"
 
     def _writable(self, name: str, *, tracking: bool) -> Parameter:
-        parameter = self._known(name)
+        parameter = self._find(name)
         if not parameter.writable:
             raise Refusal(ErrorCode.READ_ONLY)
         if tracking and not parameter.while_tracking:
             raise Refusal(ErrorCode.WRONG_MODE)
         return parameter
 
-    def _known(self, name: str) -> Parameter:
+    def _find(self, name: str) -> Parameter:
         parameter = self._parameters.get(name.removeprefix(DEVICE_PREFIX))
         if parameter is None:
             raise Refusal(ErrorCode.NO_SUCH_PARAMETER)

@@ -117,7 +117,7 @@ class _Line(EkiLine):
 
     came = b""
 
-    def _connected(self) -> socket.socket:
+    def _connect(self) -> socket.socket:
         return cast("socket.socket", self)
 
     def settimeout(self, _limit_s: float) -> None:

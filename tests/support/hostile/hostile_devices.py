@@ -117,7 +117,7 @@ class HostileLine(DisturbedLine):
         finally:
             self._idle.set()
 
-    def _disturbed(self, data: bytes) -> list[tuple[float, bytes]]:
+    def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         begin = max(self._begins_at - self._passed, 0)
         self._passed += len(data)
         if begin >= len(data):

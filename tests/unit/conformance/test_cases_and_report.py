@@ -25,7 +25,7 @@ from conformance.case import (
 )
 from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import NoSuchCase
-from conformance.protocol import ProtocolCases, composed
+from conformance.protocol import ProtocolCases, compose_suite
 from conformance.report import run_case, run_suite
 from ronna_hw.errors import ConnectError
 
@@ -113,7 +113,7 @@ def test_case_numbers_are_unique_in_a_list_and_in_a_composed_suite() -> None:
     with pytest.raises(ValueError, match="two cases"):
         cases.case("A1", "one again")
     with pytest.raises(ValueError, match="A1"):
-        composed(suite_of(A1=does_nothing), ProtocolCases(tuple(cases.cases)))
+        compose_suite(suite_of(A1=does_nothing), ProtocolCases(tuple(cases.cases)))
 
 
 def test_part_of_a_suite_is_selected_by_case_number_prefix() -> None:

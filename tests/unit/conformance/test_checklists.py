@@ -15,12 +15,12 @@ from conformance.kuka.protocol import KUKA_CHECKLIST
 from conformance.kuka.protocol import PROTOCOL as KUKA
 from conformance.polaris.protocol import POLARIS_CHECKLIST
 from conformance.polaris.protocol import PROTOCOL as POLARIS
-from conformance.protocol import Checklist, composed
+from conformance.protocol import Checklist, compose_suite
 
 ROOT = Path(__file__).parents[3]
-TRACKER = composed(tracker.SUITE, POLARIS)
-ROBOT = composed(robot.SUITE, KUKA)
-STEREO = composed(stereo.SUITE, GIGE)
+TRACKER = compose_suite(tracker.SUITE, POLARIS)
+ROBOT = compose_suite(robot.SUITE, KUKA)
+STEREO = compose_suite(stereo.SUITE, GIGE)
 CHECKLISTS = [
     pytest.param(POLARIS_CHECKLIST, TRACKER, 50, id="polaris"),
     pytest.param(KUKA_CHECKLIST, ROBOT, 44, id="kuka"),

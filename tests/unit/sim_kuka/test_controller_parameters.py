@@ -7,17 +7,17 @@ from dataclasses import fields
 import pytest
 
 from sim.kuka.command import kuka
-from sim.kuka.controller_parameters import ControllerParameters, changed_parameters
+from sim.kuka.controller_parameters import ControllerParameters, parse_parameters
 from sim.kuka.errors import UnknownParameter
 
 
 def test_parameters_are_set_by_name() -> None:
-    changed = changed_parameters(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
+    changed = parse_parameters(["timeout_counting=total", "streams_after_stop=false", "lag_s=0.02"])
     assert (changed.timeout_counting, changed.streams_after_stop, changed.lag_s) == ("total", False, 0.02)
-    assert changed_parameters(["dead_time_cycles=3"]).dead_time_cycles == 3
-    assert changed_parameters(["ipo_filter_s=0.02", "ipo_filter_s=0.03"]).ipo_filter_s == 0.03
-    assert changed_parameters(["delay_lag_cycles=0", "reply_window=1"]).reply_window == 1.0
-    assert changed_parameters(()) == ControllerParameters()
+    assert parse_parameters(["dead_time_cycles=3"]).dead_time_cycles == 3
+    assert parse_parameters(["ipo_filter_s=0.02", "ipo_filter_s=0.03"]).ipo_filter_s == 0.03
+    assert parse_parameters(["delay_lag_cycles=0", "reply_window=1"]).reply_window == 1.0
+    assert parse_parameters(()) == ControllerParameters()
 
 
 @pytest.mark.parametrize(
@@ -38,7 +38,7 @@ def test_parameters_are_set_by_name() -> None:
 )
 def test_an_invalid_parameter_is_refused_with_the_expected_values(assignment: str, said: str) -> None:
     with pytest.raises(UnknownParameter, match=said) as caught:
-        changed_parameters([assignment])
+        parse_parameters([assignment])
     assert caught.value.code == "KRC-003"
 
 

@@ -50,13 +50,13 @@ class Program:
         self.read: list[str] = []
         self.gone = False
 
-    def opened(self) -> None:
+    def client_connected(self) -> None:
         self.read.clear()
 
     def request(self, element: ElementTree.Element) -> None:
         self.read.append(element.get("Id", ""))
 
-    def closed(self) -> None:
+    def client_disconnected(self) -> None:
         self.gone = True
 
 

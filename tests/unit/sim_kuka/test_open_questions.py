@@ -287,7 +287,7 @@ def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Make, asks
     bench = make_bench(parameters=ControllerParameters(first_request_s=3.0), start=False)
     heard: Any = Heard()
     channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
-    channel.opened()
+    channel.client_connected()
     if asks:
         channel.request(ElementTree.fromstring('<Cmd Id="1" Name="STATUS"></Cmd>'))
     channel.request(ElementTree.fromstring("<Tea/>"))

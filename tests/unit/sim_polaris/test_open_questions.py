@@ -13,7 +13,7 @@ from sim.named_parameters import rows
 from sim.polaris.errors import BadUnitParameter
 from sim.polaris.handlers.frame_replies import binary_body, text_reply
 from sim.polaris.measurement.frame import Frame, Stray
-from sim.polaris.unit.behaviour import UnitBehaviour, changed_behaviour
+from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
 from sim.polaris.unit.refusal import ErrorCode
 from sim.world.scene.model import TrackerTool
 
@@ -135,12 +135,12 @@ def test_every_parameter_has_a_meaning_and_can_be_set_by_its_name() -> None:
     listed = rows(UnitBehaviour)
     assert [name for name, _, _ in listed] == [entry.name for entry in fields(UnitBehaviour)]
     assert all(len(meaning) > len(name) for name, _, meaning in listed)
-    assert changed_behaviour([f"{name}={value}" for name, value, _ in listed]) == UnitBehaviour()
+    assert parse_behaviour([f"{name}={value}" for name, value, _ in listed]) == UnitBehaviour()
 
 
 def test_parameters_are_set_by_text() -> None:
     settings = ["enforces_line=no", "bad_definition=40", "watch_dog=reset", "reset_s=2.5"]
-    chosen = changed_behaviour(settings)
+    chosen = parse_behaviour(settings)
     assert not chosen.enforces_line
     assert chosen.bad_definition is ErrorCode.DEFINITION_CORRUPT
     assert (chosen.watch_dog, chosen.reset_s) == ("reset", 2.5)
@@ -159,5 +159,5 @@ def test_parameters_are_set_by_text() -> None:
 )
 def test_a_wrong_setting_is_refused_with_its_reason(setting: str, said: str) -> None:
     with pytest.raises(BadUnitParameter, match=said) as refused:
-        changed_behaviour([setting])
+        parse_behaviour([setting])
     assert refused.value.code == "PSU-001"

@@ -10,7 +10,7 @@ import pytest
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.errors import BadWiredTool
-from sim.polaris.unit.ports import WiredPorts, WiredTool, plugged_in
+from sim.polaris.unit.ports import WiredPorts, WiredTool, plug_in
 from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
 
@@ -196,12 +196,12 @@ def test_definition_files_are_plugged_in_as_wired_tools_and_bad_ones_refused(
 ) -> None:
     file = tmp_path / "pointer.rom"
     file.write_bytes(write_definition(pointer))
-    assert plugged_in([file, file], SOCKETS, USER_BYTES).plugged == {1, 2}
-    assert plugged_in([], SOCKETS, USER_BYTES).count == 0
+    assert plug_in([file, file], SOCKETS, USER_BYTES).plugged == {1, 2}
+    assert plug_in([], SOCKETS, USER_BYTES).count == 0
     with pytest.raises(BadWiredTool, match="no port left for wired tool 1"):
-        plugged_in([file], 0, USER_BYTES)
+        plug_in([file], 0, USER_BYTES)
     with pytest.raises(BadWiredTool, match="cannot read"):
-        plugged_in([tmp_path / "nothing.rom"], SOCKETS, USER_BYTES)
+        plug_in([tmp_path / "nothing.rom"], SOCKETS, USER_BYTES)
     file.write_bytes(b"short")
     with pytest.raises(BadWiredTool, match="5 bytes"):
-        plugged_in([file], SOCKETS, USER_BYTES)
+        plug_in([file], SOCKETS, USER_BYTES)
