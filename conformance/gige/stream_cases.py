@@ -241,7 +241,7 @@ def stamps_grow(stream: GigeStream) -> None:
 
 
 @on_stream(
-    "G30", "the counter can be latch_ticks and reset, and agrees with the images' stamps", needs=(HOST_TIME,)
+    "G30", "the counter can be latched and reset, and agrees with the images' stamps", needs=(HOST_TIME,)
 )
 def latch_and_reset(stream: GigeStream) -> None:
     start_acquisition(stream)

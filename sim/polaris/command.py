@@ -72,7 +72,7 @@ def polaris(
     if address is None:
         line = PseudoTerminal(interpreter, throttle=throttle)
         announce("polaris", line.endpoint, control)
-        server.serve_line(line)
+        server.serve_channel(line)
     else:
         with listen(address) as listener:
             host, port = listener.getsockname()[:2]

@@ -119,12 +119,12 @@ class Server:
                 continue
             connection = Connection(listener.accept()[0], self._silent_host_s)
             try:
-                self.serve_line(connection)
+                self.serve_channel(connection)
             finally:
                 self._silent_until_s = inf
                 connection.close()
 
-    def serve_line(self, channel: Channel) -> None:
+    def serve_channel(self, channel: Channel) -> None:
         """Serve one host until it is gone; for ever on a serial line, which hosts open and close."""
         interpreter = self._interpreter
         faults = LineFaults(interpreter.unit)

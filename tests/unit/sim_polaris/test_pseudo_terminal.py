@@ -91,7 +91,7 @@ class Line:
         self._end = EndSignal()
         self._terminal = PseudoTerminal(self.interpreter, throttle=throttle)
         server = Server(self.interpreter, self._end)
-        self._thread = threading.Thread(target=server.serve_line, args=(self._terminal,))
+        self._thread = threading.Thread(target=server.serve_channel, args=(self._terminal,))
         self._thread.start()
         self._hosts = contextlib.ExitStack()
 
