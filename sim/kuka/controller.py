@@ -12,7 +12,7 @@ from math import dist
 from ronna_hw.wire.kuka_context import RsiContext, context_hash
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
 from sim.kuka.controller_parameters import IPO_FAST_S, ControllerParameters
-from sim.kuka.manipulator import FrameTable, Manipulator
+from sim.kuka.manipulator import Manipulator
 from sim.kuka.motion import DONE, Acknowledgement, EkiMotion
 from sim.kuka.pendant import TRIPS, Interlocks, Message
 from sim.kuka.rsi.program_run import RsiRun, RunSettings
@@ -39,7 +39,6 @@ class Controller:
         self.arm = arm
         self.mounted_tool = mounted_tool
         self.interlocks = Interlocks()
-        self.frames = FrameTable(arm)
         self.drives_on = False
         self.override_percent = FULL_OVERRIDE
         self.program_state = ProState.FREE
@@ -265,11 +264,11 @@ class Controller:
 
     def set_tool(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $TOOL, X Y Z (mm) A B C (deg) in the flange frame, and activate it."""
-        return self._define(self.frames.set_tool, number, frame)
+        return self._define(self.arm.set_tool, number, frame)
 
     def set_base(self, number: int, frame: Sequence[float]) -> Acknowledgement:
         """Define a $BASE, X Y Z (mm) A B C (deg) in $ROBROOT, and activate it."""
-        return self._define(self.frames.set_base, number, frame)
+        return self._define(self.arm.set_base, number, frame)
 
     def _define(
         self, define: Callable[[int, Sequence[float]], None], number: int, frame: Sequence[float]

@@ -45,6 +45,9 @@ class Manipulator:
         self._nominal = JointChain(self.description)
         self._true = TrueArm(truth, seed)
         self._publish = publish
+        self._tools: dict[int, Matrix] = {0: np.eye(4)}  # $TOOL_DATA in the flange frame
+        self._bases: dict[int, Matrix] = {0: np.eye(4)}  # $BASE_DATA in $ROBROOT
+        self.tool_number = self.base_number = 0
         self._tool: Matrix | None = None  # $TOOL, None is the flange
         self._base: Matrix | None = None  # $BASE in $ROBROOT, None is $ROBROOT
         self._readout_step_deg = parameters.readout_step_deg
@@ -109,9 +112,23 @@ class Manipulator:
     def _flange_of(self, tool_point: Matrix) -> Matrix:
         return tool_point if self._tool is None else tool_point @ inverse(self._tool)
 
-    def use_frames(self, tool: Matrix, base: Matrix) -> None:
-        """Set $TOOL, (4, 4) in the flange frame, and $BASE, (4, 4) in $ROBROOT."""
-        self._tool, self._base, self._reported_frame = tool, base, None
+    def set_tool(self, number: int, frame: Sequence[float]) -> None:
+        """Define a tool, X Y Z (mm) A B C (deg) in the flange frame, and activate it."""
+        self._tools[number] = pose_of_frame(frame)
+        self.use_frames(number, self.base_number)
+
+    def set_base(self, number: int, frame: Sequence[float]) -> None:
+        """Define a base, X Y Z (mm) A B C (deg) in $ROBROOT, and activate it."""
+        self._bases[number] = pose_of_frame(frame)
+        self.use_frames(self.tool_number, number)
+
+    def use_frames(self, tool_number: int, base_number: int) -> None:
+        """Activate a tool and a base; 0 is the identity. Raises ValueError for an undefined number."""
+        for what, number, frames in (("tool", tool_number, self._tools), ("base", base_number, self._bases)):
+            if number not in frames:
+                raise ValueError(f"{what} {number} is not defined")
+        self._tool, self._base = self._tools[tool_number], self._bases[base_number]
+        self.tool_number, self.base_number, self._reported_frame = tool_number, base_number, None
 
     def joints_for(self, tool_point: Matrix, near_deg: Sequence[float]) -> list[float] | None:
         """Solve for the joint angles (deg) at a nominal tool pose, near others; None if it fails."""
@@ -164,33 +181,3 @@ class Manipulator:
         joints, flanks = (A1, A2, A3, A4, A5, A6), (F1, F2, F3, F4, F5, F6)
         self._publish(ArmState(joints, pose, drives.motion_number, drives.at_rest, flanks, drives.moved_s))
         self._published = (id(drives.axes_deg), drives.at_rest)
-
-
-class FrameTable:
-    """$TOOL_DATA and $BASE_DATA by number, (4, 4) in the flange frame or $ROBROOT; 0 is the identity."""
-
-    def __init__(self, arm: Manipulator) -> None:
-        self._arm = arm
-        self._tools: dict[int, Matrix] = {0: np.eye(4)}
-        self._bases: dict[int, Matrix] = {0: np.eye(4)}
-        self.tool_number = 0
-        self.base_number = 0
-
-    def set_tool(self, number: int, frame: Sequence[float]) -> None:
-        """Define a tool, X Y Z (mm) A B C (deg), and activate it."""
-        self._tools[number] = pose_of_frame(frame)
-        self.use(number, self.base_number)
-
-    def set_base(self, number: int, frame: Sequence[float]) -> None:
-        """Define a base, X Y Z (mm) A B C (deg), and activate it."""
-        self._bases[number] = pose_of_frame(frame)
-        self.use(self.tool_number, number)
-
-    def use(self, tool_number: int, base_number: int) -> None:
-        """Activate a tool and a base; raises ValueError for an undefined number."""
-        if tool_number not in self._tools:
-            raise ValueError(f"tool {tool_number} is not defined")
-        if base_number not in self._bases:
-            raise ValueError(f"base {base_number} is not defined")
-        self._arm.use_frames(self._tools[tool_number], self._bases[base_number])
-        self.tool_number, self.base_number = tool_number, base_number

@@ -159,8 +159,8 @@ class EkiMoves:
         ready = controller.ready()
         if ready.code is not AckCode.OK:
             return ready
-        frames = controller.frames
-        frames.use(integer(given, "Tool", frames.tool_number), integer(given, "Base", frames.base_number))
+        arm = controller.arm
+        arm.use_frames(integer(given, "Tool", arm.tool_number), integer(given, "Base", arm.base_number))
         return None
 
     def _begin(self, points: Iterator[list[float] | Message]) -> Acknowledgement:

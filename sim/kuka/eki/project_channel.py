@@ -126,27 +126,28 @@ class ProjectChannel:
 
     def _facts(self) -> tuple[str, ...]:
         controller = self._controller
-        return (
+        facts: tuple[str | int, ...] = (
             controller.interlocks.mode.value,
-            str(int(controller.drives_on)),
-            str(int(controller.interlocks.emergency_stop)),
-            str(int(controller.interlocks.guard_open)),
+            controller.drives_on,
+            controller.interlocks.emergency_stop,
+            controller.interlocks.guard_open,
             controller.program_state.value,
-            str(int(controller.moving)),
-            str(controller.override_percent),
-            str(controller.message.number if controller.message else 0),
-            str(controller.rsi_state.value),
-            str(controller.mounted_tool()),
-            str(controller.frames.base_number),
-            str(int(controller.message is not None)),
+            controller.moving,
+            controller.override_percent,
+            controller.message.number if controller.message else 0,
+            controller.rsi_state.value,
+            controller.mounted_tool(),
+            controller.arm.base_number,
+            controller.message is not None,
             (Reference.RELATIVE if controller.relative else Reference.ABSOLUTE).value,
-            str(int(controller.holds_corrections)),
-            str(controller.cycle_ms),
+            controller.holds_corrections,
+            controller.cycle_ms,
             controller.context_hash,
             controller.arm.description.variant,
-            str(controller.parameters.serial_number),
-            str(controller.open_brakes) if controller.parameters.reports_brakes else "",
+            controller.parameters.serial_number,
+            controller.open_brakes if controller.parameters.reports_brakes else "",
         )
+        return tuple(fact if isinstance(fact, str) else str(int(fact)) for fact in facts)
 
     def _state(self, identifier: str) -> str:
         values = (self._escape(identifier), *self._facts())

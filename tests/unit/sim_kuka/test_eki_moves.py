@@ -147,7 +147,7 @@ def test_a_pose_refers_to_the_named_tool_and_base(program: Program) -> None:
     assert program.to_pose("PTP_POS", goal, S=status, T=turn, Tool=3, Base=5).code is AckCode.OK
     assert program.finish() is AckCode.OK
     assert controller.arm.frame == pytest.approx(goal, abs=1e-6)
-    assert (controller.frames.tool_number, controller.frames.base_number) == (3, 5)
+    assert (controller.arm.tool_number, controller.arm.base_number) == (3, 5)
 
 
 def test_a_line_is_straight_and_runs_at_the_requested_speed(program: Program) -> None:
