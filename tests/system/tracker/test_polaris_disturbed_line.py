@@ -40,7 +40,7 @@ class MutatingLine(DisturbedLine):
         self.breaks_after: int | None = None  # bytes of the next reply
         self._chosen = random.Random(seed)
 
-    def _disturbed(self, data: bytes) -> Delivery:
+    def _disturb(self, data: bytes) -> Delivery:
         deliveries: Delivery = [(0.0, data)]
         if self.breaks_after is not None:
             deliveries = [(0.0, data[: self.breaks_after])]
