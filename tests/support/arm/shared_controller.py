@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import ExitStack
 from itertools import pairwise
+from typing import Any
 
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
@@ -13,6 +14,7 @@ from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
 CYCLE_S = 0.004
+Make = Callable[..., Any]  # a fixture that makes something
 
 
 class SharedController:

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from shared_controller import on_a1
+from shared_controller import Make, on_a1
 
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.wire.kuka_eki import AckCode, OperationMode, ProState, RsiState
@@ -22,8 +22,6 @@ from sim.world.faults import FaultBoard, check_faults, parse_faults
 from sim.world.faults.robot import TRIPS
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 

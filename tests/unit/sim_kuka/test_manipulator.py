@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from math import cos, pi, radians
 from typing import Any
 
 import numpy as np
 import pytest
 from kr6_golden_poses import GOLDEN
+from shared_controller import Make
 
 from sim.world.nominal_arm import Variant, description, frame_of, pose_of_frame, status_and_turn
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import JointChain, TrueArm
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 HOME_DEG = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
 from dataclasses import fields
 from typing import Any
 from xml.etree import ElementTree
@@ -11,7 +10,7 @@ from xml.etree import ElementTree
 import numpy as np
 import pytest
 import reference_tables
-from shared_controller import on_a1
+from shared_controller import Make, on_a1
 
 from ronna_hw.wire.kuka_context import RsiContext, load_context
 from ronna_hw.wire.kuka_eki import OperationMode, RsiState
@@ -22,8 +21,6 @@ from sim.kuka.eki.project_channel import ProjectChannel
 from sim.kuka.rsi.telegrams import ReplyReader
 from sim.world.scene.model import ArmTruth
 from sim.world.true_arm import TrueArm
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 # Ways of the simulation alone, about which nobody could tell anything on a real controller.
 OF_THE_SIMULATION = {

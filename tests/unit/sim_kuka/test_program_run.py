@@ -2,16 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import pytest
-from shared_controller import on_a1
+from shared_controller import Make, on_a1
 
 from ronna_hw.wire.kuka_eki import ProState, RsiState
 from sim.kuka.controller_parameters import ControllerParameters
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 
 def test_ipoc_advances_by_the_cycle_time_and_a_new_run_starts_at_another_value(make_bench: Make) -> None:

@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 import pytest
-from shared_controller import on_a1
+from shared_controller import Make, on_a1
 
 from sim.kuka.controller_parameters import ControllerParameters
 from sim.world.scene.model import ArmTruth
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 A1_FULL_STEP_DEG = 360.0 * 0.004
 QUARTER_DEG = A1_FULL_STEP_DEG / 4

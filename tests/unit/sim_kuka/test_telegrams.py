@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 from xml.etree import ElementTree
 
 import pytest
 from mutations import mutations
+from shared_controller import Make
 
 from ronna_hw.wire.kuka_context import (
     Feedback,
@@ -20,8 +20,6 @@ from ronna_hw.wire.kuka_context import (
 )
 from sim.kuka.errors import EthernetFileInvalid
 from sim.kuka.rsi.telegrams import ReplyReader, TelegramWriter
-
-Make = Callable[..., Any]  # a fixture that makes something
 
 FRAME = (445.0, 0.0, 810.0, 180.0, 0.0, 180.0)
 AXES = (0.0, -90.0, 90.0, 0.0, 90.0, 0.0)

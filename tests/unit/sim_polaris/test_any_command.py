@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import random
 from collections import Counter
-from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire.polaris import PVWR_BLOCK_BYTES, crc16
 from sim.polaris.handlers.table import COMMANDS
@@ -17,9 +16,6 @@ from sim.polaris.unit.ports import WiredPorts, WiredTool
 from sim.polaris.unit.tool_definition import write_definition
 from sim.polaris.unit.user_parameters import parameter_table
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 SOCKETS = 3
 USER_BYTES = 1024
@@ -91,7 +87,7 @@ class Dice:
 
 
 @pytest.fixture
-def well_equipped(make_bench: Callable[..., Bench], pointer: TrackerTool) -> Bench:
+def well_equipped(make_bench: MakeBench, pointer: TrackerTool) -> Bench:
     """A unit with two wired tools, one without memory, that allows and reports as much as possible."""
     sockets = WiredPorts(SOCKETS)
     sockets.add(WiredTool.from_definition(write_definition(pointer), 1, USER_BYTES))

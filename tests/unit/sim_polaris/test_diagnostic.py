@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
 import numpy as np
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 
 @pytest.fixture
@@ -36,7 +31,7 @@ def test_diagnostic_mode_is_entered_from_setup_and_returns_to_it(diagnostic: Ben
 
 @pytest.mark.parametrize("line", ["DSTOP ", "IRED 0100000001", "3D 015", "IRINIT ", "IRCHK 0001"])
 def test_diagnostic_commands_are_refused_outside_diagnostic_mode(
-    make_bench: Callable[..., Bench], bench: Bench, line: str
+    make_bench: MakeBench, bench: Bench, line: str
 ) -> None:
     assert make_bench().send(line) == "ERROR10"
     assert bench.send(line) == "ERROR0C"

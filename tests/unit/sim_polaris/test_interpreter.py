@@ -2,24 +2,21 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, PVWR_BLOCK_BYTES, PVWR_SPACE_BYTES
 from sim.polaris.handlers.table import COMMANDS
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 FRAME_NS = 1_000_000_000 // 60
 
 
 @pytest.fixture
 def counted(
-    make_bench: Callable[..., Bench], pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
+    make_bench: MakeBench, pointer: TrackerTool, monkeypatch: pytest.MonkeyPatch
 ) -> tuple[Bench, list[int], list[int]]:
     """A tracking bench, its time in ns, set by hand, and the numbers of the frames measured."""
     bench = make_bench(paced=True)

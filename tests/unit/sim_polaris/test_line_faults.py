@@ -2,15 +2,11 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING
-
 import pytest
+from polaris_bench import Bench
 
 from ronna_hw.wire.polaris import crc16
 from sim.polaris.faults import LineFaults
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 OKAY = b"OKAYA896\r"
 NO_HANDLES = b"001414\r"

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import fields
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import pytest
+from polaris_bench import MakeBench
 
 from ronna_hw.wire.polaris import ReplyOption, SystemStatus
 from sim.named_parameters import rows
@@ -16,11 +16,6 @@ from sim.polaris.measurement.frame import Frame, Stray
 from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
 from sim.polaris.unit.refusal import ErrorCode
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 
 @pytest.mark.parametrize(

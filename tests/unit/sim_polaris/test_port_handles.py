@@ -2,17 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.polaris.unit.model import SPECTRA, VICRA, UnitModel
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 BLOCK = "00" * 64
 ANY_PASSIVE = "PHRQ *********1****"
@@ -92,7 +87,7 @@ def test_a_tool_that_is_not_enabled_cannot_be_disabled(bench: Bench, pointer: Tr
 
 @pytest.mark.parametrize(("model", "tools"), [(SPECTRA, 15), (VICRA, 6)])
 def test_no_more_tools_are_enabled_than_the_unit_tracks(
-    make_bench: Callable[..., Bench], pointer: TrackerTool, model: UnitModel, tools: int
+    make_bench: MakeBench, pointer: TrackerTool, model: UnitModel, tools: int
 ) -> None:
     bench = make_bench(model=model).ready()
     for _ in range(tools):

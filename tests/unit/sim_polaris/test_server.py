@@ -5,17 +5,14 @@ from __future__ import annotations
 import contextlib
 import socket
 import threading
-from collections.abc import Callable, Iterator
-from typing import TYPE_CHECKING
+from collections.abc import Iterator
 
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.polaris.line import server
 from sim.polaris.line.server import Connection, EndSignal, Server
 from sim.polaris.unit.framing import DEFAULT_LINE
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 OKAY = b"OKAYA896\r"
 SILENT_HOST_S = 0.2
@@ -23,7 +20,7 @@ HANG_GUARD_S = 30.0
 
 
 @pytest.fixture
-def host(make_bench: Callable[..., Bench]) -> Iterator[tuple[Bench, socket.socket]]:
+def host(make_bench: MakeBench) -> Iterator[tuple[Bench, socket.socket]]:
     """A unit behind its server, and a host connected to it."""
     bench = make_bench(reset_s=0.0, silent_host_s=SILENT_HOST_S)
     end = EndSignal()

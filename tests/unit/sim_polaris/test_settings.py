@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.polaris.unit.model import VICRA
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import named_scene
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 
 @pytest.mark.parametrize(

@@ -2,23 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
 from sim.polaris.measurement.optics import REFLECTION_PRESENCE
 from sim.polaris.unit.model import PYRAMID
 from sim.world.scene.model import Scene, TrackerTool
 from sim.world.scene.named_scenes import named_scene
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 POINTER_NUMBER = "8700340"
 BENCH_STRAYS = 3

@@ -2,18 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import TYPE_CHECKING
-
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.polaris.unit.model import SPECTRA
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 SETUP_ONLY = (
     "SFLIST 00", "SSTAT 0001", "VSEL 1", "IRATE 2", "PHSR 00", "PHRQ *********1****", "PHF 01",

@@ -3,22 +3,16 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.unit.refusal import ErrorCode
 from sim.polaris.unit.tool_definition import BadDefinition, checksum, parse_definition, write_definition
 from sim.world.scene.model import TrackerTool
 from sim.world.scene.named_scenes import robot_frame
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 SQUARE = ((0.0, 0.0, 0.0), (80.0, 0.0, 0.0), (80.0, 80.0, 0.0), (0.0, 80.0, 0.0))
 TRIANGLE = ((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (70.0, 0.0, 0.0))  # sides 50, 70, 86.0

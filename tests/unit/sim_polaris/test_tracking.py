@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import struct
-from collections.abc import Callable
-from typing import TYPE_CHECKING
 
 import numpy as np
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.world.nominal_arm import description
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
@@ -16,11 +15,6 @@ from sim.world.scene.named_scenes import frame_on_head, named_scene, robot_frame
 from sim.world.true_arm import JointChain
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState
-
-if TYPE_CHECKING:
-    from conftest import Bench
-
-MakeBench = Callable[..., "Bench"]
 
 
 def frame_number(answer: str) -> int:

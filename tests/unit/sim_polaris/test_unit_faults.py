@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from itertools import pairwise
-from typing import TYPE_CHECKING
 
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 
 def system_status(bench: Bench) -> str:
@@ -74,9 +71,7 @@ def test_a_hardware_fault_shows_in_tstart_init_alerts_and_system_status(
 
 
 @pytest.mark.parametrize("answer", ["ERROR15", "ERROR1A"])
-def test_a_unit_with_a_hardware_fault_may_refuse_to_initialise(
-    make_bench: Callable[..., Bench], answer: str
-) -> None:
+def test_a_unit_with_a_hardware_fault_may_refuse_to_initialise(make_bench: MakeBench, answer: str) -> None:
     bench = make_bench(hardware_fault_at_init=answer)
     bench.disturb("alert 1")
     assert bench.send("INIT ") == answer

@@ -2,20 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import pytest
+from polaris_bench import Bench, MakeBench
 
 from ronna_hw.wire import polaris_rom as rom
 from sim.polaris.errors import BadWiredTool
 from sim.polaris.unit.ports import WiredPorts, WiredTool, plug_in
 from sim.polaris.unit.tool_definition import checksum, write_definition
 from sim.world.scene.model import TrackerTool
-
-if TYPE_CHECKING:
-    from conftest import Bench
 
 SOCKETS = 3
 USER_BYTES = 1024
@@ -33,7 +29,7 @@ def wired_definition(tool: TrackerTool) -> bytes:
 
 
 @pytest.fixture
-def two_wired(make_bench: Callable[..., Bench], pointer: TrackerTool) -> Bench:
+def two_wired(make_bench: MakeBench, pointer: TrackerTool) -> Bench:
     """A unit with two wired tools in three sockets; the second has no memory."""
     sockets = WiredPorts(SOCKETS)
     sockets.add(WiredTool.from_definition(wired_definition(pointer), 1, USER_BYTES))
