@@ -38,6 +38,7 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
 
 KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
+PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
 
 
 class Camera:
@@ -62,6 +63,7 @@ class Camera:
         self._packet_bytes = 0
         self._trigger: Command | None = None
         self.area = AreaOfInterest(0, 0, 0, 0)
+        self._exposure_us = options.exposure_us
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
         self.lost: RonnaError | None = None  # set by the heartbeat
         self.notices: list[str] = []
@@ -142,6 +144,7 @@ class Camera:
         """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
+        self._exposure_us = exposure_us
 
     def temperature_C(self, deadline_s: float) -> float | None:
         """Read the internal temperature; None if not reported."""
@@ -195,13 +198,14 @@ class Camera:
         half_s = (after_s - before_s) / 2.0
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
-    def expect_next(self, patience_s: float) -> None:
+    def expect_next(self) -> None:
         """Discard what came before the frame that has just been triggered."""
         self.receiver.discard()
         if self._trigger is None:
             self._next_block = None  # a line may fire at any time
             return
         # this family begins with 1; for others nothing is known before the first frame
+        patience_s = PATIENCE_S + self._exposure_us * 1e-6
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:

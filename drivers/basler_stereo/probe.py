@@ -57,7 +57,17 @@ class BaslerProbe:
         return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_pairs(search, progress)
+        """Propose every ordered pair of cameras of one model, first those named left and right.
+
+        Each network is queried with one broadcast; no camera is controlled.
+        """
+        cameras: dict[str, CameraIdentity] = {}  # by address
+        for number, network in enumerate(search.interfaces, start=1):
+            cameras |= {each.address: each for each in discover_cameras(network)}
+            progress(number / len(search.interfaces))
+        pairs = [pair for pair in permutations(cameras.values(), 2) if _may_be_pair(*pair)]
+        named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
+        return [_proposal(*pair, named=pair in named) for pair in named or pairs]
 
     def example(self, search: Search) -> Proposal:
         chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
@@ -101,20 +111,6 @@ def _expected_cameras(config: DeviceConfig) -> list[Expected]:
 def _text(config: DeviceConfig, option: str) -> str | None:
     value = config.options.get(option)
     return value if isinstance(value, str) else None
-
-
-def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Propose every ordered pair of cameras of one model, first those named left and right.
-
-    Each network is queried with one broadcast; no camera is controlled.
-    """
-    cameras: dict[str, CameraIdentity] = {}  # by address
-    for number, network in enumerate(search.interfaces, start=1):
-        cameras |= {each.address: each for each in discover_cameras(network)}
-        progress(number / len(search.interfaces))
-    pairs = [pair for pair in permutations(cameras.values(), 2) if _may_be_pair(*pair)]
-    named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
-    return [_proposal(*pair, named=pair in named) for pair in named or pairs]
 
 
 def _may_be_pair(one: CameraIdentity, other: CameraIdentity) -> bool:

@@ -31,6 +31,7 @@ BytesPassed = Callable[[Direction, bytes], None]
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
+NO_DESCRIPTOR = -1
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
@@ -231,34 +232,28 @@ class Connections:
         return eki, Identity("KUKA", model, serial, firmware="", details=details), not unsaid
 
 
-def link_settings(
-    rsi: Endpoint, context: RsiContext, options: KukaOptions
-) -> Callable[[int, int], LinkSettings]:
-    """Return a maker of the real-time process' settings, given the descriptors of mailbox and event."""
-
-    def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
-        return LinkSettings(
-            host=rsi.host,
-            port=rsi.port,
-            parent_pid=os.getpid(),
-            mailbox_fd=mailbox_fd,
-            event_fd=event_fd,
-            variant=options.variant.value,
-            cycle_ms=context.program.cycle_ms,
-            sentype=context.ethernet.sentype,
-            send_tags=tuple(e.tag for e in context.send),
-            receive_tags=tuple(e.tag for e in context.receive),
-            axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
-            stop_tag=context.wired_tag("STOP", "In1") or "",
-            silence_limit_s=options.silence_limit_s,
-            heartbeat_limit_s=options.heartbeat_limit_s,
-            settle_tolerance_deg=options.settle_tolerance_deg,
-            real_time_priority=options.real_time_priority,
-            rehearsal_lead_us=options.rehearsal_lead_us,
-            controller_host=options.controller_host,
-        )
-
-    return settings
+def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
+    """Return the real-time process' settings; its `LinkClient` adds the descriptors."""
+    return LinkSettings(
+        host=rsi.host,
+        port=rsi.port,
+        parent_pid=os.getpid(),
+        mailbox_fd=NO_DESCRIPTOR,
+        event_fd=NO_DESCRIPTOR,
+        variant=options.variant.value,
+        cycle_ms=context.program.cycle_ms,
+        sentype=context.ethernet.sentype,
+        send_tags=tuple(e.tag for e in context.send),
+        receive_tags=tuple(e.tag for e in context.receive),
+        axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
+        stop_tag=context.wired_tag("STOP", "In1") or "",
+        silence_limit_s=options.silence_limit_s,
+        heartbeat_limit_s=options.heartbeat_limit_s,
+        settle_tolerance_deg=options.settle_tolerance_deg,
+        real_time_priority=options.real_time_priority,
+        rehearsal_lead_us=options.rehearsal_lead_us,
+        controller_host=options.controller_host,
+    )
 
 
 class LinkBytes:

@@ -90,14 +90,10 @@ class CommandLink:
         self.statistics = LinkStatistics()
         self.waited_s = 0.0  # from the last command to its reply, without the transfer of both
         self._limits_s = limits_s
-        self._monotonic = monotonic
+        self.monotonic = monotonic  # the host's clock, on which deadlines are given
         self._settled = False  # replies to an earlier client may still arrive
         self._silent_since_s: float | None = None
         self._echoes = 0
-
-    def now_s(self) -> float:
-        """Read the host's monotonic clock, on which deadlines are given."""
-        return self._monotonic()
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
         """Use these time limits, in seconds by command; other commands keep theirs."""
@@ -115,8 +111,8 @@ class CommandLink:
         """Send a command and return the text of its reply, OKAY and WARNINGhh included.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
-        `deadline_s` (see `now_s`). With `retry` a disturbed exchange is repeated once, so use it only for
-        commands that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        `deadline_s` on the clock `monotonic`. With `retry` a disturbed exchange is repeated once, so use it
+        only for commands that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
         """
         reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
         assert isinstance(reply, str)
@@ -151,7 +147,7 @@ class CommandLink:
             count += len(data)
             if count > BABBLE_BYTES:
                 raise MalformedReply("the line never falls silent", wire=discarded)
-            if deadline_s is not None and self._monotonic() > deadline_s:
+            if deadline_s is not None and self.monotonic() > deadline_s:
                 break
         return discarded
 
@@ -175,7 +171,7 @@ class CommandLink:
                 self._settled = True
                 self._silent_since_s = None
                 return
-            if deadline_s is not None and self._monotonic() >= deadline_s:
+            if deadline_s is not None and self.monotonic() >= deadline_s:
                 break
         self._give_up()
 
@@ -193,7 +189,7 @@ class CommandLink:
             return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
             noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
-            if not noise or not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
+            if not noise or not retry or (deadline_s is not None and self.monotonic() >= deadline_s):
                 raise
         self.statistics.retries += 1
         return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
@@ -208,7 +204,7 @@ class CommandLink:
             self.settle(deadline_s)
         self.transport.write(command)
         self.statistics.commands += 1
-        began_s = self._monotonic()
+        began_s = self.monotonic()
         until_s = began_s + limit_s if deadline_s is None else min(began_s + limit_s, deadline_s)
         try:
             reply, rest = self._receive(until_s, binary)
@@ -226,7 +222,7 @@ class CommandLink:
                 wire=rest,
                 expected="a reply with CRC",
             )
-        self.waited_s = max(0.0, self._monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
+        self.waited_s = max(0.0, self.monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
             self._settled = False
@@ -256,7 +252,7 @@ class CommandLink:
                 return open_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
                 raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
-            left_s = until_s - self._monotonic()
+            left_s = until_s - self.monotonic()
             if left_s <= 0:
                 return None, buffer
             data = self.transport.read(min(left_s, STALL_S) if buffer else left_s)
@@ -277,13 +273,13 @@ class CommandLink:
         self._echoes += 1
         mark = f"INSTEP{self._echoes:06d}"
         command = encode_command("ECHO", mark)
-        began_s = self._monotonic()
+        began_s = self.monotonic()
         self.transport.write(command)
         until_s = began_s + self.limit_s("ECHO", len(command), len(command))
         if deadline_s is not None:
             until_s = min(until_s, deadline_s)
         heard = b""
-        while (left_s := until_s - self._monotonic()) > 0:
+        while (left_s := until_s - self.monotonic()) > 0:
             heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]
             if RESET_TEXT in heard:
                 raise UnitRestarted("the unit sent RESET", wire=heard)
@@ -303,7 +299,7 @@ class CommandLink:
 
     def _give_up(self) -> None:
         since_s = self._silent_since_s
-        silent_s = self._monotonic() - since_s if since_s is not None else 0.0
+        silent_s = self.monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
         if silent_s >= limit_s:
             raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")

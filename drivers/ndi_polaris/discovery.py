@@ -54,7 +54,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     tried = []
     bauds = LIKELY_BAUDS if transport.baud is not None else (DEFAULT_BAUD,)
     for baud in bauds:
-        if link.now_s() >= deadline_s:
+        if link.monotonic() >= deadline_s:
             break
         try:
             transport.set_baud(baud)
@@ -65,7 +65,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
         heard += inquiry.heard
         if inquiry.answered:
             return
-    if transport.baud is not None and link.now_s() < deadline_s:
+    if transport.baud is not None and link.monotonic() < deadline_s:
         transport.set_baud(DEFAULT_BAUD)
         transport.send_break()
         tried.append("a break")
@@ -86,7 +86,7 @@ def initialise(link: CommandLink, deadline_s: float) -> None:
     try:
         link.ask("INIT", deadline_s=deadline_s)
     except (UnitError, LinkTimeout, ProtocolError):
-        if link.now_s() >= deadline_s:
+        if link.monotonic() >= deadline_s:
             raise
         link.transport.write(encode_command("RESET", "0"))
         if link.transport.baud is not None:
@@ -98,9 +98,9 @@ def initialise(link: CommandLink, deadline_s: float) -> None:
 
 def await_reset(link: CommandLink, deadline_s: float) -> bool:
     """Wait for RESET after a break or the RESET command; False if it does not come in time."""
-    until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
+    until_s = min(deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
+    while (left_s := until_s - link.monotonic()) > 0:
         heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
         if RESET_TEXT in heard:
             return True
@@ -184,7 +184,7 @@ def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
 def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
     transport = link.transport
     try:
-        link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
+        link.drain(deadline_s=min(deadline_s, link.monotonic() + REPLY_LIMIT_S))
     except MalformedReply as error:
         raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
     transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
@@ -192,13 +192,13 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
     # over TCP there is no other rate to try: wait the full time limit
     limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
     transport.write(INQUIRY)
-    until_s = min(deadline_s, link.now_s() + limit_s)
+    until_s = min(deadline_s, link.monotonic() + limit_s)
     heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
+    while (left_s := until_s - link.monotonic()) > 0:
         if not (data := transport.read(left_s)):
             continue
         if not heard:
-            until_s = min(until_s, link.now_s() + rest_s)
+            until_s = min(until_s, link.monotonic() + rest_s)
         heard = (heard + data)[-LONGEST_REPLY_BYTES:]
         if (reply := _last_reply(heard)) is not None:
             return Inquiry(heard, reply)

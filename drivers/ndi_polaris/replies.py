@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-from enum import Enum
 from typing import NamedTuple
 
 from drivers.ndi_polaris.errors import MalformedReply
@@ -56,20 +55,13 @@ _STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
 _STRAY = re.compile(_POSITION * 3)
 
 
-class HandleState(Enum):
-    """State of a handle as reported by the unit."""
-
-    VALID = "valid"
-    MISSING = "missing"
-    DISABLED = "disabled"
-    UNOCCUPIED = "unoccupied"
-
-
 class HandleReport(NamedTuple):
-    """Report on one handle. Pose and error only when VALID; status and frame also when MISSING."""
+    """Report on one handle: pose and error only for a tool that is seen.
+
+    Port status and frame also for a missing tool, neither for a disabled or unoccupied handle.
+    """
 
     handle: int
-    state: HandleState
     rotation: Quaternion | None = None  # tracker <- tool, scalar first, as sent: not yet normalised
     position_mm: Vector3 | None = None
     fit_error_mm: float | None = None
@@ -107,13 +99,13 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
             q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, at)
             at += _BX_POSE.size
             rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
-            handles.append(HandleReport(number, HandleState.VALID, rotation, position, fit, port, frame))
+            handles.append(HandleReport(number, rotation, position, fit, port, frame))
         elif status == HandleStatus.MISSING:
             port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, at)
             at += _BX_STATUS_AND_FRAME.size
-            handles.append(HandleReport(number, HandleState.MISSING, port_status=port, frame=frame))
+            handles.append(HandleReport(number, port_status=port, frame=frame))
         elif status == HandleStatus.DISABLED:
-            handles.append(HandleReport(number, HandleState.DISABLED))
+            handles.append(HandleReport(number))
         else:
             raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
     positions: tuple[Vector3, ...] = ()
@@ -168,7 +160,6 @@ def _tx_handle(record: str, text: str) -> HandleReport:
         q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
         return HandleReport(
             number,
-            HandleState.VALID,
             (
                 q0 / TX_QUATERNION_SCALE,
                 qx / TX_QUATERNION_SCALE,
@@ -181,15 +172,9 @@ def _tx_handle(record: str, text: str) -> HandleReport:
             int(match[10], 16),
         )
     if match := _MISSING.fullmatch(content):
-        return HandleReport(
-            number,
-            HandleState.MISSING,
-            port_status=int(match[1], 16),
-            frame=int(match[2], 16),
-        )
-    if match := _ABSENT.fullmatch(content):
-        state = HandleState.DISABLED if match[1] == REPLY_DISABLED else HandleState.UNOCCUPIED
-        return HandleReport(number, state)
+        return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
+    if _ABSENT.fullmatch(content):
+        return HandleReport(number)
     raise _malformed(f"unknown form of the TX record of handle {number:02X}", text)
 
 
@@ -233,29 +218,23 @@ def _malformed(what: str, text: str) -> MalformedReply:
 
 def frame_number(reply: TrackingReply) -> int:
     """Return the frame number of a reply; raises NDI-006 when no handle carries one."""
-    number: int | None = None
-    for report in reply.handles:
-        if report.frame is not None and (number is None or report.frame > number):
-            number = report.frame
-    if number is None:
+    numbers = [report.frame for report in reply.handles if report.frame is not None]
+    if not numbers:
         raise MalformedReply("no handle of the reply carries a frame number")
-    return number
+    return max(numbers)
 
 
 def assemble(
     reply: TrackingReply,
     tools: tuple[LoadedTool, ...],
     *,
-    frame: int,
     stamp: Stamp,
     repeated: bool,
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status.
-
-    `frame` is the frame number of the reply.
-    """
+    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status."""
+    frame = frame_number(reply)
     reports = {report.handle: report for report in reply.handles}
     readings = []
     seen = []
@@ -278,14 +257,11 @@ def _tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolRea
     if report is None or report.rotation is None or report.position_mm is None:
         outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
         return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
-    rotation = _normalised(report.rotation)
-    if (
-        rotation is None
-        or not _is_plausible_position(report.position_mm)
-        or not _is_plausible_error(report.fit_error_mm)
-    ):
+    rotation, error_mm = _normalised(report.rotation), report.fit_error_mm
+    plausible = error_mm is not None and 0 <= error_mm <= FARTHEST_MM
+    if rotation is None or not plausible or not _is_plausible_position(report.position_mm):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
-    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, report.fit_error_mm)
+    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, error_mm)
 
 
 def _validity(report: HandleReport, frame: int) -> Validity:
@@ -340,10 +316,6 @@ def _normalised(rotation: Quaternion) -> Quaternion | None:
 def _is_plausible_position(position_mm: Vector3) -> bool:
     x, y, z = position_mm
     return abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM and -FARTHEST_MM <= z < 0
-
-
-def _is_plausible_error(error_mm: float | None) -> bool:
-    return error_mm is not None and 0 <= error_mm <= FARTHEST_MM
 
 
 def _to_tracker_mm(

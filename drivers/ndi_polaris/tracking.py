@@ -115,7 +115,6 @@ class Tracking:
         return assemble(
             reply,
             self._tools,
-            frame=frame_number(reply),
             stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.note(count, arrived_s)),
             repeated=repeated,
             volume=self._volume,

@@ -15,6 +15,7 @@ from driven_arm import THERE, largest_step, moving, state_of
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkSilent, MotionTripped, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle
 
@@ -32,7 +33,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_last_cycles_are_
     cycles = active_arm.recorded_cycles
     assert 10 < len(cycles) <= 256
     assert [c.cycle for c in cycles] == sorted(c.cycle for c in cycles)
-    assert cycles[-1].choice == "stop"  # how the stop began is kept as well
+    assert cycles[-1].choice is Choice.STOP  # how the stop began is kept as well
     table = error.attachments["flight-record-robot.master.txt"].splitlines()
     assert "following error" in table[0]
     assert table[2].split()[:4] == ["cycle", "IPOC", "ms", "turnaround"]

@@ -173,7 +173,7 @@ def test_telegrams_replies_and_the_eki_session_are_recorded(make_arm, controller
 def test_the_real_time_process_keeps_no_bytes_without_a_recorder(make_arm) -> None:
     arm = make_arm()
     with arm.active():
-        assert arm.connections.link._mailbox.fetch_kept() == ([], 0)
+        assert arm.connections.link.mailbox.fetch_kept() == ([], 0)
 
 
 def test_a_telegram_without_a_reply_is_recorded_too(make_arm, controller: FakeController) -> None:

@@ -9,10 +9,18 @@ import pytest
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied, RecordedCycle
+from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.realtime.link_state import (
+    NO_STATE,
+    NOTHING_AROUND,
+    Fault,
+    LinkState,
+    Phase,
+    RecordedCycle,
+    StopOrder,
+)
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard

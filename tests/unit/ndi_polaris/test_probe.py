@@ -24,7 +24,7 @@ from drivers.ndi_polaris.line_check import (
     line_diagnostic,
     look_at_line,
 )
-from drivers.ndi_polaris.probe import find_trackers, probe
+from drivers.ndi_polaris.probe import probe
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -345,6 +345,6 @@ def test_a_line_that_does_not_exist_is_named_with_the_ports_that_do(monkeypatch:
     port = SimpleNamespace(device="/dev/ttyUSB0")
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [port])
     lines = (parse_endpoint("serial:///dev/ttyUSB99"),)
-    (missing,) = find_trackers(Search(lines=lines), lambda share: None)
+    (missing,) = probe.find(Search(lines=lines), lambda share: None)
     assert missing.absent == ("/dev/ttyUSB99 does not exist; the serial ports of this computer: /dev/ttyUSB0")
     assert missing.endpoints == {ONLY: "serial:///dev/ttyUSB99"}

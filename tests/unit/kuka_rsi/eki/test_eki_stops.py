@@ -17,6 +17,7 @@ from waiting import eventually
 
 from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import RonnaError
@@ -56,9 +57,9 @@ def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
     return error
 
 
-def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: dict[int, str]) -> None:
-    assert choices[replies[before - 1][0]] == "go"
-    assert choices[replies[before][0]] == "stop"
+def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: dict[int, Choice]) -> None:
+    assert choices[replies[before - 1][0]] is Choice.GO
+    assert choices[replies[before][0]] is Choice.STOP
     axes = [correction for _, correction, _ in replies[before - 1 :]]
     cycles_to_rest = axes.index(axes[-1])
     assert 1 < cycles_to_rest <= LONGEST_STOP_CYCLES  # smoothly, and soon

@@ -16,7 +16,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     LinkSettings,
     Orders,
     Phase,
-    Record,
+    RecordedCycle,
     Result,
     StopOrder,
 )
@@ -109,10 +109,10 @@ def test_a_torn_block_is_never_read_as_a_state(memory: int, mailbox: Mailbox) ->
 
 def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
     for cycle in range(1, 301):
-        mailbox.record(Record(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
+        mailbox.record(RecordedCycle(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
     kept = mailbox.records()
     assert [r.cycle for r in kept] == list(range(45, 301))
-    assert kept[-1] == Record(300, 1200, 300, 10.0, SIX, SIX, 0)
+    assert kept[-1] == RecordedCycle(300, 1200, 300, 10.0, SIX, SIX, 0)
 
 
 def test_link_settings_survive_a_json_round_trip() -> None:
