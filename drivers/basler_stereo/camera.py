@@ -108,8 +108,8 @@ class Camera:
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
-            peer = str(self._control.link.getpeername()[0])
-            raise NoCamera(error.what, expected=error.expected, got=cameras_near(peer)) from error
+            near = cameras_near(self._control.peer_address)
+            raise NoCamera(error.what, expected=error.expected, got=near) from error
 
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, apply the known state, find the packet size.

@@ -70,7 +70,7 @@ class LinkClient:
         self._changed = threading.Condition()
         self._end_reason: str | None = None
         self._commands = 0
-        self._stops = 0
+        self.stop_number = 0  # of the last stop ordered
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
         with children_uninterrupted():
@@ -107,11 +107,6 @@ class LinkClient:
         said_ns = self.mailbox.alive_ns()
         return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
 
-    @property
-    def stop_number(self) -> int:
-        """Number of the last stop ordered."""
-        return self._stops
-
     def command(
         self,
         kind: CommandKind,
@@ -128,7 +123,7 @@ class LinkClient:
             self._commands += 1
             if kind is CommandKind.OPEN:
                 self._stop_kind = StopOrder.HOLD
-            seen = self._stops if stop_number is None else stop_number
+            seen = self.stop_number if stop_number is None else stop_number
             command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad, limits)
             self.mailbox.write_command(command)
             return self._commands
@@ -145,10 +140,10 @@ class LinkClient:
         have seen yet.
         """
         with self._lock:
-            self._stops += 1
+            self.stop_number += 1
             self._stop_kind = max(kind, self._stop_kind)
-            self.mailbox.order_stop(self._stops, self._stop_kind)
-            return self._stops
+            self.mailbox.order_stop(self.stop_number, self._stop_kind)
+            return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """Wait for a state that meets the condition; None after the time limit (host time).

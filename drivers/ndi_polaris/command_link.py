@@ -27,38 +27,26 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.transport import Transport
 from ronna_hw.errors import ProtocolError
-from ronna_hw.wire.polaris import (
-    ASCII_CRC_DIGITS,
-    BITS_PER_BYTE_ON_LINE,
-    BX_CRC_BYTES,
-    BX_HEADER_BYTES,
-    BX_START,
-    COMMAND_TIMEOUT_S,
-    CR,
-    REPLY_RESET,
-    REPLY_WARNING,
-    WARNING_MEANINGS,
-    crc16,
-)
+from ronna_hw.wire import polaris as ndi
 
 KEPT_COMMANDS = 32  # every reading sends the same command
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
-BX_START_BYTES = struct.pack("<H", BX_START)
+BX_START_BYTES = struct.pack("<H", ndi.BX_START)
 ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
 LONGEST_REPLY_BYTES = 16384  # longer than any reply of these units: beyond this it is noise
-LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
+LONGEST_LIMIT_S = max(ndi.COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
 QUIET_S = 0.02  # silence after which a line counts as drained
 STALL_S = 0.5  # a reply that pauses this long is truncated
 BABBLE_BYTES = 1_000_000  # no unit sends this much unasked
 ECHO_ATTEMPTS = 3
 REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
 NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: a command that lost its colon has no CRC
-RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
+RESET_TEXT = b"%b%04X\r" % (ndi.REPLY_RESET.encode(), ndi.crc16(ndi.REPLY_RESET.encode()))
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
 _HEADER = struct.Struct("<HHH")
 _CRC = struct.Struct("<H")
 _ERROR = re.compile(r"ERROR([0-9A-F]{2})")
-_WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
+_WARNING = re.compile(rf"{ndi.REPLY_WARNING}([0-9A-F]{{2}})?")
 _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a binary reply
 
 
@@ -83,7 +71,7 @@ class CommandLink:
         self,
         transport: Transport,
         *,
-        limits_s: Mapping[str, float] = COMMAND_TIMEOUT_S,
+        limits_s: Mapping[str, float] = ndi.COMMAND_TIMEOUT_S,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.transport = transport
@@ -134,7 +122,7 @@ class CommandLink:
 
     def _transfer_s(self, count: int) -> float:
         baud = self.transport.baud
-        return count * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
+        return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
     def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
         """Discard input until the line has been silent for `quiet_s`; return the last part of it.
@@ -231,7 +219,7 @@ class CommandLink:
         return reply
 
     def _raise_for(self, text: str, name: str) -> None:
-        if text == REPLY_RESET and name != "RESET":
+        if text == ndi.REPLY_RESET and name != "RESET":
             raise UnitRestarted(f"the unit replied RESET to {name}")
         error = unit_error(text, name)
         if isinstance(error, NotInitialised) and name != "INIT":
@@ -312,14 +300,14 @@ class CommandLink:
 def encode_command(name: str, argument: str = "") -> bytes:
     """Encode a command as `NAME:argument` + CRC + CR, the form whose CRC the unit checks."""
     text = f"{name}:{argument}".encode("ascii")
-    return b"%b%04X\r" % (text, crc16(text))
+    return b"%b%04X\r" % (text, ndi.crc16(text))
 
 
 def open_ascii(line: bytes) -> str:
     """Return the text of one ASCII reply (without its CR); raises NDI-005, or NDI-006 if it is not ASCII."""
-    text = line[:-ASCII_CRC_DIGITS]
+    text = line[: -ndi.ASCII_CRC_DIGITS]
     if not _crc_is_right(line):
-        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{crc16(text):04X}", wire=line)
+        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{ndi.crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
     except UnicodeDecodeError as error:
@@ -328,35 +316,35 @@ def open_ascii(line: bytes) -> str:
 
 def trailing_text(heard: bytes) -> str | None:
     """Return the text of the last reply, without its CR, in bytes that may begin with remnants of others."""
-    line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
+    line = heard.rsplit(ndi.CR, 1)[-1][-TRAILING_TEXT_BYTES:]
     # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
     # valid together with it.
     for start in range(len(line)):
         if line[start:].isascii() and _crc_is_right(line[start:]):
-            return line[start:-ASCII_CRC_DIGITS].decode("ascii")
+            return line[start : -ndi.ASCII_CRC_DIGITS].decode("ascii")
     return None
 
 
 def _crc_is_right(line: bytes) -> bool:
     # an empty text is legal: an empty parameter list has CRC 0000
-    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
-    return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
+    text, digits = line[: -ndi.ASCII_CRC_DIGITS], line[-ndi.ASCII_CRC_DIGITS :]
+    return len(digits) == ndi.ASCII_CRC_DIGITS and digits == b"%04X" % ndi.crc16(text)
 
 
 def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
     """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
-    line, end, rest = buffer.partition(CR)
+    line, end, rest = buffer.partition(ndi.CR)
     return (line, rest) if end else None
 
 
 def binary_reply_bytes(header: bytes) -> int:
     """Return the length of a binary reply from its first six bytes; raises NDI-005 or NDI-006."""
     start, length, crc = _HEADER.unpack_from(header)
-    if start != BX_START:
+    if start != ndi.BX_START:
         raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
-    if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
-        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[:BX_HEADER_BYTES])
-    return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
+    if crc != ndi.crc16(header[: ndi.BX_HEADER_BYTES - ndi.BX_CRC_BYTES]):
+        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[: ndi.BX_HEADER_BYTES])
+    return ndi.BX_HEADER_BYTES + int(length) + ndi.BX_CRC_BYTES
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
@@ -364,16 +352,16 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
 
     Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
     """
-    if len(buffer) < BX_HEADER_BYTES:
+    if len(buffer) < ndi.BX_HEADER_BYTES:
         return None
     whole = binary_reply_bytes(buffer)
     if len(buffer) < whole:
         return None
-    body = buffer[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
-    (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
-    if crc != crc16(body):
+    body = buffer[ndi.BX_HEADER_BYTES : whole - ndi.BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(buffer, whole - ndi.BX_CRC_BYTES)
+    if crc != ndi.crc16(body):
         raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply", expected=f"{crc16(body):04X}", wire=buffer[:whole]
+            "wrong CRC in the body of a binary reply", expected=f"{ndi.crc16(body):04X}", wire=buffer[:whole]
         )
     return body, buffer[whole:]
 
@@ -391,4 +379,4 @@ def warning_meaning(text: str) -> str | None:
         return None
     if match[1] is None:
         return "a warning without a code (older firmware)"
-    return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")
+    return ndi.WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")

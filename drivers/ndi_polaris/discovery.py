@@ -24,14 +24,7 @@ from drivers.ndi_polaris.errors import (
     UnitError,
 )
 from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.wire.polaris import (
-    BITS_PER_BYTE_ON_LINE,
-    COMM_BAUD_CODES,
-    COMM_DEFAULT_ARGUMENT,
-    COMMAND_TIMEOUT_S,
-    CR,
-    DEFAULT_BAUD,
-)
+from ronna_hw.wire import polaris as ndi
 
 INQUIRY_COMMAND = "APIREV"  # every unit replies to it in some way
 INQUIRY = encode_command(INQUIRY_COMMAND)
@@ -40,7 +33,7 @@ REPLY_LIMIT_S = 0.3  # per rate: an idle unit replies within a few milliseconds
 TRIES = 2  # the first command may be garbled by the remains of an earlier one
 RESET_LIMIT_S = 7.0  # from a break to RESET: the longest wait of any client
 # Rates at which a unit may have been left, likeliest first.
-LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
+LIKELY_BAUDS = (ndi.DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
 RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
 
 
@@ -52,7 +45,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     transport = link.transport
     heard = bytearray()
     tried = []
-    bauds = LIKELY_BAUDS if transport.baud is not None else (DEFAULT_BAUD,)
+    bauds = LIKELY_BAUDS if transport.baud is not None else (ndi.DEFAULT_BAUD,)
     for baud in bauds:
         if link.monotonic() >= deadline_s:
             break
@@ -66,7 +59,7 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
         if inquiry.answered:
             return
     if transport.baud is not None and link.monotonic() < deadline_s:
-        transport.set_baud(DEFAULT_BAUD)
+        transport.set_baud(ndi.DEFAULT_BAUD)
         transport.send_break()
         tried.append("a break")
         if await_reset(link, deadline_s):
@@ -90,7 +83,7 @@ def initialise(link: CommandLink, deadline_s: float) -> None:
             raise
         link.transport.write(encode_command("RESET", "0"))
         if link.transport.baud is not None:
-            link.transport.set_baud(DEFAULT_BAUD)
+            link.transport.set_baud(ndi.DEFAULT_BAUD)
         await_reset(link, deadline_s)
         link.drain(deadline_s=deadline_s)
         link.ask("INIT", deadline_s=deadline_s)
@@ -117,7 +110,7 @@ def raise_baud(
     """
     if link.transport.baud is None:
         return None
-    for code, baud in sorted(COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
+    for code, baud in sorted(ndi.COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
         if baud > maximum:
             continue
         if baud <= link.transport.baud:
@@ -141,7 +134,7 @@ def _switch(
         link.transport.set_baud(current)
         return False
     try:
-        link.ask("COMM", code + COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
+        link.ask("COMM", code + ndi.COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
     except UnitError:
         return False
     except (ProtocolError, NoReply):
@@ -187,10 +180,10 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
         link.drain(deadline_s=min(deadline_s, link.monotonic() + REPLY_LIMIT_S))
     except MalformedReply as error:
         raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
-    transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
+    transfer_s = (len(INQUIRY) + REPLY_BYTES) * ndi.BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
     rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
     # over TCP there is no other rate to try: wait the full time limit
-    limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
+    limit_s = rest_s if transport.baud is not None else ndi.COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
     transport.write(INQUIRY)
     until_s = min(deadline_s, link.monotonic() + limit_s)
     heard = b""
@@ -208,5 +201,5 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
 def _last_reply(heard: bytes) -> str | None:
     """Return the text of the last reply with a valid CRC, ignoring our own command from a loop-back."""
     echo = f"{INQUIRY_COMMAND}:"
-    texts = (trailing_text(line) for line in reversed(heard.split(CR)[:-1]))
+    texts = (trailing_text(line) for line in reversed(heard.split(ndi.CR)[:-1]))
     return next((text for text in texts if text and text != echo), None)

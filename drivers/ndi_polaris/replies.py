@@ -13,24 +13,8 @@ from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import DOUBTFUL_STATUS
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.vectors import Quaternion, Vector3
-from ronna_hw.wire.polaris import (
-    LF,
-    MAXIMUM_STRAYS,
-    REPLY_DISABLED,
-    REPLY_MISSING,
-    REPLY_UNOCCUPIED,
-    TX_ERROR_CHARACTERS,
-    TX_ERROR_SCALE,
-    TX_FRAME_DIGITS,
-    TX_PORT_STATUS_DIGITS,
-    TX_POSITION_CHARACTERS,
-    TX_POSITION_SCALE,
-    TX_QUATERNION_CHARACTERS,
-    TX_QUATERNION_SCALE,
-    TX_SYSTEM_STATUS_DIGITS,
-    HandleStatus,
-    PortStatus,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import HandleStatus, PortStatus
 
 NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
 FARTHEST_MM = 9999.99  # limit of the unit's text format
@@ -40,18 +24,18 @@ _BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, fr
 _BX_STATUS_AND_FRAME = struct.Struct("<2I")
 _BX_POSITION = struct.Struct("<3f")
 _BX_SYSTEM_STATUS = struct.Struct("<H")
-_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
-_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
-_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
-_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
+_QUATERNION = rf"([+-][0-9]{{{ndi.TX_QUATERNION_CHARACTERS - 1}}})"
+_POSITION = rf"([+-][0-9]{{{ndi.TX_POSITION_CHARACTERS - 1}}})"
+_ERROR = rf"([+-][0-9]{{{ndi.TX_ERROR_CHARACTERS - 1}}})"
+_STATUS_AND_FRAME = rf"([0-9A-F]{{{ndi.TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{ndi.TX_FRAME_DIGITS}}})"
 _VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
-_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
+_MISSING = re.compile(ndi.REPLY_MISSING + _STATUS_AND_FRAME)
 # Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
-_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
+_ABSENT = re.compile(f"({ndi.REPLY_DISABLED}|{ndi.REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
 _HEX2 = re.compile("[0-9A-F]{2}")
-_STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
+_STATUS = re.compile(f"[0-9A-F]{{{ndi.TX_SYSTEM_STATUS_DIGITS}}}")
 _HEX = re.compile("[0-9A-F]*")
-_STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
+_STRAY_CHARACTERS = 3 * ndi.TX_POSITION_CHARACTERS
 _STRAY = re.compile(_POSITION * 3)
 
 
@@ -120,8 +104,8 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
 
 def _bx_strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
     count = body[at]
-    if count > MAXIMUM_STRAYS:
-        raise MalformedReply(f"BX announces {count} strays", limit=str(MAXIMUM_STRAYS), wire=body)
+    if count > ndi.MAXIMUM_STRAYS:
+        raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
     bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
     at += 1 + (count + 7) // 8
@@ -140,14 +124,14 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
     Raises NDI-006 when the text does not match the options.
     """
     count = _hex2(text[:2], "number of handles", text)
-    *records, tail = text[2:].split(LF)
+    *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
         raise _malformed(f"TX announces {count} handles but sends {len(records)}", text)
     handles = tuple(_tx_handle(record, text) for record in records)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if strays:
-        block, tail = tail[:-TX_SYSTEM_STATUS_DIGITS], tail[-TX_SYSTEM_STATUS_DIGITS:]
+        block, tail = tail[: -ndi.TX_SYSTEM_STATUS_DIGITS], tail[-ndi.TX_SYSTEM_STATUS_DIGITS :]
         positions, outside = _tx_strays(block, text)
     if not _STATUS.fullmatch(tail):
         raise _malformed("TX has no system status", text)
@@ -161,13 +145,13 @@ def _tx_handle(record: str, text: str) -> HandleReport:
         return HandleReport(
             number,
             (
-                q0 / TX_QUATERNION_SCALE,
-                qx / TX_QUATERNION_SCALE,
-                qy / TX_QUATERNION_SCALE,
-                qz / TX_QUATERNION_SCALE,
+                q0 / ndi.TX_QUATERNION_SCALE,
+                qx / ndi.TX_QUATERNION_SCALE,
+                qy / ndi.TX_QUATERNION_SCALE,
+                qz / ndi.TX_QUATERNION_SCALE,
             ),
-            (tx / TX_POSITION_SCALE, ty / TX_POSITION_SCALE, tz / TX_POSITION_SCALE),
-            fit / TX_ERROR_SCALE,
+            (tx / ndi.TX_POSITION_SCALE, ty / ndi.TX_POSITION_SCALE, tz / ndi.TX_POSITION_SCALE),
+            fit / ndi.TX_ERROR_SCALE,
             int(match[9], 16),
             int(match[10], 16),
         )
@@ -180,7 +164,7 @@ def _tx_handle(record: str, text: str) -> HandleReport:
 
 def _tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
     count = _hex2(block[:2], "number of strays", text)
-    if count > MAXIMUM_STRAYS:
+    if count > ndi.MAXIMUM_STRAYS:
         raise _malformed(f"TX announces {count} strays", text)
     digits = (count + 3) // 4
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
@@ -202,7 +186,7 @@ def _tx_position(record: str, text: str) -> Vector3:
     match = _STRAY.fullmatch(record)
     if not match:
         raise _malformed("unknown form of a stray position in TX", text)
-    x, y, z = (int(value) / TX_POSITION_SCALE for value in match.groups())
+    x, y, z = (int(value) / ndi.TX_POSITION_SCALE for value in match.groups())
     return x, y, z
 
 

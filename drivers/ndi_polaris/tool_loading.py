@@ -18,16 +18,8 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.options import ToolOption
 from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition
-from ronna_hw.wire.polaris import (
-    HANDLE_DIGITS,
-    PHRQ_ANY_PASSIVE,
-    PHRQ_DUMMY_PASSIVE,
-    PVWR_BLOCK_BYTES,
-    REPLY_OKAY,
-    HandleQuery,
-    PortStatus,
-    TrackingPriority,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import HandleQuery, PortStatus, TrackingPriority
 from ronna_hw.wire.polaris_rom import SERIAL_OFFSET
 
 PHSR_STATUS_DIGITS = 3
@@ -82,7 +74,7 @@ def _load(
         free_handle(link, handle, deadline_s)
     loaded = []
     for option, definition in tools:
-        handle = request_handle(link, PHRQ_ANY_PASSIVE, deadline_s)
+        handle = request_handle(link, ndi.PHRQ_ANY_PASSIVE, deadline_s)
         _write_definition(link, handle, encode_definition(definition), deadline_s)
         _initialise(link, handle, option.name, deadline_s, note)
         if (difference := check_handle(link, handle, option.name, definition, deadline_s)) is not None:
@@ -90,7 +82,7 @@ def _load(
         link.ask("PENA", f"{handle:02X}{option.priority}", deadline_s=deadline_s)
         loaded.append(LoadedTool(handle, option.name, definition))
     if not loaded:
-        handle = request_handle(link, PHRQ_DUMMY_PASSIVE, deadline_s)
+        handle = request_handle(link, ndi.PHRQ_DUMMY_PASSIVE, deadline_s)
         _initialise(link, handle, "dummy tool", deadline_s, note)
         link.ask("PENA", f"{handle:02X}{TrackingPriority.DYNAMIC}", deadline_s=deadline_s)
         loaded.append(LoadedTool(handle, None, None))
@@ -104,8 +96,8 @@ def _load(
 
 
 def _write_definition(link: CommandLink, handle: int, block: bytes, deadline_s: float) -> None:
-    for address in range(0, len(block), PVWR_BLOCK_BYTES):
-        chunk = block[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
+    for address in range(0, len(block), ndi.PVWR_BLOCK_BYTES):
+        chunk = block[address : address + ndi.PVWR_BLOCK_BYTES].ljust(ndi.PVWR_BLOCK_BYTES, b"\0")
         link.ask("PVWR", f"{handle:02X}{address:04X}{chunk.hex().upper()}", deadline_s=deadline_s)
 
 
@@ -115,7 +107,7 @@ def _initialise(
     reply = link.ask("PINIT", f"{handle:02X}", deadline_s=deadline_s)
     if (warning := warning_meaning(reply)) is not None:
         note(f"{name}: {warning}")
-    elif reply != REPLY_OKAY:
+    elif reply != ndi.REPLY_OKAY:
         raise MalformedReply("unknown reply to PINIT", wire=reply.encode())
 
 
@@ -169,11 +161,13 @@ def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> Non
 def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None) -> dict[int, PortStatus]:
     """List the handles selected by a PHSR query, with their status."""
     text = link.ask("PHSR", f"{query.value:02X}", deadline_s=deadline_s, reply_bytes=PHSR_BYTES)
-    width = HANDLE_DIGITS + PHSR_STATUS_DIGITS
+    width = ndi.HANDLE_DIGITS + PHSR_STATUS_DIGITS
     try:
         count = int(text[:2], 16)
         records = [text[2 + k * width : 2 + (k + 1) * width] for k in range(count)]
-        handles = {int(r[:HANDLE_DIGITS], 16): PortStatus(int(r[HANDLE_DIGITS:], 16)) for r in records}
+        handles = {
+            int(r[: ndi.HANDLE_DIGITS], 16): PortStatus(int(r[ndi.HANDLE_DIGITS :], 16)) for r in records
+        }
     except ValueError as error:
         raise MalformedReply("unknown form of PHSR", wire=text.encode()) from error
     if len(text.rstrip()) != 2 + count * width or len(handles) != count:

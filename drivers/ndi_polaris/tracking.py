@@ -17,18 +17,11 @@ from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import ALARMING_STATUS, alarm
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import Stamp, TrackerFrame
-from ronna_hw.wire.polaris import (
-    BX_CRC_BYTES,
-    BX_HEADER_BYTES,
-    FRAME_RATE_HZ,
-    MAXIMUM_STRAYS,
-    TSTART_RESET_FRAME_COUNTER,
-    TX_FRAME_DIGITS,
-    ReplyOption,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import ReplyOption
 
-FRAME_NUMBERS = 16**TX_FRAME_DIGITS  # the number wraps after 2.3 years
-NOMINAL_PERIOD_S = 1.0 / FRAME_RATE_HZ
+FRAME_NUMBERS = 16**ndi.TX_FRAME_DIGITS  # the number wraps after 2.3 years
+NOMINAL_PERIOD_S = 1.0 / ndi.FRAME_RATE_HZ
 WINDOW_FRAMES = 60  # one second: long enough to contain a reply with hardly any delay
 WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
 LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
@@ -68,10 +61,13 @@ class Tracking:
         self._volume = volume
         self._options = options
         self._clock = clock
-        self._frames_per_measurement = round(FRAME_RATE_HZ / rate_hz)
+        self._frames_per_measurement = round(ndi.FRAME_RATE_HZ / rate_hz)
         self._binary = options.reply != "TX"
         self._longest_reply_bytes = (
-            BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
+            ndi.BX_HEADER_BYTES
+            + ndi.BX_CRC_BYTES
+            + len(tools) * BYTES_PER_HANDLE
+            + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
         )
         self.replies_s: tuple[float, ...] = ()
         self._begin()
@@ -85,10 +81,10 @@ class Tracking:
     def start(self, deadline_s: float) -> None:
         """Send TSTART; frame numbers begin at 0."""
         try:
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+            self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
         except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
             stop_tracking(self._link, deadline_s)
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+            self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
         self._begin()
 
     def read(self, deadline_s: float) -> TrackerFrame:
