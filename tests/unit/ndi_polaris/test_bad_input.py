@@ -16,14 +16,16 @@ from typing import Any
 
 import pytest
 import serial
-from polaris_unit_in_process import bring_up
+from polaris_unit_in_process import bring_up, configured
 
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.shipped_tools import shipped_definitions
 from drivers.ndi_polaris.tool_definition import definition_hash, encode_definition
+from drivers.ndi_polaris.transport import SerialTransport
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
 ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
@@ -80,12 +82,11 @@ def test_a_missing_permission_is_reported_with_its_remedy(monkeypatch: pytest.Mo
 @pytest.mark.hazard(34)
 def test_a_port_held_by_another_program_is_reported() -> None:
     unit, terminal = pty.openpty()
-    path = os.ttyname(terminal)
-    with (
-        serial.Serial(path, exclusive=True),
-        raises_on_one_line("NDI-001", "held by another program", "stop it"),
-    ):
-        tracker_at(f"serial://{path}").connect(1.0)
+    endpoint = f"serial://{os.ttyname(terminal)}"
+    first = SerialTransport(parse_endpoint(endpoint))
+    with raises_on_one_line("NDI-001", "held by another program", "stop it"):
+        tracker_at(endpoint).connect(1.0)
+    first.close()
     os.close(unit)
     os.close(terminal)
 
@@ -163,9 +164,7 @@ def test_a_unit_left_tracking_by_an_earlier_program_is_taken_over(make_tracker: 
 
 
 def test_a_unit_in_a_mode_that_cannot_track_refuses_activation(make_tracker: Make, unit: Any) -> None:
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     unit.answers_to["TSTART"] = unit.answers_to["TSTOP"] = "ERROR0C"  # diagnostic mode, by another host
     with raises_on_one_line("NDI-032", "TSTART.*mode", "another program"):
         device.activate()
@@ -229,17 +228,13 @@ def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: M
 def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, unit: Any, step: int) -> None:
     number = encode_definition(ROBOT_FRAME)[20:24][::step].hex().upper()
     unit.override("PHINF", lambda argument: described("RONNA-M", number))
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     assert device.notices == ()
 
 
 def test_a_tool_reported_with_another_serial_number_is_noted(make_tracker: Make, unit: Any) -> None:
     unit.override("PHINF", lambda argument: described("RONNA-M", "00000000"))
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     assert any("serial number 00000000" in note for note in device.notices)
 
 

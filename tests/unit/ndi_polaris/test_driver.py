@@ -7,7 +7,7 @@ from collections.abc import Callable
 from typing import Any
 
 import pytest
-from polaris_unit_in_process import StillClock
+from polaris_unit_in_process import StillClock, configured
 
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.errors import LinkLost, NoReply
@@ -79,9 +79,7 @@ def test_tracking_stops_and_restarts_at_frame_0(tracker: PolarisTracker) -> None
 
 
 def test_activate_can_be_repeated_after_a_lost_reply(make_tracker: Make, unit: Any) -> None:
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     lost = iter([True])
     unit.deliver = lambda name, reply: [] if name == "TSTART" and next(lost, False) else [(0.001, reply)]
     with pytest.raises(NoReply):

@@ -9,6 +9,7 @@ from collections.abc import Callable, Iterator
 from types import SimpleNamespace
 
 import pytest
+from driven_arm import activated
 from mutations import mutations
 from responder_stand import LIMITS
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
@@ -72,10 +73,7 @@ def test_a_running_link_imports_no_heavy_package(
     make_arm: Callable[..., KukaRsiArm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # the process lists each import on standard error
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
-    arm.activate()
+    arm = activated(make_arm())
     start = arm.read_state().joints_rad
     arm.move_joints((start[0] + 0.01, *start[1:]))
     stream = arm.connections.link.process.stderr

@@ -15,7 +15,6 @@ from responder_stand import (
     START,
     ResponderStand,
     begun,
-    fault_of,
     moving,
 )
 
@@ -42,11 +41,9 @@ MOST_CYCLES = 1000
 def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, kind: str) -> None:
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, FAR, limits))
-    for _ in range(400):
-        stand.cycle()
+    stand.cycles(400)
     assert stand.responder.fault is Fault.MONITOR
-    assert stand.responder.violation is not None
-    assert stand.responder.violation.kind == kind
+    assert stand.violation_kind == kind
     assert not stand.responder.moving
     assert stand.responder.phase is Phase.FAULT
     assert stand.smooth(RAMP_DOWN_SHARE)
@@ -57,11 +54,9 @@ def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed
     """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
     wrist_turned = radians6(0, -90, 90, 40, 60, 60)
     stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
-    for _ in range(3):
-        stand.cycle()
+    stand.cycles(3)
     stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
-    for _ in range(400):
-        stand.cycle()
+    stand.cycles(400)
     violation = stand.responder.violation
     assert violation is not None
     assert violation.kind == "speed"
@@ -73,14 +68,11 @@ def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed
 @pytest.mark.parametrize("margin_deg", [0.5, 30.0])
 def test_the_process_keeps_the_margin_of_the_theatre_file(margin_deg: float) -> None:
     stand = ResponderStand(limits=replace(LIMITS, range_margin_rad=radians(margin_deg)))
-    for _ in range(3):
-        stand.cycle()
+    stand.cycles(3)
     beyond = radians6(0, -90, 90, 0, 120.0 - margin_deg + 0.5, 0)
     stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
-    for _ in range(1500):
-        stand.cycle()
-    assert stand.responder.violation is not None
-    assert stand.responder.violation.kind == "range"
+    stand.cycles(1500)
+    assert stand.violation_kind == "range"
     assert stand.responder.violation.limit == pytest.approx(radians(120.0 - margin_deg))
 
 
@@ -88,11 +80,9 @@ def test_a_path_that_leaves_the_axis_range_is_stopped_at_its_limit() -> None:
     beyond = radians6(0, -90, 90, 0, 125, 0)
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, beyond, PathLimits(0.3, 1.0, 10.0)))
-    for _ in range(1500):
-        stand.cycle()
+    stand.cycles(1500)
     assert stand.responder.fault is Fault.MONITOR
-    assert stand.responder.violation is not None
-    assert stand.responder.violation.kind == "range"
+    assert stand.violation_kind == "range"
     assert stand.responder.sent_rad[4] <= MODEL.upper_rad[4] + radians(2.0)
     assert stand.smooth()
 
@@ -117,14 +107,12 @@ def test_an_axis_that_does_not_follow_stops_the_arm_at_every_speed(share_per_s: 
     target = (START[0] + radians(40), *START[1:])
     stand = begun()
     stand.give(CommandKind.MOVE, MotionPlan(START, target, PathLimits(share_per_s, 2.0, 20.0)))
-    for _ in range(100):
-        stand.cycle()
+    stand.cycles(100)
     before = stand.responder.sent_rad[0]
     stand.follows = False
     cycles = _until_fault(stand)
     assert stand.responder.fault is Fault.MONITOR
-    assert stand.responder.violation is not None
-    assert stand.responder.violation.kind == "following error"
+    assert stand.violation_kind == "following error"
     left = [radians(sent[0]) + START[0] - before for sent, _ in stand.sent[-cycles:]]
     # The first set-point that the axis should have reached by now, but did not.
     due = next(cycle for cycle, angle in enumerate(left) if angle > FOLLOWING_RAD)
@@ -138,8 +126,7 @@ def test_an_arm_clamped_near_its_target_is_stopped_instead_of_waited_for() -> No
     stand = moving(cycles=1, target=(START[0] + radians(2.0), *START[1:]))
     stand.clamp_deg = 1.0
     cycles = _until_fault(stand)
-    assert stand.responder.violation is not None
-    assert stand.responder.violation.kind == "following error"
+    assert stand.violation_kind == "following error"
     assert cycles * CYCLE_S < 2.0
 
 
@@ -147,7 +134,7 @@ def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion() -> N
     stand = moving()
     orders = Orders(stand.beat, 0, stand.commands)
     stand.responder.idle(orders, stand.now_ns + 240_000_000)
-    assert fault_of(stand) is Fault.NONE
+    assert stand.responder.fault is Fault.NONE
     stand.responder.idle(orders, stand.now_ns + 260_000_000)
     assert stand.responder.fault is Fault.SILENCE
     assert not stand.responder.moving
@@ -281,9 +268,9 @@ def test_silence_while_only_another_sender_is_heard_latches_the_restarted_fault(
     orders = Orders(stand.beat, 0, stand.commands)
     stand.responder.senders.count_foreign("10.0.0.3")
     stand.responder.idle(orders, stand.now_ns + 240_000_000)
-    assert fault_of(stand) is Fault.NONE
+    assert stand.responder.fault is Fault.NONE
     stand.responder.idle(orders, stand.now_ns + 260_000_000)
-    assert fault_of(stand) is Fault.RESTARTED
+    assert stand.responder.fault is Fault.RESTARTED
 
 
 def test_a_stranger_among_the_telegrams_does_not_disturb_the_motion() -> None:

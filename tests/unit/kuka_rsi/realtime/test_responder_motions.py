@@ -15,8 +15,6 @@ from responder_stand import (
     ResponderStand,
     begun,
     moving,
-    phase_of,
-    result_of,
 )
 
 from drivers.kuka_rsi.realtime.link_state import (
@@ -44,8 +42,7 @@ def test_the_first_correction_is_zero_whatever_the_pose() -> None:
     stand = ResponderStand()
     stand.axes = (1.2345, -77.7777, 99.9999, -3.3333, 12.3456, 200.0001)
     stand.follows = False
-    for _ in range(5):
-        stand.cycle()
+    stand.cycles(5)
     assert {s for s, _ in stand.sent} == {(0.0,) * 6}
     assert stand.responder.phase is Phase.RUNNING
 
@@ -77,7 +74,7 @@ def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_toler
     for _ in range(300):
         stand.cycle()
         stand.axes = (stand.axes[0] - 0.0003, *stand.axes[1:])
-    assert result_of(stand) is Result.RUNNING
+    assert stand.responder.result is Result.RUNNING
     stand.cycle()
     stand.run(50)
     assert stand.responder.result is Result.DONE
@@ -99,11 +96,9 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
         else plan_joint_move(MODEL, START, FAR, LIMITS)
     )
     stand.give(CommandKind.MOVE, plan)
-    for _ in range(cycles):
-        stand.cycle()
+    stand.cycles(cycles)
     stand.stop(kind)
-    for _ in range(150):
-        stand.cycle()
+    stand.cycles(150)
     assert not stand.responder.moving
     assert stand.smooth()
     assert stand.responder.violation is None
@@ -132,9 +127,8 @@ def test_a_link_stop_ceases_replies_at_once() -> None:
 def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
     stand.give(CommandKind.END)
-    for _ in range(4):
-        stand.cycle()
-    assert phase_of(stand) is Phase.ENDING
+    stand.cycles(4)
+    assert stand.responder.phase is Phase.ENDING
     assert stand.sent[-1] == ((0.0,) * 6, 1)
     stand.give(CommandKind.CLOSE)
     stand.cycle()
