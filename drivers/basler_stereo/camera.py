@@ -45,11 +45,11 @@ class Camera:
     """GigE Vision camera of one side. Deadlines are host monotonic time; used by one thread at a time."""
 
     def __init__(
-        self, side: str, address: str, options: BaslerOptions, link_bytes: LinkBytes | None = None
+        self, side: str, address: str, options: BaslerOptions, recorder: LinkRecorder | None = None
     ) -> None:
-        """Open nothing; `link_bytes` records the control channel, and a note of each image."""
+        """Open nothing; `recorder` records the control channel, and a note of each image."""
         self.side = side
-        self._bytes = link_bytes or LinkBytes("", None)
+        self._recorder = recorder or LinkRecorder("", None)
         self._address = address
         self._options = options
         self._control: ControlChannel | None = None
@@ -102,7 +102,7 @@ class Camera:
         If no camera replies, the message names those found by broadcast discovery.
         """
         try:
-            self._control = ControlChannel(self._address, passed=self._bytes.passed)
+            self._control = ControlChannel(self._address, passed=self._recorder.passed)
         except OSError as error:
             raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
@@ -214,7 +214,7 @@ class Camera:
         Late frames of earlier triggers are discarded.
         """
         while (frame := self.receiver.take(deadline_s, give_up)) is not None:
-            self._bytes.note_frame(frame, self.receiver.counters)
+            self._recorder.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
                 self._next_block = next_block_id(frame.block_id)
                 return frame
@@ -310,7 +310,7 @@ class Camera:
             self._receiver = None
 
 
-class LinkBytes:
+class LinkRecorder:
     """Recorder of one camera's links, such as `stereo.left`; `sink` is None without a recorder.
 
     Every datagram of the control channel is kept; for the stream, a note per image, and the counters. Resend

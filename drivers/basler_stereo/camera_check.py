@@ -67,16 +67,16 @@ class CameraState:
     reason: str = ""  # the system's, if there is no route
 
 
-def look_at_camera(endpoint: Endpoint) -> CameraState:
+def check_camera(endpoint: Endpoint) -> CameraState:
     """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
     try:
         with contextlib.closing(ControlChannel(endpoint.host)) as control:
-            return _check_through(control, endpoint)
+            return _check_stages(control, endpoint)
     except OSError as error:  # also when the network goes down meanwhile
         return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
 
 
-def _check_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+def _check_stages(control: ControlChannel, endpoint: Endpoint) -> CameraState:
     interface = interface_of(control.local_address)
     try:
         identity = identify(control, _reply_deadline_s())

@@ -23,7 +23,7 @@ FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each retry waits twic
 COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's deadline is earlier
 REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
 OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
-LAST_LOOK_S = 1e-3  # for a reply that arrived while the host stalled
+LAST_READ_S = 1e-3  # for a reply that arrived while the host stalled
 Command = tuple[GvcpCommand, bytes]
 """A command and its payload."""
 ASK_AGAIN_S = 0.1
@@ -150,7 +150,7 @@ class ControlChannel:
             left_s = until_s - self._monotonic()
             if left_s < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
-            self.link.settimeout(max(LAST_LOOK_S, left_s))
+            self.link.settimeout(max(LAST_READ_S, left_s))
             try:
                 datagram = self.link.recv(gvcp.LARGEST_DATAGRAM_BYTES)
             except TimeoutError:

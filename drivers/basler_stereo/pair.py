@@ -7,7 +7,7 @@ import time
 from collections.abc import Callable
 from typing import Any, TypeVar
 
-from drivers.basler_stereo.camera import Camera, LinkBytes
+from drivers.basler_stereo.camera import Camera, LinkRecorder
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
@@ -165,7 +165,9 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def _open(self, deadline_s: float) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
         left, right = (
-            Camera(side, self._addresses[side], self._options, LinkBytes(f"{self._name}.{side}", self._sink))
+            Camera(
+                side, self._addresses[side], self._options, LinkRecorder(f"{self._name}.{side}", self._sink)
+            )
             for side in ("left", "right")
         )
         try:

@@ -169,7 +169,7 @@ class PairGrabber:
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed("no pulse arrived on the trigger line", expected=expected, action=NO_PULSE)
-        if any(camera.receiver.begun for camera in self._cameras):
+        if any(camera.receiver.has_begun for camera in self._cameras):
             return TriggerMissed(
                 "no complete image after a trigger", expected=expected, got="some of its packets"
             )

@@ -9,8 +9,8 @@ from typing import Any
 from drivers.basler_stereo.camera_check import (
     Expected,
     camera_diagnostic,
+    check_camera,
     discovery_diagnostic,
-    look_at_camera,
 )
 from drivers.basler_stereo.identity import CameraIdentity, discover_cameras
 from drivers.basler_stereo.options import BaslerOptions
@@ -83,7 +83,7 @@ class BaslerProbe:
             discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
         ]
         for number, camera in enumerate(cameras, start=1):
-            diagnostics.append(camera_diagnostic(look_at_camera(camera.endpoint), found, camera))
+            diagnostics.append(camera_diagnostic(check_camera(camera.endpoint), found, camera))
             progress(number / len(cameras))
         return diagnostics
 

@@ -15,7 +15,7 @@ from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import verify_by_motion
 from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
 from drivers.kuka_rsi.options import load_usable_context, read_options
-from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, standing_facts
+from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, reported_facts
 from drivers.kuka_rsi.realtime.link_health import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -112,7 +112,7 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        says = tuple(standing_facts(self.connections.reported))
+        says = tuple(reported_facts(self.connections.reported))
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
@@ -129,7 +129,7 @@ class KukaRsiArm:
         return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        self.connections.bytes.sink = sink
+        self.connections.recorder.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.

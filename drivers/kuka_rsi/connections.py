@@ -47,7 +47,7 @@ class Connections:
         self._context = context
         self.open_eki: EkiClient | None = None
         self.open_link: LinkClient | None = None
-        self.bytes = LinkBytes(name)
+        self.recorder = LinkRecorder(name)
         self.verified = False  # the controller reports that it runs our context
 
     @property
@@ -106,7 +106,7 @@ class Connections:
         """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self.close_link()
         settings = link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.bytes.rsi_sink)
+        self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
         """Switch the drives on, start the RSI program, answer it, wait until corrections take effect.
@@ -208,12 +208,12 @@ class Connections:
         """
         address, options = self._eki_address, self._options
         deadline = time.monotonic() + timeout_s
-        eki = EkiClient(address.host, address.port, timeout_s, self.bytes.eki_sink)
+        eki = EkiClient(address.host, address.port, timeout_s, self.recorder.eki_sink)
         try:
             state = eki.status(remaining_s(deadline))
-            unsaid = require_ours(state, self._context, options.variant)
-            if unsaid and not options.accept_unverified:
-                raise Unverified("the controller does not report its " + ", ".join(unsaid))
+            unreported = require_ours(state, self._context, options.variant)
+            if unreported and not options.accept_unverified:
+                raise Unverified("the controller does not report its " + ", ".join(unreported))
         except RonnaError as error:
             eki.close()
             if isinstance(error, TimeoutError):
@@ -225,11 +225,11 @@ class Connections:
             ("context", str(state.context_hash)),
             ("cycle_ms", str(state.cycle_ms)),
             ("mode", str(state.mode)),
-            ("verified", "no, it does not report its " + ", ".join(unsaid) if unsaid else "yes"),
+            ("verified", "no, it does not report its " + ", ".join(unreported) if unreported else "yes"),
         )
         model, serial = state.variant or "unknown", state.serial or ""
         # EKI does not carry the software version of the controller.
-        return eki, Identity("KUKA", model, serial, firmware="", details=details), not unsaid
+        return eki, Identity("KUKA", model, serial, firmware="", details=details), not unreported
 
 
 def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
@@ -256,7 +256,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
     )
 
 
-class LinkBytes:
+class LinkRecorder:
     """Recorder's sinks for both connections, if any; asked for when a connection is opened."""
 
     def __init__(self, arm: str) -> None:

@@ -165,11 +165,15 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopp
     return MotionRefused(f"{name}: the motion was refused: {why}")
 
 
-def losses_text(begun: LinkState, state: LinkState) -> str:
+def losses_text(initial: LinkState, state: LinkState) -> str:
     """Describe the losses between two states; empty if there were none."""
     cycles, late, lost = (
         max(now - before, 0)
-        for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
+        for now, before in (
+            (state.cycles, initial.cycles),
+            (state.late, initial.late),
+            (state.lost, initial.lost),
+        )
     )
     if not late and not lost:
         return ""

@@ -24,7 +24,7 @@ LARGEST_ANGLE_RAD = radians(0.02)
 SLOW = 0.1  # of the working speed
 STRAY_RAD = radians(0.002)  # for an axis that should not move: twenty digits of the wire
 ANSWERED_SHARE = 0.75  # share of the commanded angle that must be measured
-LOOK_S = 0.002  # host time between checks of the measured axes
+POLL_S = 0.002  # host time between checks of the measured axes
 AXIS_LIMIT_CYCLES = 500  # for one axis to move and settle: about five times what it takes
 TELEGRAMS_LIMIT_S = 10.0  # host time
 CYCLES_WATCHED = 25  # before anything moves
@@ -66,10 +66,10 @@ def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> f
 
 
 def _require_cycle(name: str, link: LinkClient) -> None:
-    begun = link.state
-    seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
-    if seen is None or seen.lost - begun.lost >= CYCLES_WATCHED:
-        lost = "no telegrams" if seen is None else f"{seen.lost - begun.lost} cycles lost by IPOC"
+    initial = link.state
+    seen = link.wait(lambda s: s.cycles >= initial.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
+    if seen is None or seen.lost - initial.lost >= CYCLES_WATCHED:
+        lost = "no telegrams" if seen is None else f"{seen.lost - initial.lost} cycles lost by IPOC"
         raise HandshakeFailed(f"{name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams")
 
 
@@ -87,19 +87,19 @@ def _move_and_watch(
     to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
     plan = plan_joint_move(kinematics, link.state.commanded_rad, target, to_the_ends)
     number = link.command(CommandKind.MOVE, plan, stops)
-    begun = link.state.cycles
+    initial = link.state.cycles
     while True:
         state = link.state
         _require_small(name, link, state, start, axis)
         if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
             break
-        if state.cycles - begun > AXIS_LIMIT_CYCLES:
+        if state.cycles - initial > AXIS_LIMIT_CYCLES:
             _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
         if not link.alive:  # no cycle will come, and no fault
             raise link.death_error()
         if link.stalled_s > TELEGRAMS_LIMIT_S:
             _refuse(name, link, f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
-        time.sleep(LOOK_S)
+        time.sleep(POLL_S)
     if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
         raise MotionStopped(
             f"{name}: stopped while {AXIS_NAMES[axis]} was tested",

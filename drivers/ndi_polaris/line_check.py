@@ -99,7 +99,7 @@ _OPENING_BY_ERROR = {
 }
 
 
-def look_at_line(endpoint: Endpoint) -> LineState:
+def check_line(endpoint: Endpoint) -> LineState:
     """Check a serial or TCP line without ever raising for what it does; raises CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):

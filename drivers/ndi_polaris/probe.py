@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, get_args
 
 from drivers.ndi_polaris.driver import PolarisTracker
-from drivers.ndi_polaris.line_check import Opening, line_diagnostic, look_at_line
+from drivers.ndi_polaris.line_check import Opening, check_line, line_diagnostic
 from drivers.ndi_polaris.options import PolarisOptions
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -62,7 +62,7 @@ class PolarisProbe:
         """
         found = []
         for number, line in enumerate(search.lines, start=1):
-            state = look_at_line(line)
+            state = check_line(line)
             if state.answered is not None:
                 found.append(_proposal(line))
             elif state.opening is Opening.MISSING:
@@ -82,7 +82,7 @@ def _diagnose_lines(
 ) -> list[Diagnostic]:
     diagnostics: list[Diagnostic] = []
     for endpoint in endpoints:
-        diagnostics.append(line_diagnostic(look_at_line(endpoint), of_tracker=of_tracker))
+        diagnostics.append(line_diagnostic(check_line(endpoint), of_tracker=of_tracker))
         progress(len(diagnostics) / len(endpoints))
     return diagnostics
 

@@ -193,11 +193,11 @@ class EkiClient:
             raise self.failure or self._lost(f": {error.strerror or error}") from error
         return number
 
-    def _await(self, look: Callable[[], T | None], timeout_s: float) -> T | None:
+    def _await(self, find: Callable[[], T | None], timeout_s: float) -> T | None:
         deadline = time.monotonic() + timeout_s
         with self._arrived:
             while True:
-                found = look()
+                found = find()
                 if found is not None:
                     return found
                 if self.failure is not None:

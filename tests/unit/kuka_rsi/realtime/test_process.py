@@ -12,8 +12,7 @@ import pytest
 from driven_arm import activated
 from mutations import mutations
 from responder_stand import LIMITS
-from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
-from rsi_mutants import answer_mutants
+from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_mutants, corrections_of, telegram
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.connections import link_settings
