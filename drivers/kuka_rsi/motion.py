@@ -104,7 +104,7 @@ class MotionFollower:
     def _execute(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
         link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
-        before = link.state
+        start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
 
         def ended(state: LinkState) -> bool:
@@ -124,16 +124,16 @@ class MotionFollower:
                 rested_cycles = state.cycles
             elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
                 raise MotionNotFinished(
-                    f"{self._name}: the arm did not settle at the end of its path{losses_text(before, state)}",
+                    f"{self._name}: the arm did not settle at the end of its path{losses_text(start, state)}",
                     limit=f"{SETTLE_LIMIT_S:g} s",
                     got=furthest_text(state),
                 )
-            waited_s = (state.cycles - before.cycles) * self._cycle_s
+            waited_s = (state.cycles - start.cycles) * self._cycle_s
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
                 raise MotionNotFinished(
-                    f"{self._name}: the motion did not end or settle{losses_text(before, link.state)}",
+                    f"{self._name}: the motion did not end or settle{losses_text(start, link.state)}",
                     limit=f"{timeout_s:g} s",
                     got=axes_text(link.state),
                 )

@@ -6,7 +6,7 @@ from threading import current_thread
 from typing import Any
 
 import pytest
-from driven_arm import THERE, activated, configured
+from driven_arm import activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
@@ -110,21 +110,6 @@ def test_a_refused_start_is_reported_with_the_controllers_code(controller: Any, 
     with pytest.raises(CommandRefused, match="NOT_READY") as caught:
         arm.activate()
     assert caught.value.code == "EKI-008"
-
-
-def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
-    controller: Any, active_arm: Any
-) -> None:
-    controller.drop_eki()
-    eventually(lambda: active_arm.state is Lifecycle.FAULT)
-    with pytest.raises(ControllerLost) as caught:  # the first call that meets a fault is given it
-        active_arm.read_state()
-    assert caught.value.code == "EKI-002"
-    with pytest.raises(WrongState, match="EKI-002"):
-        active_arm.read_state()
-    active_arm.recover("operator")
-    active_arm.activate()
-    active_arm.move_joints(THERE)
 
 
 @pytest.mark.hazard(4)

@@ -3,6 +3,7 @@
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from polaris_mutations import crc_by_definition
 
 from drivers.ndi_polaris.command_link import (
     ascii_line,
@@ -135,15 +136,6 @@ def test_a_binary_reply_is_split_off_only_once_it_is_complete() -> None:
     assert split_binary(BX_VALID + b"more") == (body_of(BX_VALID), b"more")
 
 
-def bit_by_bit(data: bytes, crc: int) -> int:
-    """The CRC straight from its definition, without a table."""
-    for byte in data:
-        crc ^= byte
-        for _ in range(8):
-            crc = crc >> 1 ^ (0xA001 if crc & 1 else 0)
-    return crc
-
-
 @given(st.binary(max_size=70), st.integers(0, 0xFFFF))
 def test_the_crc_matches_its_bit_by_bit_definition(data: bytes, start: int) -> None:
-    assert crc16(data, start) == bit_by_bit(data, start)
+    assert crc16(data, start) == crc_by_definition(data, start)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
@@ -25,14 +25,6 @@ from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
 MS = 1_000_000  # ns
-
-
-@pytest.fixture
-def link() -> Iterator[InProcessLink]:
-    made = InProcessLink()
-    made.open()
-    yield made
-    made.close()
 
 
 @pytest.mark.hazard(30)

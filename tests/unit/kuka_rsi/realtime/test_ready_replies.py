@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -61,14 +59,6 @@ class Follower:
         elif reply is not None:
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, corrections_of(reply), strict=True))
             self.axes_deg = (a, b, c, d, e, f)
-
-
-@pytest.fixture
-def link() -> Iterator[InProcessLink]:
-    made = InProcessLink()
-    made.open()
-    yield made
-    made.close()
 
 
 @given(EVENTS)

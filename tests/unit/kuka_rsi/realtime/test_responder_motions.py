@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -149,44 +151,46 @@ def test_the_session_ends_only_after_its_motion() -> None:
     assert stand.sent[-1][1] == 1
 
 
-def test_a_motion_from_another_start_is_refused() -> None:
+DIRECT = plan_joint_move(MODEL, START, FAR, LIMITS)
+
+
+def stopped(kind: StopOrder, cycles: int) -> ResponderStand:
     stand = begun()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, FAR, START, LIMITS))
+    stand.stop(kind)
+    stand.cycles(cycles)
+    return stand
+
+
+@pytest.mark.parametrize(
+    ("make_stand", "plan", "result"),
+    [
+        pytest.param(begun, plan_joint_move(MODEL, FAR, START, LIMITS), Result.REFUSED_START, id="start"),
+        pytest.param(moving, DIRECT, Result.REFUSED_BUSY, id="busy"),
+        pytest.param(
+            begun, MotionPlan(START, FAR, PathLimits(1, -1, 1)), Result.REFUSED_NUMBERS, id="limits"
+        ),
+        pytest.param(
+            lambda: stopped(StopOrder.HOLD, 0),
+            DIRECT,
+            Result.REFUSED_STOP,
+            id="planned before a stop",
+            marks=pytest.mark.hazard(32),
+        ),
+        pytest.param(
+            lambda: stopped(StopOrder.PROTECTIVE, 1),
+            DIRECT,
+            Result.REFUSED_PHASE,
+            id="fault",
+            marks=pytest.mark.hazard(32),
+        ),
+    ],
+)
+def test_a_motion_that_must_not_start_is_refused(
+    make_stand: Callable[[], ResponderStand], plan: MotionPlan, result: Result
+) -> None:
+    stand = make_stand()
+    was_moving = stand.responder.moving
+    stand.give(CommandKind.MOVE, plan, stop_number=0)
     stand.cycle()
-    assert stand.responder.result is Result.REFUSED_START
-    assert not stand.responder.moving
-
-
-def test_a_motion_during_another_is_refused() -> None:
-    stand = moving()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_BUSY
-    assert stand.responder.moving
-
-
-@pytest.mark.hazard(32)
-def test_a_motion_planned_before_a_stop_is_refused() -> None:
-    stand = begun()
-    stand.stop(StopOrder.HOLD)
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS), stop_number=0)
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_STOP
-    assert not stand.responder.moving
-
-
-def test_a_motion_with_invalid_limits_is_refused() -> None:
-    stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, PathLimits(1.0, -1.0, 1.0)))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_NUMBERS
-
-
-@pytest.mark.hazard(32)
-def test_a_motion_while_a_fault_is_latched_is_refused() -> None:
-    stand = begun()
-    stand.stop(StopOrder.PROTECTIVE)
-    stand.cycle()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_PHASE
+    assert stand.responder.result is result
+    assert stand.responder.moving is was_moving

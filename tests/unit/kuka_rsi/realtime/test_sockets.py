@@ -357,25 +357,20 @@ def test_a_jump_in_the_schedule_discards_the_learnt_one(jump_ns: int) -> None:
     assert pace.due_ns == 0
 
 
-def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
-    link = InProcessLink()
-    try:
-        link.open()
-        link.receive(telegram(FIRST_IPOC))
-        link.receive(telegram(FIRST_IPOC + CYCLE_MS))
-        session = link.loop.responder
-        before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
-        sent, memory = len(link.replies.sent), link.mailbox.read_state()
-        link.loop._rehearse()
-        assert (session.state(real_time=False, locked=False), session.ready, session.cycles) == before
-        assert (len(link.replies.sent), link.mailbox.read_state()) == (sent, memory)
-        link.stop(StopOrder.PROTECTIVE)
-        link.loop._rehearse()  # an order that has come meanwhile is not taken by it
-        assert session.state(real_time=False, locked=False) == before[0]
-        link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))
-        assert session.state(real_time=False, locked=False).stop_number == 1
-    finally:
-        link.close()
+def test_a_rehearsal_changes_nothing_and_sends_nothing(link: InProcessLink) -> None:
+    link.receive(telegram(FIRST_IPOC))
+    link.receive(telegram(FIRST_IPOC + CYCLE_MS))
+    session = link.loop.responder
+    before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
+    sent, memory = len(link.replies.sent), link.mailbox.read_state()
+    link.loop._rehearse()
+    assert (session.state(real_time=False, locked=False), session.ready, session.cycles) == before
+    assert (len(link.replies.sent), link.mailbox.read_state()) == (sent, memory)
+    link.stop(StopOrder.PROTECTIVE)
+    link.loop._rehearse()  # an order that has come meanwhile is not taken by it
+    assert session.state(real_time=False, locked=False) == before[0]
+    link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))
+    assert session.state(real_time=False, locked=False).stop_number == 1
 
 
 def test_a_rehearsal_leaves_nothing_in_its_socket_even_with_foreign_datagrams() -> None:
