@@ -211,11 +211,8 @@ class PairGrabber:
             # a counter still at zero at the start of the stream looked like one that does not run
             self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
-        match = self._pair_clock.judge(ticks, triggered_s, now_s)
         moments_s = self._pair_clock.moments_s(ticks)
-        if match is Validity.OK:
-            rates = tuple(camera.tick_frequency_hz for camera in self._cameras)
-            self._pair_clock.confirm(ticks, (rates[0], rates[1]), triggered_s, now_s)
-        else:
-            self._must_restart = True
+        frequencies_hz = (self._cameras[0].tick_frequency_hz, self._cameras[1].tick_frequency_hz)
+        match = self._pair_clock.judge(ticks, frequencies_hz, triggered_s, now_s)
+        self._must_restart |= match is not Validity.OK
         return match, moments_s

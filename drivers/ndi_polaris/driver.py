@@ -217,12 +217,9 @@ class PolarisTracker:
         """
         self._guard.require("read_frame", RUNNING)
         try:
-            frame = self._run.read(self._monotonic() + timeout_s)
+            frame = self._guarded(self._run.read, self._monotonic() + timeout_s)
         except TemperatureHold:
             self._guard.enter(Lifecycle.HOLD)
-            raise
-        except _FAULTS as fault:
-            self._guard.latch(fault)
             raise
         if self._guard.state is Lifecycle.HOLD:
             self._guard.enter(Lifecycle.ACTIVE)

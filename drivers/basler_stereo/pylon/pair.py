@@ -116,15 +116,14 @@ class PylonStereoPair(PairDevice[PylonCamera]):
     def _match(self, frames: list[Any], triggered_s: float) -> Validity:
         if self._must_restart:
             return Validity.OK  # the missing side is reported anyway
-        ticks = (frames[0].ticks, frames[1].ticks)
-        now_s = self._clock.now_s()
-        match = self._pair_clock.judge(ticks, triggered_s, now_s)
-        if match is Validity.OK:
-            left, right = self._pair
-            rates = (left.tick_frequency_hz, right.tick_frequency_hz)
-            self._pair_clock.confirm(ticks, rates, triggered_s, now_s)
-        else:
-            self._must_restart = True
+        left, right = self._pair
+        match = self._pair_clock.judge(
+            (frames[0].ticks, frames[1].ticks),
+            (left.tick_frequency_hz, right.tick_frequency_hz),
+            triggered_s,
+            self._clock.now_s(),
+        )
+        self._must_restart = match is not Validity.OK
         return match
 
     def _image(
