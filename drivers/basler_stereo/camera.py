@@ -61,7 +61,7 @@ class Camera:
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
         self._packet_bytes = 0
-        self._trigger: Command | None = None
+        self.trigger_command: Command | None = None  # for one frame; None if a trigger line does
         self.area = AreaOfInterest(0, 0, 0, 0)
         self._exposure_us = options.exposure_us
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
@@ -90,11 +90,6 @@ class Camera:
     def counters(self) -> StreamCounters | None:
         """Statistics of the present stream, or None if there is none."""
         return self._receiver.counters if self._receiver else None
-
-    @property
-    def trigger_command(self) -> Command | None:
-        """The command that triggers one frame; None if a trigger line does."""
-        return self._trigger
 
     def connect(self, deadline_s: float) -> CameraIdentity:
         """Open the control channel and identify the camera, without control; raises GEV-001, GEV-008.
@@ -155,7 +150,7 @@ class Camera:
         """Open the stream and start the acquisition; block ids restart."""
         self._set_deadline(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        self._trigger = self._trigger_command(self._options)
+        self.trigger_command = self._make_trigger_command(self._options)
         assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
@@ -201,7 +196,7 @@ class Camera:
     def expect_next(self) -> None:
         """Discard what came before the frame that has just been triggered."""
         self.receiver.discard()
-        if self._trigger is None:
+        if self.trigger_command is None:
             self._next_block = None  # a line may fire at any time
             return
         # this family begins with 1; for others nothing is known before the first frame
@@ -283,7 +278,7 @@ class Camera:
         low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
         return high << 32 | low
 
-    def _trigger_command(self, options: BaslerOptions) -> Command | None:
+    def _make_trigger_command(self, options: BaslerOptions) -> Command | None:
         if options.trigger == "software":
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))

@@ -28,11 +28,7 @@ LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tol
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
-def _ip_address(text: str) -> str:
-    return str(IPv4Address(text)) if text else ""
-
-
-ControllerHost = Annotated[str, AfterValidator(_ip_address)]
+ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text)) if text else "")]
 
 
 class KukaOptions(Strict):

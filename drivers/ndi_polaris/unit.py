@@ -59,7 +59,8 @@ def read_identity(link: CommandLink, deadline_s: float) -> Identity:
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
         raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
-    fields = _fields(lines[1:])
+    pairs = (line.partition(":") for line in lines[1:] if ":" in line)
+    fields = {name.strip().lower(): value.strip() for name, _, value in pairs}
     firmware = parameter_or(link, ndi.PARAMETER_FIRMWARE, "", deadline_s)
     details = {
         "freeze tag": fields.get("freeze tag", ""),
@@ -90,11 +91,6 @@ def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> s
         return link.ask(name, argument, deadline_s=deadline_s, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:
         return ""
-
-
-def _fields(lines: list[str]) -> dict[str, str]:
-    pairs = (line.partition(":") for line in lines if ":" in line)
-    return {name.strip().lower(): value.strip() for name, _, value in pairs}
 
 
 def refuse_pending_alerts(link: CommandLink, deadline_s: float) -> None:
