@@ -10,7 +10,7 @@ from dataclasses import replace
 from typing import Any
 
 from mutations import mutations
-from responder_stand import LIMITS, SETTINGS
+from responder_stand import LIMITS, SETTINGS, START_DEG
 
 from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
 from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Phase, StopOrder
@@ -18,7 +18,6 @@ from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 
-START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 CONTROLLER = ("127.0.0.1", 40000)
 CYCLE_MS = 4
 FIRST_IPOC = 1000

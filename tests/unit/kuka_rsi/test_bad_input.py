@@ -7,7 +7,7 @@ import signal
 from typing import Any
 
 import pytest
-from driven_arm import activated, configured
+from driven_arm import THERE, activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.arm import KukaRsiArm
@@ -20,14 +20,12 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     WrongController,
 )
-from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.wire.kuka_context import ContextInvalid, context_hash, load_context
-
-THERE = radians6(10, -85, 85, 5, 65, -10)
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from math import degrees
 from typing import Any
 
 import pytest
-from driven_arm import configured
+from driven_arm import THERE, configured
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi import micro_move
@@ -23,12 +23,10 @@ from drivers.kuka_rsi.errors import (
     Unverified,
 )
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.errors import RonnaError
 
-THERE = radians6(10, -85, 85, 5, 65, -10)
 FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
 
