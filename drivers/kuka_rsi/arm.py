@@ -12,7 +12,7 @@ from drivers.kuka_rsi.eki.client import ControllerCommands
 from drivers.kuka_rsi.eki.telegrams import ControllerState
 from drivers.kuka_rsi.errors import MotionNotFinished, Unverified
 from drivers.kuka_rsi.fault_watch import FaultWatch
-from drivers.kuka_rsi.micro_move import verify_by_motion
+from drivers.kuka_rsi.micro_move import MicroMove
 from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
 from drivers.kuka_rsi.options import load_usable_context, read_options
 from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, reported_facts
@@ -207,7 +207,7 @@ class KukaRsiArm:
         self._start(timeout_s)
         try:
             limits = self.limits(_operating_mode(self._watch.mode))
-            verify_by_motion(self._name, link, self._kinematics, limits, stops)
+            MicroMove(self._name, link, self._kinematics, limits, stops).verify()
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):

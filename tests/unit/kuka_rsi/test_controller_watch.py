@@ -22,6 +22,7 @@ from drivers.kuka_rsi.errors import (
     NoAnswer,
     Unverified,
 )
+from drivers.kuka_rsi.micro_move import MicroMove
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
@@ -224,15 +225,15 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
 ) -> None:
     arm = _configured(make_arm)
     silent_controller.pace_s = 0.001
-    require_small = micro_move._require_small
+    require_small = MicroMove._require_small
 
-    def fail_once_moving(name: str, link: Any, state: Any, *limits: Any) -> None:
-        require_small(name, link, state, *limits)
+    def fail_once_moving(test: Any, state: Any, *limits: Any) -> None:
+        require_small(test, state, *limits)
         if state.moving:
-            link.process.send_signal(signalled)
+            test._link.process.send_signal(signalled)
             monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
 
-    monkeypatch.setattr(micro_move, "_require_small", fail_once_moving)
+    monkeypatch.setattr(MicroMove, "_require_small", fail_once_moving)
     with pytest.raises(error):
         arm.activate_unverified("Ana")
     assert isinstance(arm.fault, error)
