@@ -7,6 +7,7 @@ sends ECHO with a text of its own and discards everything up to the echo.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import time
@@ -76,6 +77,7 @@ class CommandLink:
     ) -> None:
         self.transport = transport
         self.statistics = LinkStatistics()
+        self.deadline_s = math.inf  # on the clock `monotonic`: no command waits for longer
         self.waited_s = 0.0  # from the last command to its reply, without the transfer of both
         self._limits_s = limits_s
         self.monotonic = monotonic  # the host's clock, on which deadlines are given
@@ -92,25 +94,22 @@ class CommandLink:
         name: str,
         argument: str = "",
         *,
-        deadline_s: float | None = None,
         reply_bytes: int = ORDINARY_REPLY_BYTES,
         retry: bool = True,
     ) -> str:
         """Send a command and return the text of its reply, OKAY and WARNINGhh included.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
-        `deadline_s` on the clock `monotonic`. With `retry` a disturbed exchange is repeated once, so use it
-        only for commands that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        `deadline_s`. With `retry` a disturbed exchange is repeated once, so use it only for commands that may
+        be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
         """
-        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
+        reply = self._exchange(name, argument, reply_bytes, retry=retry, binary=False)
         assert isinstance(reply, str)
         return reply
 
-    def ask_binary(
-        self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
-    ) -> bytes:
+    def ask_binary(self, name: str, argument: str = "", *, reply_bytes: int) -> bytes:
         """Send a command like `ask` and return the body of its binary reply, CRCs checked."""
-        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
+        reply = self._exchange(name, argument, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
             raise MalformedReply(f"text reply to {name}, whose reply is binary", wire=reply.encode())
@@ -124,7 +123,7 @@ class CommandLink:
         baud = self.transport.baud
         return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
-    def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
+    def drain(self, quiet_s: float = QUIET_S, until_s: float = math.inf) -> bytes:
         """Discard input until the line has been silent for `quiet_s`; return the last part of it.
 
         Raises NDI-006 when the line never falls silent.
@@ -135,7 +134,7 @@ class CommandLink:
             count += len(data)
             if count > BABBLE_BYTES:
                 raise MalformedReply("the line never falls silent", wire=discarded)
-            if deadline_s is not None and self.monotonic() > deadline_s:
+            if self.monotonic() > until_s:
                 break
         return discarded
 
@@ -143,7 +142,7 @@ class CommandLink:
         """Resynchronise before the next command: the caller has seen an implausible reply."""
         self._settled = False
 
-    def settle(self, deadline_s: float | None = None) -> None:
+    def settle(self) -> None:
         """Resynchronise by ECHO with a unique text, discarding everything up to its echo.
 
         A unit without ECHO refuses it twice, which serves equally. Raises NDI-007 while the unit may only be
@@ -151,15 +150,15 @@ class CommandLink:
         """
         refusals = 0
         for _ in range(ECHO_ATTEMPTS):
-            if RESET_TEXT in self.drain(deadline_s=deadline_s):
+            if RESET_TEXT in self.drain(until_s=self.deadline_s):
                 raise UnitRestarted("the unit sent RESET")
-            outcome = self._echo(deadline_s)
+            outcome = self._echo()
             refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
             if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
                 self._settled = True
                 self._silent_since_s = None
                 return
-            if deadline_s is not None and self.monotonic() >= deadline_s:
+            if self.monotonic() >= self.deadline_s:
                 break
         self._give_up()
 
@@ -167,33 +166,30 @@ class CommandLink:
         self,
         name: str,
         argument: str,
-        deadline_s: float | None,
         reply_bytes: int,
         *,
         retry: bool,
         binary: bool,
     ) -> Reply:
         try:
-            return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
+            return self._exchange_once(name, argument, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
             noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
-            if not noise or not retry or (deadline_s is not None and self.monotonic() >= deadline_s):
+            if not noise or not retry or self.monotonic() >= self.deadline_s:
                 raise
         self.statistics.retries += 1
-        return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
+        return self._exchange_once(name, argument, reply_bytes, binary)
 
-    def _exchange_once(
-        self, name: str, argument: str, deadline_s: float | None, reply_bytes: int, binary: bool
-    ) -> Reply:
+    def _exchange_once(self, name: str, argument: str, reply_bytes: int, binary: bool) -> Reply:
         self._check_stale_input()
         command = encode_command(name, argument)
         limit_s = self.limit_s(name, len(command), reply_bytes)
         if not self._settled:
-            self.settle(deadline_s)
+            self.settle()
         self.transport.write(command)
         self.statistics.commands += 1
         began_s = self.monotonic()
-        until_s = began_s + limit_s if deadline_s is None else min(began_s + limit_s, deadline_s)
+        until_s = min(began_s + limit_s, self.deadline_s)
         try:
             reply, rest = self._receive(until_s, binary)
         except ProtocolError:
@@ -257,15 +253,13 @@ class CommandLink:
         if RESET_TEXT in stale:
             raise UnitRestarted("the unit sent RESET", wire=stale)
 
-    def _echo(self, deadline_s: float | None) -> _Echo:
+    def _echo(self) -> _Echo:
         self._echoes += 1
         mark = f"INSTEP{self._echoes:06d}"
         command = encode_command("ECHO", mark)
         began_s = self.monotonic()
         self.transport.write(command)
-        until_s = began_s + self.limit_s("ECHO", len(command), len(command))
-        if deadline_s is not None:
-            until_s = min(until_s, deadline_s)
+        until_s = min(began_s + self.limit_s("ECHO", len(command), len(command)), self.deadline_s)
         heard = b""
         while (left_s := until_s - self.monotonic()) > 0:
             heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]

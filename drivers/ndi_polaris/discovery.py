@@ -37,7 +37,7 @@ LIKELY_BAUDS = (ndi.DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 1
 RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
 
 
-def find_unit(link: CommandLink, deadline_s: float) -> None:
+def find_unit(link: CommandLink) -> None:
     """Set the line to a rate at which the unit replies.
 
     Raises NDI-002 when nothing replies, NDI-003 when what replies is not a Polaris unit.
@@ -47,24 +47,24 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     tried = []
     bauds = LIKELY_BAUDS if transport.baud is not None else (ndi.DEFAULT_BAUD,)
     for baud in bauds:
-        if link.monotonic() >= deadline_s:
+        if link.monotonic() >= link.deadline_s:
             break
         try:
             transport.set_baud(baud)
         except PortUnavailable:  # this adapter does not support that rate
             continue
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
-        inquiry = inquire(link, deadline_s)
+        inquiry = inquire(link)
         heard += inquiry.heard
         if inquiry.answered:
             return
-    if transport.baud is not None and link.monotonic() < deadline_s:
+    if transport.baud is not None and link.monotonic() < link.deadline_s:
         transport.set_baud(ndi.DEFAULT_BAUD)
         transport.send_break()
         tried.append("a break")
-        if await_reset(link, deadline_s):
+        if await_reset(link):
             return
-        inquiry = inquire(link, deadline_s)
+        inquiry = inquire(link)
         heard += inquiry.heard
         if inquiry.answered:
             return
@@ -74,24 +74,24 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     raise NothingAnswers(f"no unit replied; tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
-def initialise(link: CommandLink, deadline_s: float) -> None:
+def initialise(link: CommandLink) -> None:
     """Send INIT; if it fails, RESET the unit once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
     try:
-        link.ask("INIT", deadline_s=deadline_s)
+        link.ask("INIT")
     except (UnitError, LinkTimeout, ProtocolError):
-        if link.monotonic() >= deadline_s:
+        if link.monotonic() >= link.deadline_s:
             raise
         link.transport.write(encode_command("RESET", "0"))
         if link.transport.baud is not None:
             link.transport.set_baud(ndi.DEFAULT_BAUD)
-        await_reset(link, deadline_s)
-        link.drain(deadline_s=deadline_s)
-        link.ask("INIT", deadline_s=deadline_s)
+        await_reset(link)
+        link.drain(until_s=link.deadline_s)
+        link.ask("INIT")
 
 
-def await_reset(link: CommandLink, deadline_s: float) -> bool:
+def await_reset(link: CommandLink) -> bool:
     """Wait for RESET after a break or the RESET command; False if it does not come in time."""
-    until_s = min(deadline_s, link.monotonic() + RESET_LIMIT_S)
+    until_s = min(link.deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
     while (left_s := until_s - link.monotonic()) > 0:
         heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
@@ -100,9 +100,7 @@ def await_reset(link: CommandLink, deadline_s: float) -> bool:
     return False
 
 
-def raise_baud(
-    link: CommandLink, maximum: int, deadline_s: float, pause: Callable[[float], None] = time.sleep
-) -> int | None:
+def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] = time.sleep) -> int | None:
     """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
 
     A unit lost at a rate that the cable does not carry is searched for again, if necessary with a break, and
@@ -116,17 +114,15 @@ def raise_baud(
         if baud <= link.transport.baud:
             break
         try:
-            if _switch(link, code, baud, link.transport.baud, deadline_s, pause):
+            if _switch(link, code, baud, link.transport.baud, pause):
                 break
         except LinkLost:
-            find_unit(link, deadline_s)
-            initialise(link, deadline_s)
+            find_unit(link)
+            initialise(link)
     return link.transport.baud
 
 
-def _switch(
-    link: CommandLink, code: str, baud: int, current: int, deadline_s: float, pause: Callable[[float], None]
-) -> bool:
+def _switch(link: CommandLink, code: str, baud: int, current: int, pause: Callable[[float], None]) -> bool:
     try:  # our own end first: a unit at a rate we do not support would be lost
         link.transport.set_baud(baud)
         link.transport.set_baud(current)
@@ -134,17 +130,17 @@ def _switch(
         link.transport.set_baud(current)
         return False
     try:
-        link.ask("COMM", code + ndi.COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
+        link.ask("COMM", code + ndi.COMM_DEFAULT_ARGUMENT[1:], retry=False)
     except UnitError:
         return False
     except (ProtocolError, NoReply):
         pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if inquire(link, deadline_s).answered:
+    if inquire(link).answered:
         return True
     link.transport.set_baud(current)
-    if not inquire(link, deadline_s).answered:
+    if not inquire(link).answered:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
 
@@ -160,24 +156,24 @@ class Inquiry(NamedTuple):
         return self.reply is not None
 
 
-def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
+def inquire(link: CommandLink) -> Inquiry:
     """Send a command that changes nothing, twice if the first reply is garbled.
 
     Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
     """
     heard = b""
     for _ in range(TRIES):
-        inquiry = _inquire_once(link, deadline_s)
+        inquiry = _inquire_once(link)
         heard = inquiry.heard or heard
         if inquiry.answered or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)
 
 
-def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
+def _inquire_once(link: CommandLink) -> Inquiry:
     transport = link.transport
     try:
-        link.drain(deadline_s=min(deadline_s, link.monotonic() + REPLY_LIMIT_S))
+        link.drain(until_s=min(link.deadline_s, link.monotonic() + REPLY_LIMIT_S))
     except MalformedReply as error:
         raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
     transfer_s = (len(INQUIRY) + REPLY_BYTES) * ndi.BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
@@ -185,7 +181,7 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
     # over TCP there is no other rate to try: wait the full time limit
     limit_s = rest_s if transport.baud is not None else ndi.COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
     transport.write(INQUIRY)
-    until_s = min(deadline_s, link.monotonic() + limit_s)
+    until_s = min(link.deadline_s, link.monotonic() + limit_s)
     heard = b""
     while (left_s := until_s - link.monotonic()) > 0:
         if not (data := transport.read(left_s)):

@@ -139,7 +139,8 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
             link.transport.set_baud(baud)
         elif (first := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
             return Attempt(baud, Outcome.GARBAGE, first[-KEPT_BYTES:])
-        heard, reply = inquire(link, time.monotonic() + INQUIRY_LIMIT_S)
+        link.deadline_s = time.monotonic() + INQUIRY_LIMIT_S
+        heard, reply = inquire(link)
     except PortUnavailable:
         return Attempt(baud, Outcome.REFUSED)
     except LinkLost:

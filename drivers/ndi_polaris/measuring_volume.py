@@ -84,18 +84,16 @@ def _parse_volume(record: str) -> MeasuringVolume:
     )
 
 
-def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
+def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | None:
     """Select volume `wanted` (from 1) if given; return the volume in use, None if unknown."""
     if wanted is not None:
-        link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
+        link.ask("VSEL", f"{wanted}")
     try:
-        volumes = parse_volumes(
-            link.ask("SFLIST", ndi.SFLIST_VOLUMES, deadline_s=deadline_s, reply_bytes=SFLIST_BYTES)
-        )
+        volumes = parse_volumes(link.ask("SFLIST", ndi.SFLIST_VOLUMES, reply_bytes=SFLIST_BYTES))
     except (UnitError, MalformedReply):
         return None
     if wanted is not None:
         index = wanted - 1
     else:
-        index = whole_number(parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "", deadline_s)) or 0
+        index = whole_number(parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "")) or 0
     return volumes[index] if 0 <= index < len(volumes) else None
