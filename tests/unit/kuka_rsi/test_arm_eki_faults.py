@@ -24,7 +24,7 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 
 
-def test_connect_reports_that_nothing_listens_at_the_address(controller: Any, make_arm: Any) -> None:
+def test_connect_reports_that_nothing_listens_at_the_address(make_arm: Any) -> None:
     arm = make_arm(eki_port=1)
     with pytest.raises(ControllerNotFound, match="refused") as caught:
         arm.connect(timeout_s=1.0)
@@ -114,7 +114,7 @@ def test_a_refused_start_is_reported_with_the_controllers_code(controller: Any, 
 
 @pytest.mark.hazard(4)
 def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
-    controller: Any, active_arm: Any, monkeypatch: pytest.MonkeyPatch
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing would hear of an emergency stop."""
 

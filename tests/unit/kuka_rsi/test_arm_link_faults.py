@@ -73,7 +73,7 @@ def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None
 
 @pytest.mark.hazard(30)
 def test_configure_names_the_signal_that_killed_the_real_time_process(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+    make_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Killed(subprocess.Popen[bytes]):
         def __init__(self, *arguments: Any, **options: Any) -> None:

@@ -69,7 +69,7 @@ def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) ->
 
 
 def test_observe_works_in_every_state_from_any_thread_without_checking_for_faults(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+    make_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked_in: list[str] = []  # names of threads; the reader of the EKI channel looks by itself
 

@@ -98,9 +98,7 @@ def test_options_that_do_not_fit_the_context_are_refused_at_once(make_arm: Any, 
         make_arm(**options)
 
 
-def test_a_second_client_of_the_controller_gets_no_answer(
-    controller: Any, active_arm: Any, make_arm: Any
-) -> None:
+def test_a_second_client_of_the_controller_gets_no_answer(active_arm: Any, make_arm: Any) -> None:
     with pytest.raises(ControllerNotFound):
         make_arm().connect(timeout_s=0.5)
     active_arm.move_joints(THERE)  # the first one is not disturbed

@@ -241,9 +241,7 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     arm.connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
-def test_a_stop_during_a_start_leaves_the_arm_in_hold(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_a_stop_during_a_start_leaves_the_arm_in_hold(make_arm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     arm = configured(make_arm())
     start = Connections.start_stream
 

@@ -164,7 +164,7 @@ def test_a_unit_without_echo_is_resynchronised_by_its_refusals(link: CommandLink
     assert link.ask("APIREV") == "G.001.005"
 
 
-def test_a_line_that_never_stops_sending_is_an_error(link: CommandLink, unit: Any) -> None:
+def test_a_line_that_never_stops_sending_is_an_error(link: CommandLink) -> None:
     class Babble:
         baud = None
 
