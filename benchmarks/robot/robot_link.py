@@ -19,7 +19,7 @@ from statistics import median
 
 from benchmarks.figures import Figure, compared, contest, family_cpu_s, process_cpu_s
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
-from drivers.kuka_rsi.errors import RecordedCycle
+from drivers.kuka_rsi.realtime.link_state import RecordedCycle
 from ronna_hw.vectors import JointVector
 
 ETHERNET_FILE = (

@@ -38,17 +38,18 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
 
 KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
+PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
 
 
 class Camera:
     """GigE Vision camera of one side. Deadlines are host monotonic time; used by one thread at a time."""
 
     def __init__(
-        self, side: str, address: str, options: BaslerOptions, link_bytes: LinkBytes | None = None
+        self, side: str, address: str, options: BaslerOptions, recorder: LinkRecorder | None = None
     ) -> None:
-        """Open nothing; `link_bytes` records the control channel, and a note of each image."""
+        """Open nothing; `recorder` records the control channel, and a note of each image."""
         self.side = side
-        self._bytes = link_bytes or LinkBytes("", None)
+        self._recorder = recorder or LinkRecorder("", None)
         self._address = address
         self._options = options
         self._control: ControlChannel | None = None
@@ -60,8 +61,9 @@ class Camera:
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
         self._packet_bytes = 0
-        self._trigger: Command | None = None
+        self.trigger_command: Command | None = None  # for one frame; None if a trigger line does
         self.area = AreaOfInterest(0, 0, 0, 0)
+        self._exposure_us = options.exposure_us
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
         self.lost: RonnaError | None = None  # set by the heartbeat
         self.notices: list[str] = []
@@ -89,25 +91,20 @@ class Camera:
         """Statistics of the present stream, or None if there is none."""
         return self._receiver.counters if self._receiver else None
 
-    @property
-    def trigger_command(self) -> Command | None:
-        """The command that triggers one frame; None if a trigger line does."""
-        return self._trigger
-
     def connect(self, deadline_s: float) -> CameraIdentity:
         """Open the control channel and identify the camera, without control; raises GEV-001, GEV-008.
 
         If no camera replies, the message names those found by broadcast discovery.
         """
         try:
-            self._control = ControlChannel(self._address, passed=self._bytes.passed)
+            self._control = ControlChannel(self._address, passed=self._recorder.passed)
         except OSError as error:
             raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
-            peer = str(self._control.link.getpeername()[0])
-            raise NoCamera(error.what, expected=error.expected, got=cameras_near(peer)) from error
+            near = cameras_near(self._control.peer_address)
+            raise NoCamera(error.what, expected=error.expected, got=near) from error
 
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
         """Take control, read the description, apply the known state, find the packet size.
@@ -142,6 +139,7 @@ class Camera:
         """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         self._set_deadline(deadline_s)
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
+        self._exposure_us = exposure_us
 
     def temperature_C(self, deadline_s: float) -> float | None:
         """Read the internal temperature; None if not reported."""
@@ -152,7 +150,7 @@ class Camera:
         """Open the stream and start the acquisition; block ids restart."""
         self._set_deadline(deadline_s)
         payload = known_state.payload_bytes(self.features, self.area, self._options.pixel_format_code)
-        self._trigger = self._trigger_command(self._options)
+        self.trigger_command = self._make_trigger_command(self._options)
         assert self._receiver_process is not None, "the lifecycle allows this only while controlled"
         self._next_block = None
         with open_stream_socket(self.control.local_address, self._options.receive_buffer_bytes) as stream:
@@ -195,13 +193,14 @@ class Camera:
         half_s = (after_s - before_s) / 2.0
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
-    def expect_next(self, patience_s: float) -> None:
+    def expect_next(self) -> None:
         """Discard what came before the frame that has just been triggered."""
         self.receiver.discard()
-        if self._trigger is None:
+        if self.trigger_command is None:
             self._next_block = None  # a line may fire at any time
             return
         # this family begins with 1; for others nothing is known before the first frame
+        patience_s = PATIENCE_S + self._exposure_us * 1e-6
         self.receiver.expect(self._next_block or gev.BLOCK_ID_FIRST, patience_s)
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
@@ -210,7 +209,7 @@ class Camera:
         Late frames of earlier triggers are discarded.
         """
         while (frame := self.receiver.take(deadline_s, give_up)) is not None:
-            self._bytes.note_frame(frame, self.receiver.counters)
+            self._recorder.note_frame(frame, self.receiver.counters)
             if self._next_block is None or frame.block_id == self._next_block:
                 self._next_block = next_block_id(frame.block_id)
                 return frame
@@ -279,7 +278,7 @@ class Camera:
         low = self.control.read_register(Bootstrap.TICK_FREQUENCY_LOW, deadline_s)
         return high << 32 | low
 
-    def _trigger_command(self, options: BaslerOptions) -> Command | None:
+    def _make_trigger_command(self, options: BaslerOptions) -> Command | None:
         if options.trigger == "software":
             address, value = self.features.command_write("TriggerSoftware")
             return register_write(address, int.from_bytes(value, "big"))
@@ -306,7 +305,7 @@ class Camera:
             self._receiver = None
 
 
-class LinkBytes:
+class LinkRecorder:
     """Recorder of one camera's links, such as `stereo.left`; `sink` is None without a recorder.
 
     Every datagram of the control channel is kept; for the stream, a note per image, and the counters. Resend

@@ -31,6 +31,7 @@ RECEIVE_BUFFER_BYTES = 65_536  # one test packet at a time
 JUMBO_BYTES = 8000  # below this, both cameras at full rate keep a computer busy
 LISTED_CAMERAS = 4
 SECTION = "cameras"
+Finding = tuple[bool, str, str]  # whether all is well, observation, advice
 
 
 class Response(StrEnum):
@@ -66,16 +67,16 @@ class CameraState:
     reason: str = ""  # the system's, if there is no route
 
 
-def look_at_camera(endpoint: Endpoint) -> CameraState:
+def check_camera(endpoint: Endpoint) -> CameraState:
     """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
     try:
         with contextlib.closing(ControlChannel(endpoint.host)) as control:
-            return _check_through(control, endpoint)
+            return _check_stages(control, endpoint)
     except OSError as error:  # also when the network goes down meanwhile
         return CameraState(endpoint, Response.NO_ROUTE, reason=error.strerror or str(error))
 
 
-def _check_through(control: ControlChannel, endpoint: Endpoint) -> CameraState:
+def _check_stages(control: ControlChannel, endpoint: Endpoint) -> CameraState:
     interface = interface_of(control.local_address)
     try:
         identity = identify(control, _reply_deadline_s())
@@ -141,17 +142,9 @@ class Expected(NamedTuple):
     model: str | None = None
 
 
-class Diagnosis(NamedTuple):
-    """Observation and advice for display."""
-
-    well: bool
-    seen: str
-    advice: str = ""
-
-
 def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
     """Return the doctor's entry for a camera, with figures; `found` replied to broadcast discovery."""
-    well, seen, advice = diagnose(camera, found, expected)
+    well, seen, advice = _diagnose(camera, found, expected)
     document: dict[str, Any] = {
         "endpoint": str(camera.endpoint),
         "well": well,
@@ -181,17 +174,16 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
     return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)
 
 
-def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnosis:
-    """Interpret the state of a camera's address: observation, likely cause, advice."""
+def _diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Finding:
     identity, controller = camera.identity, camera.controller
     if identity is None or controller is None:
         return _unanswered(camera, found)
     if expected.model and identity.model != expected.model:
         advice = f"Expected a {expected.model}, got a {identity.model}: check address and cable."
-        return Diagnosis(False, f"a {identity.model}, expected a {expected.model}", advice)
+        return False, f"a {identity.model}, expected a {expected.model}", advice
     if expected.serial and identity.serial != expected.serial:
         seen = f"camera {identity.serial}, expected {expected.serial}"
-        return Diagnosis(False, seen, _wrong_serial_advice(expected.serial, found))
+        return False, seen, _wrong_serial_advice(expected.serial, found)
     seen = "; ".join(_observations(camera, identity, controller))
     if controller.taken:
         advice = _release_advice(controller)
@@ -201,8 +193,8 @@ def diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Exp
         advice = "No test packet arrived: a firewall drops UDP from the camera, or it sends none."
     else:
         jumbo = camera.packet_bytes >= JUMBO_BYTES
-        return Diagnosis(True, seen, "" if jumbo else _small_packets_advice(camera.interface))
-    return Diagnosis(False, seen, advice)
+        return True, seen, "" if jumbo else _small_packets_advice(camera.interface)
+    return False, seen, advice
 
 
 def _identity(identity: CameraIdentity) -> dict[str, str]:
@@ -265,21 +257,21 @@ def _small_packets_advice(interface: Interface | None) -> str:
     return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
 
 
-def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Diagnosis:
+def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Finding:
     interface = camera.interface
     if camera.response is Response.NO_ROUTE:
         advice = "Give this computer an address in the camera's subnet."
-        return Diagnosis(False, f"no route: {camera.reason}", advice)
+        return False, f"no route: {camera.reason}", advice
     via = f" via {interface.name} ({interface.address})" if interface else ""
     elsewhere = _other_replies(camera, found)
     if camera.response is Response.REFUSED:
         advice = "A computer is at this address, not a camera: check the camera's power, cable and address."
-        return Diagnosis(False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere)
+        return False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere
     if interface is not None and not interface.reaches(camera.endpoint.host):
         advice = "No network card of this computer is in its subnet: camera and host must share one."
     else:
         advice = "Check power and cable of the camera, and its address."
-    return Diagnosis(False, f"silent{via}", advice + elsewhere)
+    return False, f"silent{via}", advice + elsewhere
 
 
 def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:

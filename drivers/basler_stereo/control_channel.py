@@ -23,7 +23,7 @@ FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each retry waits twic
 COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's deadline is earlier
 REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
 OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
-LAST_LOOK_S = 1e-3  # for a reply that arrived while the host stalled
+LAST_READ_S = 1e-3  # for a reply that arrived while the host stalled
 Command = tuple[GvcpCommand, bytes]
 """A command and its payload."""
 ASK_AGAIN_S = 0.1
@@ -51,13 +51,14 @@ class ControlChannel:
     ) -> None:
         """Open the channel; `passed` gets every datagram. Raises OSError without a route to the address."""
         self._passed = passed
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        # also used by the receiver process, which sends resend requests and keep-alives through it
+        self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
-            self._socket.connect((address, port))  # datagrams from other addresses are filtered out
+            self.link.connect((address, port))  # datagrams from other addresses are filtered out
         except OSError:
-            self._socket.close()
+            self.link.close()
             raise
-        self._address = address
+        self.address = address
         self._monotonic = monotonic
         self._lock = threading.RLock()
         self._id_lock = threading.Lock()
@@ -65,28 +66,18 @@ class ControlChannel:
         self.port_closed = False  # the address is reachable, but nothing listens on its GVCP port
 
     @property
-    def address(self) -> str:
-        """Address of the camera."""
-        return self._address
-
-    @property
     def peer_address(self) -> str:
         """Address of the camera in numbers."""
-        return str(self._socket.getpeername()[0])
+        return str(self.link.getpeername()[0])
 
     @property
     def local_address(self) -> str:
         """Address of the host on the route to the camera."""
-        return str(self._socket.getsockname()[0])
-
-    @property
-    def link(self) -> socket.socket:
-        """Socket for the receiver process, which sends resend requests and keep-alives through it."""
-        return self._socket
+        return str(self.link.getsockname()[0])
 
     def close(self) -> None:
         """Close the socket."""
-        self._socket.close()
+        self.link.close()
 
     def read_register(self, address: int, deadline_s: float) -> int:
         """Read one 32-bit register; raises GEV-006, GEV-007, GEV-008."""
@@ -144,9 +135,9 @@ class ControlChannel:
                 command, request_id, min(limit_s, self._monotonic() + patience_s), deadline_s
             )
             if acknowledge is not None:
-                return gvcp.require_success(acknowledge, f"{self._address}: {what}")
+                return gvcp.require_success(acknowledge, f"{self.address}: {what}")
             if self._monotonic() >= limit_s:
-                raise NoReply(f"{self._address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
+                raise NoReply(f"{self.address}: no reply", expected=what, limit=f"{COMMAND_LIMIT_S} s")
             patience_s *= 2.0
             self._send(datagram)
 
@@ -159,9 +150,9 @@ class ControlChannel:
             left_s = until_s - self._monotonic()
             if left_s < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
-            self._socket.settimeout(max(LAST_LOOK_S, left_s))
+            self.link.settimeout(max(LAST_READ_S, left_s))
             try:
-                datagram = self._socket.recv(gvcp.LARGEST_DATAGRAM_BYTES)
+                datagram = self.link.recv(gvcp.LARGEST_DATAGRAM_BYTES)
             except TimeoutError:
                 return None
             except ConnectionRefusedError:  # the host at that address reports a closed port
@@ -182,7 +173,7 @@ class ControlChannel:
     def _send(self, datagram: bytes) -> None:
         # an error here (network down, closed port) shows up as a missing acknowledge, which is reported
         with contextlib.suppress(OSError):
-            self._socket.send(datagram)
+            self.link.send(datagram)
             self._passed(Direction.SENT, datagram)
 
     def _next_id(self) -> int:

@@ -8,16 +8,14 @@ exposure_us = 2000.0
 
 from __future__ import annotations
 
-import json
-from typing import Annotated, Literal, Self
+from typing import Annotated, Literal, Self, TypeVar
 
-from pydantic import Field, ValidationError, model_validator
+from pydantic import Field, model_validator
 
 from drivers.basler_stereo.errors import BadOptions
+from drivers.theatre_options import parse_options
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig
-from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
 from ronna_hw.wire import gige_vision as gev
 
 LARGEST_PACKET_BYTES = 16_000  # cameras stop near 9000; a loopback link carries more
@@ -95,15 +93,9 @@ class BaslerOptions(Strict):
         }[self.pixel_format]
 
 
-def read_options(config: DeviceConfig) -> BaslerOptions:
+Options = TypeVar("Options", bound=BaslerOptions)
+
+
+def read_options(config: DeviceConfig, model: type[Options]) -> Options:
     """Parse the options of the theatre file; raises GEV-016 listing all mistakes."""
-    try:
-        # via JSON: strict types, but an integer may stand for a float
-        return BaslerOptions.model_validate_json(json.dumps(config.options))
-    except ValidationError as error:
-        mistakes = describe_mistakes(error, BaslerOptions)
-        raise BadOptions(
-            f"stereo options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
-        ) from error
-    except TypeError as error:
-        raise BadOptions(f"stereo options: {error}") from error
+    return parse_options(model, config.options, "stereo options", BadOptions)

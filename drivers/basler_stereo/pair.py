@@ -5,33 +5,30 @@ from __future__ import annotations
 import contextlib
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
-from drivers.basler_stereo.camera import Camera, LinkBytes
+from drivers.basler_stereo.camera import Camera, LinkRecorder
 from drivers.basler_stereo.errors import (
     CameraLost,
     CommandRefused,
     ControlLost,
     NoReply,
     ReceiverEnded,
-    WrongSerial,
 )
 from drivers.basler_stereo.identity import CameraIdentity
-from drivers.basler_stereo.options import read_options
-from drivers.basler_stereo.pair_device import PairDevice, check_pair, pair_identity
+from drivers.basler_stereo.options import BaslerOptions, read_options
+from drivers.basler_stereo.pair_device import PairDevice, check_pair
 from drivers.basler_stereo.pair_grabber import PairGrabber
 from drivers.basler_stereo.stream.frame_assembler import StreamCounters
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import ByteSink, Fact
-from ronna_hw.devices.lifecycle import READABLE, RUNNING, Identity, Lifecycle, activated, require_person
-from ronna_hw.devices.readings import AreaOfInterest, StereoReading
+from ronna_hw.devices.lifecycle import READABLE, Lifecycle
+from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
-CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 _FAULTS = (CameraLost, ControlLost, ReceiverEnded)  # latched; cleared only by `recover`
 
 T = TypeVar("T")
@@ -48,7 +45,7 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock) -> None:
         """Check options and endpoints; open nothing. Raises GEV-016, CFG-001 or CFG-002."""
-        self._options = read_options(config)
+        self._options = read_options(config, BaslerOptions)
         super().__init__(name, config, clock, self._options)
         self._receiver_process: ReceiverProcess | None = None
         self._grabber: PairGrabber | None = None
@@ -63,9 +60,6 @@ class BaslerStereoPair(PairDevice[Camera]):
     def notices(self) -> tuple[str, ...]:
         """Observations at `configure` that are not errors but should be known."""
         return tuple(notice for camera in self._cameras or () for notice in camera.notices)
-
-    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return activated(self, timeout_s)
 
     @property
     def counters(self) -> tuple[StreamCounters | None, StreamCounters | None]:
@@ -105,77 +99,6 @@ class BaslerStereoPair(PairDevice[Camera]):
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._sink = sink
 
-    def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find both cameras and check models and serial numbers; does not take control.
-
-        Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
-        """
-        self._guard.require("connect", {Lifecycle.DISCONNECTED})
-        self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
-        identity = pair_identity(*self._identities)
-        self._guard.enter(Lifecycle.CONNECTED, addresses=self._addresses, identity=identity)
-        return identity
-
-    def configure(self, timeout_s: float = 10.0) -> None:
-        """Take control of both and bring them to a known state: trigger, full frame, packet size.
-
-        Waits up to `timeout_s` for the heartbeat of a dead controlling client to time out. Raises GEV-005
-        when another application is in control, GEV-006 to GEV-012 when configuration fails; then neither
-        camera is controlled.
-        """
-        self._guard.require("configure", {Lifecycle.CONNECTED})
-        self._configure_cameras(time.monotonic() + timeout_s)
-        self._guard.enter(Lifecycle.CONFIGURED, areas=self.areas, notices=self.notices)
-
-    def activate(self, timeout_s: float = 10.0) -> None:
-        """Start both streams; the cameras then wait for triggers."""
-        self._guard.require("activate", {Lifecycle.CONFIGURED})
-        deadline_s = time.monotonic() + timeout_s
-        self._watched(lambda: self._streams.begin(deadline_s), deadline_s)
-        self._guard.enter(Lifecycle.ACTIVE)
-
-    def deactivate(self, timeout_s: float = 10.0) -> None:
-        """Stop both streams; control is kept."""
-        self._guard.require("deactivate", RUNNING)
-        deadline_s = time.monotonic() + timeout_s
-        counters = self.counters
-        self._watched(lambda: self._streams.end(deadline_s), deadline_s)
-        self._guard.enter(Lifecycle.CONFIGURED, streams=counters)
-
-    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
-        """Set the part of each sensor to read; on GEV-011 both cameras are unchanged.
-
-        A running stream is stopped and restarted; its block ids restart.
-        """
-        self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
-        if (left, right) == self.areas:
-            return
-        deadline_s = time.monotonic() + timeout_s
-        self._watched(lambda: self._change_areas((left, right), deadline_s), deadline_s)
-        self._areas = (left, right)
-
-    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
-        """Set both cameras to the same values; raises GEV-011."""
-        self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
-        self._expose(exposure_us, gain_raw, timeout_s)
-        self._exposure = (exposure_us, gain_raw)
-
-    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
-        """Multiply the exposure configured or set last by `share`; raises GEV-011."""
-        self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
-        exposure_us, gain_raw = self._exposure
-        self._expose(share * exposure_us, gain_raw, timeout_s)
-
-    def _expose(self, exposure_us: float, gain_raw: int | None, timeout_s: float) -> None:
-        deadline_s = time.monotonic() + timeout_s
-
-        def change() -> None:
-            for camera in self._pair:
-                camera.set_exposure(exposure_us, gain_raw, deadline_s)
-
-        self._watched(change, deadline_s)
-        self._streams.exposure_us = exposure_us
-
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
         """Trigger both cameras once and return that pair; with trigger `line1`, wait for one.
 
@@ -193,37 +116,19 @@ class BaslerStereoPair(PairDevice[Camera]):
         deadline_s = time.monotonic() + timeout_s
         return self._watched(lambda: self._grab(deadline_s), deadline_s, leaves_settings=True)
 
-    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
-
-        Raises GEV-003 when they are different cameras; FAULT then stays latched.
-        """
-        self._guard.require("recover", {Lifecycle.FAULT})
-        require_person(acknowledged_by)
-        before = self.serials
-        deadline_s = time.monotonic() + timeout_s
-        self._release_all()
-        cameras, identities = self._open(deadline_s)
-        found = (identities[0].serial, identities[1].serial)
-        if found != before:
-            _close_all(cameras)
-            raise WrongSerial("different cameras than before", expected="+".join(before), got="+".join(found))
-        self._cameras, self._identities = cameras, identities
-        self._configure_cameras(deadline_s)
-        self._restore(deadline_s)
-        self._guard.enter(Lifecycle.CONFIGURED)
-
-    def close(self) -> None:
-        """Stop, release control and close; about three seconds at most with dead cameras. Never raises."""
-        if self._guard.state is Lifecycle.CLOSED:
-            return
-        self._release_all()
-        self._guard.enter(Lifecycle.CLOSED)
-
     @property
     def _streams(self) -> PairGrabber:
         assert self._grabber is not None, "the lifecycle allows this call only with controlled cameras"
         return self._grabber
+
+    def _stream_facts(self) -> dict[str, Any]:
+        return {"streams": self.counters}
+
+    def _begin(self, deadline_s: float) -> None:
+        self._streams.begin(deadline_s)
+
+    def _end(self, deadline_s: float) -> None:
+        self._streams.end(deadline_s)
 
     def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
         """Do one piece of work, again after a silence; latch FAULT for lost cameras or control.
@@ -260,18 +165,21 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def _open(self, deadline_s: float) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
         left, right = (
-            Camera(side, self._addresses[side], self._options, LinkBytes(f"{self._name}.{side}", self._sink))
+            Camera(
+                side, self._addresses[side], self._options, LinkRecorder(f"{self._name}.{side}", self._sink)
+            )
             for side in ("left", "right")
         )
         try:
             identities = (left.connect(deadline_s), right.connect(deadline_s))
             check_pair(*identities, self._options)
         except BaseException:  # including interruptions: neither camera stays controlled
-            _close_all((left, right))
+            self._close_all((left, right))
             raise
         return (left, right), identities
 
     def _configure_cameras(self, deadline_s: float) -> None:
+        """Take control of both and find the packet size; on an error neither camera stays controlled."""
         done: list[Camera] = []
         self._end_receiver_process()
         self._receiver_process = ReceiverProcess()
@@ -288,49 +196,17 @@ class BaslerStereoPair(PairDevice[Camera]):
             raise
         self._grabber = PairGrabber(self._pair, self.serials, self._clock, self._options)
 
-    def _restore(self, deadline_s: float) -> None:
-        for camera, area in zip(self._pair, self._areas or (), strict=False):
-            camera.set_area(area, deadline_s)
-        for camera in self._pair:
-            camera.set_exposure(*self._exposure, deadline_s)
-        self._streams.exposure_us = self._exposure[0]
-
-    def _change_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest], deadline_s: float) -> None:
-        running = self._guard.state is Lifecycle.ACTIVE
-        before = self.areas
-        if running:
-            self._streams.end(deadline_s)
-        try:
-            for camera, area in zip(self._pair, areas, strict=True):
-                camera.set_area(area, deadline_s)
-        except NoReply:
-            raise  # the camera can no longer be queried
-        except RonnaError:
-            for camera, area in zip(self._pair, before, strict=True):
-                camera.set_area(area, deadline_s)
-            if running:
-                self._streams.begin(deadline_s)
-            raise
-        if running:
-            self._streams.begin(deadline_s)
-
     def _grab(self, deadline_s: float) -> StereoReading:
         reading = self._streams.grab(self._sequence + 1, deadline_s)
         self._sequence += 1
         return self._keep(reading)
 
     def _release_all(self) -> None:
-        if self._cameras is not None:
-            _close_all(self._cameras)
-        self._cameras = self._grabber = None
+        super()._release_all()
+        self._grabber = None
         self._end_receiver_process()
 
     def _end_receiver_process(self) -> None:
         if self._receiver_process is not None:
             self._receiver_process.close()
         self._receiver_process = None
-
-
-def _close_all(cameras: tuple[Camera, Camera]) -> None:
-    for camera in cameras:
-        camera.close(time.monotonic() + CLOSE_LIMIT_S)

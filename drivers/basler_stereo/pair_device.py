@@ -2,30 +2,54 @@
 
 from __future__ import annotations
 
-from typing import Generic, Protocol, TypeVar
+import time
+from abc import ABC, abstractmethod
+from collections.abc import Callable
+from contextlib import AbstractContextManager
+from typing import Any, Generic, Protocol, Self, TypeVar
 
-from drivers.basler_stereo.errors import CablesSwapped, WrongModel, WrongSerial
+from drivers.basler_stereo.errors import CablesSwapped, NoReply, WrongModel, WrongSerial
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import counted_fact
-from ronna_hw.devices.lifecycle import READABLE, Identity, LastKnown, Lifecycle, LifecycleGuard
+from ronna_hw.devices.lifecycle import (
+    READABLE,
+    RUNNING,
+    Identity,
+    LastKnown,
+    Lifecycle,
+    LifecycleGuard,
+    activated,
+    require_person,
+)
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
 from ronna_hw.errors import RonnaError
 
+CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 
-class HasArea(Protocol):
-    """Camera that reads part of its sensor."""
+
+class OneCamera(Protocol):
+    """Camera of one side. Deadlines are host monotonic time."""
 
     area: AreaOfInterest
 
+    def set_area(self, area: AreaOfInterest, deadline_s: float) -> None: ...
 
-C = TypeVar("C", bound=HasArea)
+    def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None: ...
+
+    def close(self, deadline_s: float) -> None: ...
 
 
-class PairDevice(Generic[C]):
+C = TypeVar("C", bound=OneCamera)
+T = TypeVar("T")
+
+
+class PairDevice(ABC, Generic[C]):
     """Part of a `StereoPair` that is independent of how its cameras are accessed."""
+
+    wire_protocol: str
 
     def __init__(self, name: str, config: DeviceConfig, clock: Clock, options: BaslerOptions) -> None:
         self._name = name
@@ -54,6 +78,10 @@ class PairDevice(Generic[C]):
         return self._guard.fault
 
     @property
+    def notices(self) -> tuple[str, ...]:
+        return ()
+
+    @property
     def serials(self) -> tuple[str, str]:
         """Serial numbers read from the cameras, left and right; empty before `connect`."""
         return (self._identities[0].serial, self._identities[1].serial) if self._identities else ("", "")
@@ -67,6 +95,158 @@ class PairDevice(Generic[C]):
 
     def observe(self) -> LastKnown[StereoReading]:
         return self._guard.last_known(self._last_pair, counted_fact("unusable pairs", self._unusable))
+
+    def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
+        return activated(self, timeout_s)
+
+    def connect(self, timeout_s: float = 10.0) -> Identity:
+        """Find both cameras and check models and serial numbers; does not take control.
+
+        Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
+        """
+        self._guard.require("connect", {Lifecycle.DISCONNECTED})
+        self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
+        identity = pair_identity(*self._identities)
+        self._guard.enter(Lifecycle.CONNECTED, addresses=self._addresses, identity=identity)
+        return identity
+
+    def configure(self, timeout_s: float = 10.0) -> None:
+        """Take control of both and bring them to a known state: trigger, full frame, packet size.
+
+        May wait until the heartbeat of a dead controlling client has timed out. Raises GEV-005 when another
+        application is in control, GEV-006 to GEV-012 when configuration fails.
+        """
+        self._guard.require("configure", {Lifecycle.CONNECTED})
+        self._configure_cameras(time.monotonic() + timeout_s)
+        self._guard.enter(Lifecycle.CONFIGURED, areas=self.areas, notices=self.notices)
+
+    def activate(self, timeout_s: float = 10.0) -> None:
+        """Start both streams; the cameras then wait for triggers."""
+        self._guard.require("activate", {Lifecycle.CONFIGURED})
+        deadline_s = time.monotonic() + timeout_s
+        self._watched(lambda: self._begin(deadline_s), deadline_s)
+        self._guard.enter(Lifecycle.ACTIVE)
+
+    def deactivate(self, timeout_s: float = 10.0) -> None:
+        """Stop both streams; control is kept."""
+        self._guard.require("deactivate", RUNNING)
+        deadline_s = time.monotonic() + timeout_s
+        facts = self._stream_facts()
+        self._watched(lambda: self._end(deadline_s), deadline_s)
+        self._guard.enter(Lifecycle.CONFIGURED, **facts)
+
+    def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
+        """Set the part of each sensor to read; on GEV-011 both cameras are unchanged.
+
+        A running stream is stopped and restarted; its block ids restart.
+        """
+        self._guard.require("set_areas", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        if (left, right) == self.areas:
+            return
+        deadline_s = time.monotonic() + timeout_s
+        self._watched(lambda: self._change_areas((left, right), deadline_s), deadline_s)
+        self._areas = (left, right)
+
+    def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
+        """Set both cameras to the same values; raises GEV-011."""
+        self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        self._expose(exposure_us, gain_raw, time.monotonic() + timeout_s)
+        self._exposure = (exposure_us, gain_raw)
+
+    def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
+        """Multiply the exposure configured or set last by `share`; raises GEV-011."""
+        self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
+        exposure_us, gain_raw = self._exposure
+        self._expose(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
+
+    def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
+        """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
+
+        Raises GEV-003 when they are different cameras; FAULT then stays latched.
+        """
+        self._guard.require("recover", {Lifecycle.FAULT})
+        require_person(acknowledged_by)
+        before = self.serials
+        deadline_s = time.monotonic() + timeout_s
+        self._release_all()
+        cameras, identities = self._open(deadline_s)
+        found = (identities[0].serial, identities[1].serial)
+        if found != before:
+            self._close_all(cameras)
+            raise WrongSerial("different cameras than before", expected="+".join(before), got="+".join(found))
+        self._cameras, self._identities = cameras, identities
+        self._configure_cameras(deadline_s)
+        for camera, area in zip(cameras, self._areas or (), strict=False):
+            camera.set_area(area, deadline_s)
+        for camera in cameras:
+            camera.set_exposure(*self._exposure, deadline_s)
+        self._guard.enter(Lifecycle.CONFIGURED)
+
+    def close(self) -> None:
+        """Stop, release control and close; about three seconds at most with dead cameras. Never raises."""
+        if self._guard.state is not Lifecycle.CLOSED:
+            self._release_all()
+            self._guard.enter(Lifecycle.CLOSED)
+
+    @abstractmethod
+    def _open(self, deadline_s: float) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
+        """Connect to both cameras and check them; neither stays open on an error."""
+
+    @abstractmethod
+    def _configure_cameras(self, deadline_s: float) -> None:
+        """Take control of both cameras and bring them to a known state."""
+
+    @abstractmethod
+    def _begin(self, deadline_s: float) -> None:
+        """Start both streams."""
+
+    @abstractmethod
+    def _end(self, deadline_s: float) -> None:
+        """Stop both streams."""
+
+    @abstractmethod
+    def _watched(self, work: Callable[[], T], deadline_s: float) -> T:
+        """Do one piece of work; latch FAULT for lost cameras or control."""
+
+    def _stream_facts(self) -> dict[str, Any]:
+        """Return what is logged of the streams that end."""
+        return {}
+
+    def _release_all(self) -> None:
+        if self._cameras is not None:
+            self._close_all(self._cameras)
+        self._cameras = None
+
+    @staticmethod
+    def _close_all(cameras: tuple[C, C]) -> None:
+        for camera in cameras:
+            camera.close(time.monotonic() + CLOSE_LIMIT_S)
+
+    def _expose(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
+        def change() -> None:
+            for camera in self._pair:
+                camera.set_exposure(exposure_us, gain_raw, deadline_s)
+
+        self._watched(change, deadline_s)
+
+    def _change_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest], deadline_s: float) -> None:
+        running = self._guard.state is Lifecycle.ACTIVE
+        before = self.areas
+        if running:
+            self._end(deadline_s)
+        try:
+            for camera, area in zip(self._pair, areas, strict=True):
+                camera.set_area(area, deadline_s)
+        except NoReply:
+            raise  # the camera can no longer be queried
+        except RonnaError:
+            for camera, area in zip(self._pair, before, strict=True):
+                camera.set_area(area, deadline_s)
+            if running:
+                self._begin(deadline_s)
+            raise
+        if running:
+            self._begin(deadline_s)
 
     def _keep(self, pair: StereoReading) -> StereoReading:
         """Keep a new pair for `observe`."""

@@ -20,7 +20,6 @@ from ronna_hw.wire.gige_vision import GevStatus
 ALIVE_LIMIT_S = 0.5  # to check whether a camera that sent nothing still replies
 ASK_AGAIN_S = 0.1  # between two such checks: the heartbeat shares the channel
 PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first
-PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
 SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this only one trigger is sent
 NOT_TAKEN = "Reconnect to reset their triggers; if they are still busy then, grab less often."
@@ -41,7 +40,6 @@ class PairGrabber:
         self._options = options
         self._pair_clock = PairClock((None, None), 0.0)
         self._must_restart = False
-        self.exposure_us = options.exposure_us
         self.block_ids: tuple[int | None, int | None] = (None, None)
 
     def begin(self, deadline_s: float) -> None:
@@ -105,7 +103,7 @@ class PairGrabber:
             self.end(deadline_s)
             self.begin(deadline_s)
         for camera in self._cameras:
-            camera.expect_next(PATIENCE_S + self.exposure_us * 1e-6)
+            camera.expect_next()
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
         self._must_restart = True  # until the outcome of the trigger is known
         self._trigger(deadline_s)
@@ -171,7 +169,7 @@ class PairGrabber:
         expected = "an image from either camera"
         if self._options.trigger == "line1":
             return TriggerMissed("no pulse arrived on the trigger line", expected=expected, action=NO_PULSE)
-        if any(camera.receiver.begun for camera in self._cameras):
+        if any(camera.receiver.has_begun for camera in self._cameras):
             return TriggerMissed(
                 "no complete image after a trigger", expected=expected, got="some of its packets"
             )
@@ -213,11 +211,8 @@ class PairGrabber:
             # a counter still at zero at the start of the stream looked like one that does not run
             self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
-        match = self._pair_clock.judge(ticks, triggered_s, now_s)
         moments_s = self._pair_clock.moments_s(ticks)
-        if match is Validity.OK:
-            rates = tuple(camera.tick_frequency_hz for camera in self._cameras)
-            self._pair_clock.confirm(ticks, (rates[0], rates[1]), triggered_s, now_s)
-        else:
-            self._must_restart = True
+        frequencies_hz = (self._cameras[0].tick_frequency_hz, self._cameras[1].tick_frequency_hz)
+        match = self._pair_clock.judge(ticks, frequencies_hz, triggered_s, now_s)
+        self._must_restart |= match is not Validity.OK
         return match, moments_s

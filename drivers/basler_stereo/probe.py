@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from itertools import permutations
 from typing import Any
 
 from drivers.basler_stereo.camera_check import (
     Expected,
     camera_diagnostic,
+    check_camera,
     discovery_diagnostic,
-    look_at_camera,
 )
 from drivers.basler_stereo.identity import CameraIdentity, discover_cameras
 from drivers.basler_stereo.options import BaslerOptions
@@ -28,7 +28,7 @@ from ronna_hw.devices.probing import (
     leave_alone,
 )
 from ronna_hw.endpoints import Endpoint, parse_endpoint
-from ronna_hw.host.network import Interface, interface_of
+from ronna_hw.host.network import interface_of
 from ronna_hw.wire import gige_vision as gev
 
 DRIVER = "basler_stereo"
@@ -57,7 +57,21 @@ class BaslerProbe:
         return self._cameras([Expected(endpoint) for endpoint in endpoints], progress)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_pairs(search, progress)
+        """Propose every ordered pair of cameras of one model, first those named left and right.
+
+        Each network is queried with one broadcast; no camera is controlled.
+        """
+        cameras: dict[str, CameraIdentity] = {}  # by address
+        for number, network in enumerate(search.interfaces, start=1):
+            cameras |= {each.address: each for each in discover_cameras(network)}
+            progress(number / len(search.interfaces))
+        pairs = [
+            (one, other)
+            for one, other in permutations(cameras.values(), 2)
+            if one.model == other.model and one.serial != other.serial
+        ]
+        named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
+        return [_proposal(*pair, named=pair in named) for pair in named or pairs]
 
     def example(self, search: Search) -> Proposal:
         chosen = dict(zip(("left_serial", "right_serial"), EXAMPLE_SERIALS, strict=True))
@@ -65,7 +79,8 @@ class BaslerProbe:
 
     def _cameras(self, cameras: Sequence[Expected], progress: Progress) -> Sequence[Diagnostic]:
         """Broadcast on the cameras' own networks, then check each address."""
-        networks = {network: discover_cameras(network) for network in dict.fromkeys(_networks(cameras))}
+        ours = filter(None, (interface_of(camera.endpoint.host) for camera in cameras))
+        networks = {network: discover_cameras(network) for network in dict.fromkeys(ours)}
         named = {camera.endpoint.host for camera in cameras}
         replies = [each for replied in networks.values() for each in replied]
         found = sorted(replies, key=lambda each: each.address not in named)  # our own first
@@ -73,18 +88,12 @@ class BaslerProbe:
             discovery_diagnostic(network, replied) for network, replied in networks.items() if replied
         ]
         for number, camera in enumerate(cameras, start=1):
-            diagnostics.append(camera_diagnostic(look_at_camera(camera.endpoint), found, camera))
+            diagnostics.append(camera_diagnostic(check_camera(camera.endpoint), found, camera))
             progress(number / len(cameras))
         return diagnostics
 
 
 probe = BaslerProbe()
-
-
-def _networks(cameras: Sequence[Expected]) -> Iterator[Interface]:
-    for camera in cameras:
-        if (network := interface_of(camera.endpoint.host)) is not None:
-            yield network
 
 
 def _expected_cameras(config: DeviceConfig) -> list[Expected]:
@@ -101,24 +110,6 @@ def _expected_cameras(config: DeviceConfig) -> list[Expected]:
 def _text(config: DeviceConfig, option: str) -> str | None:
     value = config.options.get(option)
     return value if isinstance(value, str) else None
-
-
-def find_pairs(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Propose every ordered pair of cameras of one model, first those named left and right.
-
-    Each network is queried with one broadcast; no camera is controlled.
-    """
-    cameras: dict[str, CameraIdentity] = {}  # by address
-    for number, network in enumerate(search.interfaces, start=1):
-        cameras |= {each.address: each for each in discover_cameras(network)}
-        progress(number / len(search.interfaces))
-    pairs = [pair for pair in permutations(cameras.values(), 2) if _may_be_pair(*pair)]
-    named = [pair for pair in pairs if tuple(each.user_name.lower() for each in pair) == SIDES]
-    return [_proposal(*pair, named=pair in named) for pair in named or pairs]
-
-
-def _may_be_pair(one: CameraIdentity, other: CameraIdentity) -> bool:
-    return one.model == other.model and one.serial != other.serial
 
 
 def _proposal(left: CameraIdentity, right: CameraIdentity, *, named: bool) -> Proposal:

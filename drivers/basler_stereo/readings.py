@@ -144,11 +144,14 @@ class PairClock:
         )
         return left, right
 
-    def judge(self, ticks: tuple[int, int], triggered_s: float, now_s: float) -> Validity:
+    def judge(
+        self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
+    ) -> Validity:
         """Return UNPAIRED if left and right come from different triggers, STALE if both are older, else OK.
 
         `triggered_s` and `now_s` are theatre times before the trigger and after both images arrived. Without
-        ties the first pair cannot be judged.
+        ties the first pair cannot be judged. A valid pair ties both clocks to a time between its trigger and
+        now.
         """
         left, right = self.moments_s(ticks)
         error_s = sum(tie.error_s(now_s) for tie in self._ties if tie)
@@ -157,16 +160,11 @@ class PairClock:
                 return Validity.UNPAIRED
             if max(left, right) < triggered_s - self._skew_s - error_s:
                 return Validity.STALE
-        return Validity.OK
-
-    def confirm(
-        self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
-    ) -> None:
-        """Tie both clocks to a time between the trigger of a valid pair and now."""
-        known = [moment_s for moment_s in self.moments_s(ticks) if moment_s is not None]
+        known = [moment_s for moment_s in (left, right) if moment_s is not None]
         moment_s = min(max(triggered_s, sum(known) / len(known) if known else triggered_s), now_s)
-        left, right = (
+        first, second = (
             Tie(count, frequency, moment_s, tie.uncertainty_s if tie else self._skew_s) if frequency else None
             for count, frequency, tie in zip(ticks, frequencies_hz, self._ties, strict=True)
         )
-        self._ties = (left, right)
+        self._ties = (first, second)
+        return Validity.OK

@@ -10,14 +10,14 @@ from typing import Self
 from drivers.kuka_rsi.connections import Connections, remaining_s
 from drivers.kuka_rsi.eki.client import ControllerCommands
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import MotionNotFinished, RecordedCycle, Unverified
+from drivers.kuka_rsi.errors import MotionNotFinished, Unverified
 from drivers.kuka_rsi.fault_watch import FaultWatch
-from drivers.kuka_rsi.micro_move import verify_by_motion
+from drivers.kuka_rsi.micro_move import MicroMove
 from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
 from drivers.kuka_rsi.options import load_usable_context, read_options
-from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, standing_facts
+from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, reported_facts
 from drivers.kuka_rsi.realtime.link_health import link_statistics
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, StopOrder
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kr6_r900 import Kr6R900, kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -112,7 +112,7 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        says = tuple(standing_facts(self.connections.reported))
+        says = tuple(reported_facts(self.connections.reported))
         return self._guard.last_known(self._readings.newest(streaming=streaming), says)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
@@ -129,7 +129,7 @@ class KukaRsiArm:
         return link.recorded_cycles() if (link := self.connections.open_link) is not None else ()
 
     def record_bytes(self, sink: ByteSink | None) -> None:
-        self.connections.bytes.sink = sink
+        self.connections.recorder.sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Open the EKI channel and check that the controller runs our context for our arm.
@@ -207,7 +207,7 @@ class KukaRsiArm:
         self._start(timeout_s)
         try:
             limits = self.limits(_operating_mode(self._watch.mode))
-            verify_by_motion(self._name, link, self._kinematics, limits, stops)
+            MicroMove(self._name, link, self._kinematics, limits, stops).verify()
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
@@ -303,7 +303,7 @@ class KukaRsiArm:
         link = self.connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
-        return link_statistics(link.state, link.histogram(), link.jitter_histogram())
+        return link_statistics(link.state, link.mailbox.histogram(), link.mailbox.jitter_histogram())
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0

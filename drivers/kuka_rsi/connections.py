@@ -31,6 +31,7 @@ BytesPassed = Callable[[Direction, bytes], None]
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
 LEAST_TRY_S = 0.2
+NO_DESCRIPTOR = -1
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
 
@@ -46,7 +47,7 @@ class Connections:
         self._context = context
         self.open_eki: EkiClient | None = None
         self.open_link: LinkClient | None = None
-        self.bytes = LinkBytes(name)
+        self.recorder = LinkRecorder(name)
         self.verified = False  # the controller reports that it runs our context
 
     @property
@@ -105,7 +106,7 @@ class Connections:
         """Start the real-time process, which binds the RSI port. Raises RSI-001."""
         self.close_link()
         settings = link_settings(self._rsi, self._context, self._options)
-        self.open_link = LinkClient(settings, timeout_s, self.bytes.rsi_sink)
+        self.open_link = LinkClient(settings, timeout_s, self.recorder.rsi_sink)
 
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
         """Switch the drives on, start the RSI program, answer it, wait until corrections take effect.
@@ -207,12 +208,12 @@ class Connections:
         """
         address, options = self._eki_address, self._options
         deadline = time.monotonic() + timeout_s
-        eki = EkiClient(address.host, address.port, timeout_s, self.bytes.eki_sink)
+        eki = EkiClient(address.host, address.port, timeout_s, self.recorder.eki_sink)
         try:
             state = eki.status(remaining_s(deadline))
-            unsaid = require_ours(state, self._context, options.variant)
-            if unsaid and not options.accept_unverified:
-                raise Unverified("the controller does not report its " + ", ".join(unsaid))
+            unreported = require_ours(state, self._context, options.variant)
+            if unreported and not options.accept_unverified:
+                raise Unverified("the controller does not report its " + ", ".join(unreported))
         except RonnaError as error:
             eki.close()
             if isinstance(error, TimeoutError):
@@ -224,44 +225,38 @@ class Connections:
             ("context", str(state.context_hash)),
             ("cycle_ms", str(state.cycle_ms)),
             ("mode", str(state.mode)),
-            ("verified", "no, it does not report its " + ", ".join(unsaid) if unsaid else "yes"),
+            ("verified", "no, it does not report its " + ", ".join(unreported) if unreported else "yes"),
         )
         model, serial = state.variant or "unknown", state.serial or ""
         # EKI does not carry the software version of the controller.
-        return eki, Identity("KUKA", model, serial, firmware="", details=details), not unsaid
+        return eki, Identity("KUKA", model, serial, firmware="", details=details), not unreported
 
 
-def link_settings(
-    rsi: Endpoint, context: RsiContext, options: KukaOptions
-) -> Callable[[int, int], LinkSettings]:
-    """Return a maker of the real-time process' settings, given the descriptors of mailbox and event."""
-
-    def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
-        return LinkSettings(
-            host=rsi.host,
-            port=rsi.port,
-            parent_pid=os.getpid(),
-            mailbox_fd=mailbox_fd,
-            event_fd=event_fd,
-            variant=options.variant.value,
-            cycle_ms=context.program.cycle_ms,
-            sentype=context.ethernet.sentype,
-            send_tags=tuple(e.tag for e in context.send),
-            receive_tags=tuple(e.tag for e in context.receive),
-            axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
-            stop_tag=context.wired_tag("STOP", "In1") or "",
-            silence_limit_s=options.silence_limit_s,
-            heartbeat_limit_s=options.heartbeat_limit_s,
-            settle_tolerance_deg=options.settle_tolerance_deg,
-            real_time_priority=options.real_time_priority,
-            rehearsal_lead_us=options.rehearsal_lead_us,
-            controller_host=options.controller_host,
-        )
-
-    return settings
+def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> LinkSettings:
+    """Return the real-time process' settings; its `LinkClient` adds the descriptors."""
+    return LinkSettings(
+        host=rsi.host,
+        port=rsi.port,
+        parent_pid=os.getpid(),
+        mailbox_fd=NO_DESCRIPTOR,
+        event_fd=NO_DESCRIPTOR,
+        variant=options.variant.value,
+        cycle_ms=context.program.cycle_ms,
+        sentype=context.ethernet.sentype,
+        send_tags=tuple(e.tag for e in context.send),
+        receive_tags=tuple(e.tag for e in context.receive),
+        axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
+        stop_tag=context.wired_tag("STOP", "In1") or "",
+        silence_limit_s=options.silence_limit_s,
+        heartbeat_limit_s=options.heartbeat_limit_s,
+        settle_tolerance_deg=options.settle_tolerance_deg,
+        real_time_priority=options.real_time_priority,
+        rehearsal_lead_us=options.rehearsal_lead_us,
+        controller_host=options.controller_host,
+    )
 
 
-class LinkBytes:
+class LinkRecorder:
     """Recorder's sinks for both connections, if any; asked for when a connection is opened."""
 
     def __init__(self, arm: str) -> None:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from ronna_hw.devices.errors import ACKNOWLEDGE, MotionInterrupted
 from ronna_hw.errors import (
     ConfigurationError,
@@ -15,21 +13,7 @@ from ronna_hw.errors import (
     RefusedError,
     StateError,
 )
-from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
-
-
-@dataclass(frozen=True)
-class RecordedCycle:
-    """Cycle kept by the flight recorder of the real-time process."""
-
-    cycle: int
-    IPOC: int
-    received_ns: int  # host monotonic
-    turnaround_us: float
-    choice: str  # "go", "stop", "repeat" or "hold"
-    measured_rad: JointVector
-    sent_rad: JointVector
 
 
 class LinkNotStarted(ConnectError):

@@ -19,7 +19,6 @@ from drivers.kuka_rsi.errors import (
     PathFailed,
     PoseDisagrees,
     ProtectiveStop,
-    RecordedCycle,
 )
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import AXES_AGREE_DEG, UNUSABLE_SHARE, WINDOW_CYCLES
@@ -29,6 +28,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     NOTHING_AROUND,
     Fault,
     LinkState,
+    RecordedCycle,
     Result,
 )
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
@@ -84,8 +84,9 @@ def error_of_fault(
         case Fault.PATH:
             return PathFailed(f"{where} the path had no solution")
         case Fault.RESTARTED:
+            sender = f" from {state.foreign_host}" if state.foreign else ""
             return ControllerRestarted(
-                f"{where} received telegrams of another run{foreign_sender_text(state)}",
+                f"{where} received telegrams of another run{sender}",
                 got=f"IPOC {state.IPOC}",
             )
         case Fault.LOSSES:
@@ -164,20 +165,19 @@ def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopp
     return MotionRefused(f"{name}: the motion was refused: {why}")
 
 
-def losses_text(begun: LinkState, state: LinkState) -> str:
+def losses_text(initial: LinkState, state: LinkState) -> str:
     """Describe the losses between two states; empty if there were none."""
     cycles, late, lost = (
         max(now - before, 0)
-        for now, before in ((state.cycles, begun.cycles), (state.late, begun.late), (state.lost, begun.lost))
+        for now, before in (
+            (state.cycles, initial.cycles),
+            (state.late, initial.late),
+            (state.lost, initial.lost),
+        )
     )
     if not late and not lost:
         return ""
     return f": of {cycles} cycles {late} were late or lost by the controller's count, {lost} by IPOC"
-
-
-def foreign_sender_text(state: LinkState) -> str:
-    """Describe the foreign sender, if any."""
-    return f" from {state.foreign_host}" if state.foreign else ""
 
 
 def axes_text(state: LinkState) -> str:
@@ -222,7 +222,7 @@ def _row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
         str(cycle.IPOC),
         f"{(cycle.received_ns - last_ns) / 1e6:.2f}",
         f"{cycle.turnaround_us:.1f}",
-        cycle.choice,
+        cycle.choice.name.lower(),
         *_degrees(cycle.measured_rad),
         *_degrees(cycle.sent_rad),
         *(f"{degrees(angle):.4f}" for angle in behind),

@@ -66,8 +66,10 @@ class FaultWatch:
                 self._guard.latch(parked.death_error())
             return
         link = self._connections.link
-        error = self._error_of(link.state)
-        if error is not None and eki is not None and eki.failure is None and _has_following_error(link.state):
+        state = link.state
+        error = self._error_of(state)
+        lags = state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR
+        if error is not None and lags and eki is not None and eki.failure is None:
             error = self._following_error_cause(error, eki)
             if error is None:
                 return
@@ -193,7 +195,3 @@ class FaultWatch:
         link = self._connections.open_link
         around = NOTHING_AROUND if link is None else link.surroundings
         return error_of_fault(self._name, state, self._options, self.mode, message, around)
-
-
-def _has_following_error(state: LinkState) -> bool:
-    return state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR

@@ -13,13 +13,14 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 
-from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied, RecordedCycle
+from drivers.kuka_rsi.errors import LinkNotStarted, LinkProcessDied
 from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     LinkSettings,
     LinkState,
     Phase,
+    RecordedCycle,
     StopOrder,
 )
 from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
@@ -48,26 +49,28 @@ class LinkClient:
 
     def __init__(
         self,
-        settings: Callable[[int, int], LinkSettings],
+        settings: LinkSettings,
         timeout_s: float = START_TIMEOUT_S,
         kept: Kept | None = None,
     ) -> None:
-        """Start the process; `settings` gets the descriptors of mailbox and event. Raises RSI-001.
+        """Start the process, with descriptors of its own in the settings. Raises RSI-001.
 
         `kept` is called from a thread of this object with the link's traffic.
         """
         self._memory_fd = os.memfd_create("kuka_rsi")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         Mailbox.initialise(self._memory_fd)
-        self._mailbox = Mailbox(self._memory_fd)
-        self._settings = replace(settings(self._memory_fd, self._event_fd), keeps_bytes=kept is not None)
+        self.mailbox = Mailbox(self._memory_fd)
+        self._settings = replace(
+            settings, mailbox_fd=self._memory_fd, event_fd=self._event_fd, keeps_bytes=kept is not None
+        )
         self._on_traffic = kept
         self.surroundings = Surroundings()  # used to monitor the next motions
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._end_reason: str | None = None
         self._commands = 0
-        self._stops = 0
+        self.stop_number = 0  # of the last stop ordered
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
         with children_uninterrupted():
@@ -91,7 +94,7 @@ class LinkClient:
     @property
     def state(self) -> LinkState:
         """The last state published by the process."""
-        return self._mailbox.read_state()
+        return self.mailbox.read_state()
 
     @property
     def alive(self) -> bool:
@@ -101,13 +104,8 @@ class LinkClient:
     @property
     def stalled_s(self) -> float:
         """Host time since the process was last seen running; it reports every 10 ms."""
-        said_ns = self._mailbox.alive_ns()
+        said_ns = self.mailbox.alive_ns()
         return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
-
-    @property
-    def stop_number(self) -> int:
-        """Number of the last stop ordered."""
-        return self._stops
 
     def command(
         self,
@@ -125,9 +123,9 @@ class LinkClient:
             self._commands += 1
             if kind is CommandKind.OPEN:
                 self._stop_kind = StopOrder.HOLD
-            seen = self._stops if stop_number is None else stop_number
+            seen = self.stop_number if stop_number is None else stop_number
             command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad, limits)
-            self._mailbox.write_command(command)
+            self.mailbox.write_command(command)
             return self._commands
 
     def surround(self, surroundings: Surroundings) -> None:
@@ -142,10 +140,10 @@ class LinkClient:
         have seen yet.
         """
         with self._lock:
-            self._stops += 1
+            self.stop_number += 1
             self._stop_kind = max(kind, self._stop_kind)
-            self._mailbox.order_stop(self._stops, self._stop_kind)
-            return self._stops
+            self.mailbox.order_stop(self.stop_number, self._stop_kind)
+            return self.stop_number
 
     def wait(self, condition: Condition, timeout_s: float) -> LinkState | None:
         """Wait for a state that meets the condition; None after the time limit (host time).
@@ -171,28 +169,9 @@ class LinkClient:
             self._end_reason = self._read_end_reason()
         return LinkProcessDied(f"the real-time process ended: {self._end_reason}")
 
-    def histogram(self) -> tuple[int, ...]:
-        """Return turnaround counts of the stream; edges are in `drivers.kuka_rsi.realtime.link_health`."""
-        return self._mailbox.histogram()
-
-    def jitter_histogram(self) -> tuple[int, ...]:
-        """Return jitter counts of the stream, in the same bins."""
-        return self._mailbox.jitter_histogram()
-
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Return the last cycles, oldest first; frozen while a fault is latched."""
-        return tuple(
-            RecordedCycle(
-                cycle=r.cycle,
-                IPOC=r.IPOC,
-                received_ns=r.received_ns,
-                turnaround_us=r.turnaround_us,
-                choice=r.choice.name.lower(),
-                measured_rad=r.measured_rad,
-                sent_rad=r.sent_rad,
-            )
-            for r in self._mailbox.records()
-        )
+        return self.mailbox.records()
 
     def close(self) -> None:
         """End the process, which stops the arm first. Bounded in time, never raises, may be called twice."""
@@ -213,7 +192,7 @@ class LinkClient:
         if self._heartbeat_thread.is_alive():
             self._heartbeat_thread.join()
         self._deliver_traffic()  # traffic during the end of the process
-        self._mailbox.close()
+        self.mailbox.close()
         os.close(self._memory_fd)
         os.close(self._event_fd)
 
@@ -244,7 +223,7 @@ class LinkClient:
         count = 0
         while not self._closing.is_set():
             count += 1
-            self._mailbox.beat(count)
+            self.mailbox.beat(count)
             self._deliver_traffic()
             ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
             if ready:
@@ -256,7 +235,7 @@ class LinkClient:
     def _deliver_traffic(self) -> None:
         if self._on_traffic is None:
             return
-        cycles, lost = self._mailbox.fetch_kept()
+        cycles, lost = self.mailbox.fetch_kept()
         if cycles or lost:
             self._on_traffic(cycles, lost)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from math import degrees, dist, radians
+from typing import NoReturn
 
 from drivers.kuka_rsi.errors import HandshakeFailed, MotionStopped
 from drivers.kuka_rsi.link_client import LinkClient
@@ -24,104 +25,102 @@ LARGEST_ANGLE_RAD = radians(0.02)
 SLOW = 0.1  # of the working speed
 STRAY_RAD = radians(0.002)  # for an axis that should not move: twenty digits of the wire
 ANSWERED_SHARE = 0.75  # share of the commanded angle that must be measured
-LOOK_S = 0.002  # host time between checks of the measured axes
+POLL_S = 0.002  # host time between checks of the measured axes
 AXIS_LIMIT_CYCLES = 500  # for one axis to move and settle: about five times what it takes
 TELEGRAMS_LIMIT_S = 10.0  # host time
 CYCLES_WATCHED = 25  # before anything moves
 PROBE_RAD = 1e-4
 
 
-def verify_by_motion(
-    name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
-) -> None:
-    """Move each axis out and back by a micro-move.
+class MicroMove:
+    """Micro-move of one arm; overridden by any stop after the first `stops`."""
 
-    Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
-    than `stops` stops have been ordered, and RSI-007 when the real-time process has ended. The caller then
-    ends the stream, since accumulating corrections continue as long as they are sent.
-    """
-    _require_cycle(name, link)
-    start = link.state.commanded_rad
-    for axis in reversed(range(len(AXIS_NAMES))):
-        angle = micro_angle(kinematics, start, axis)
-        there = _with_axis_moved(start, axis, angle)
-        _move_and_watch(name, link, kinematics, limits, start, there, axis, stops)
-        answered = link.state.measured_rad[axis] - start[axis]
-        if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
-            _refuse(name, link, f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
-        _move_and_watch(name, link, kinematics, limits, start, start, axis, stops)
+    def __init__(
+        self, name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
+    ) -> None:
+        self._name = name
+        self._link = link
+        self._kinematics = kinematics
+        # An axis close to an end of its range moves away from it.
+        self._limits = replace(limits.slowed(SLOW), range_margin_rad=0.0)
+        self._stops = stops
+
+    def verify(self) -> None:
+        """Move each axis out and back.
+
+        Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
+        than `stops` stops have been ordered, and RSI-007 when the real-time process has ended. The caller
+        then ends the stream, since accumulating corrections continue as long as they are sent.
+        """
+        self._require_cycle()
+        start = self._link.state.commanded_rad
+        for axis in reversed(range(len(AXIS_NAMES))):
+            angle = micro_angle(self._kinematics, start, axis)
+            self._move_and_watch(start, _with_axis_moved(start, axis, angle), axis)
+            answered = self._link.state.measured_rad[axis] - start[axis]
+            if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
+                self._refuse(f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
+            self._move_and_watch(start, start, axis)
+
+    def _require_cycle(self) -> None:
+        initial = self._link.state
+        seen = self._link.wait(lambda s: s.cycles >= initial.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
+        if seen is None or seen.lost - initial.lost >= CYCLES_WATCHED:
+            lost = "no telegrams" if seen is None else f"{seen.lost - initial.lost} cycles lost by IPOC"
+            raise HandshakeFailed(
+                f"{self._name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams"
+            )
+
+    def _move_and_watch(self, start: JointVector, target: JointVector, axis: int) -> None:
+        link = self._link
+        plan = plan_joint_move(self._kinematics, link.state.commanded_rad, target, self._limits)
+        number = link.command(CommandKind.MOVE, plan, self._stops)
+        initial_cycles = link.state.cycles
+        while True:
+            state = link.state
+            self._require_small(state, start, axis)
+            if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
+                break
+            if state.cycles - initial_cycles > AXIS_LIMIT_CYCLES:
+                self._refuse(f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
+            if not link.alive:  # no cycle will come, and no fault
+                raise link.death_error()
+            if link.stalled_s > TELEGRAMS_LIMIT_S:
+                self._refuse(f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
+            time.sleep(POLL_S)
+        if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
+            raise MotionStopped(
+                f"{self._name}: stopped while {AXIS_NAMES[axis]} was tested",
+                action="Acknowledge the arm and start it again: what it does with corrections is not "
+                "verified.",
+            )
+        if state.fault or state.result is not Result.DONE:
+            self._refuse(f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
+
+    def _require_small(self, state: LinkState, start: JointVector, axis: int) -> None:
+        for other, (at, was) in enumerate(zip(state.measured_rad, start, strict=True)):
+            allowed = STRAY_RAD + (LARGEST_ANGLE_RAD if other == axis else 0.0)
+            if abs(at - was) > allowed:
+                moved = f"{AXIS_NAMES[other]} moved by {degrees(at - was):.4f} deg"
+                self._refuse(f"{moved} while {AXIS_NAMES[axis]} was commanded", allowed)
+
+    def _refuse(self, what: str, limit_rad: float) -> NoReturn:
+        self._link.stop(StopOrder.HOLD)
+        raise HandshakeFailed(
+            f"{self._name}: the controller does not move as commanded: {what}",
+            limit=f"{degrees(limit_rad):.4f} deg",
+        )
 
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
     """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
     beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
-    here, there = (
-        kinematics.forward(joints_rad),
-        kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD)),
-    )
+    here = kinematics.forward(joints_rad)
+    there = kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD))
     moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
     angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
     middle = 0.5 * (kinematics.lower_rad[axis] + kinematics.upper_rad[axis])
     return angle if joints_rad[axis] <= middle else -angle
-
-
-def _require_cycle(name: str, link: LinkClient) -> None:
-    begun = link.state
-    seen = link.wait(lambda s: s.cycles >= begun.cycles + CYCLES_WATCHED, TELEGRAMS_LIMIT_S)
-    if seen is None or seen.lost - begun.lost >= CYCLES_WATCHED:
-        lost = "no telegrams" if seen is None else f"{seen.lost - begun.lost} cycles lost by IPOC"
-        raise HandshakeFailed(f"{name}: the cycle differs: {lost} within {CYCLES_WATCHED} telegrams")
-
-
-def _move_and_watch(
-    name: str,
-    link: LinkClient,
-    kinematics: Kinematics,
-    limits: MotionLimits,
-    start: JointVector,
-    target: JointVector,
-    axis: int,
-    stops: int,
-) -> None:
-    # An axis close to an end of its range moves away from it.
-    to_the_ends = replace(limits.slowed(SLOW), range_margin_rad=0.0)
-    plan = plan_joint_move(kinematics, link.state.commanded_rad, target, to_the_ends)
-    number = link.command(CommandKind.MOVE, plan, stops)
-    begun = link.state.cycles
-    while True:
-        state = link.state
-        _require_small(name, link, state, start, axis)
-        if state.fault or (state.command_number >= number and state.result is not Result.RUNNING):
-            break
-        if state.cycles - begun > AXIS_LIMIT_CYCLES:
-            _refuse(name, link, f"{AXIS_NAMES[axis]} does not settle", LARGEST_ANGLE_RAD)
-        if not link.alive:  # no cycle will come, and no fault
-            raise link.death_error()
-        if link.stalled_s > TELEGRAMS_LIMIT_S:
-            _refuse(name, link, f"no telegram was answered for {link.stalled_s:.1f} s", LARGEST_ANGLE_RAD)
-        time.sleep(LOOK_S)
-    if state.result in (Result.STOPPED, Result.REFUSED_STOP) and not state.fault:
-        raise MotionStopped(
-            f"{name}: stopped while {AXIS_NAMES[axis]} was tested",
-            action="Acknowledge the arm and start it again: what it does with corrections is not verified.",
-        )
-    if state.fault or state.result is not Result.DONE:
-        _refuse(name, link, f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
-
-
-def _require_small(name: str, link: LinkClient, state: LinkState, start: JointVector, axis: int) -> None:
-    for other, (at, was) in enumerate(zip(state.measured_rad, start, strict=True)):
-        allowed = STRAY_RAD + (LARGEST_ANGLE_RAD if other == axis else 0.0)
-        if abs(at - was) > allowed:
-            moved = f"{AXIS_NAMES[other]} moved by {degrees(at - was):.4f} deg"
-            _refuse(name, link, f"{moved} while {AXIS_NAMES[axis]} was commanded", allowed)
-
-
-def _refuse(name: str, link: LinkClient, what: str, limit_rad: float) -> None:
-    link.stop(StopOrder.HOLD)
-    raise HandshakeFailed(
-        f"{name}: the controller does not move as commanded: {what}", limit=f"{degrees(limit_rad):.4f} deg"
-    )
 
 
 def _with_axis_moved(joints_rad: JointVector, axis: int, angle_rad: float) -> JointVector:

@@ -104,7 +104,7 @@ class MotionFollower:
     def _execute(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
         link = self._connections.link
         number = link.command(CommandKind.MOVE, plan, stops)
-        begun = link.state
+        start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
 
         def ended(state: LinkState) -> bool:
@@ -120,20 +120,20 @@ class MotionFollower:
             state = link.state
             if state.moving or state.command_number < number or state.result is not Result.RUNNING:
                 rested_cycles = None
-            elif rested_cycles is None:  # the next look is a while later also where theatre time runs fast
+            elif rested_cycles is None:  # the next check is a while later also where theatre time runs fast
                 rested_cycles = state.cycles
             elif (state.cycles - rested_cycles) * self._cycle_s > SETTLE_LIMIT_S:
                 raise MotionNotFinished(
-                    f"{self._name}: the arm did not settle at the end of its path{losses_text(begun, state)}",
+                    f"{self._name}: the arm did not settle at the end of its path{losses_text(start, state)}",
                     limit=f"{SETTLE_LIMIT_S:g} s",
                     got=furthest_text(state),
                 )
-            waited_s = (state.cycles - begun.cycles) * self._cycle_s
+            waited_s = (state.cycles - start.cycles) * self._cycle_s
             if waited_s > timeout_s:
                 link.stop(StopOrder.HOLD)
                 self.wait(lambda s: not s.moving, STOP_S)
                 raise MotionNotFinished(
-                    f"{self._name}: the motion did not end or settle{losses_text(begun, link.state)}",
+                    f"{self._name}: the motion did not end or settle{losses_text(start, link.state)}",
                     limit=f"{timeout_s:g} s",
                     got=axes_text(link.state),
                 )

@@ -2,22 +2,20 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from ipaddress import IPv4Address
 from math import degrees
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import AfterValidator, Field, ValidationError
+from pydantic import AfterValidator, Field
 
 from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
 from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
+from drivers.theatre_options import parse_options
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
 from ronna_hw.calibration import Strict
-from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
 SETTLE_TOLERANCE_DEG = 0.0002  # two digits of the wire
@@ -30,11 +28,7 @@ LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tol
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
 
-def _ip_address(text: str) -> str:
-    return str(IPv4Address(text)) if text else ""
-
-
-ControllerHost = Annotated[str, AfterValidator(_ip_address)]
+ControllerHost = Annotated[str, AfterValidator(lambda text: str(IPv4Address(text)) if text else "")]
 
 
 class KukaOptions(Strict):
@@ -98,14 +92,7 @@ class KukaOptions(Strict):
 
 def read_options(device: str, options: dict[str, Any]) -> KukaOptions:
     """Check the options; raises RSI-013 with every mistake."""
-    try:
-        # via JSON: strict types, but text is accepted for a path and for a variant
-        return KukaOptions.model_validate_json(json.dumps(options, default=str))
-    except ValidationError as error:
-        mistakes = describe_mistakes(error, KukaOptions)
-        raise BadOptions(
-            f"{device}: options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
-        ) from None
+    return parse_options(KukaOptions, options, f"{device}: options", BadOptions)
 
 
 def load_usable_context(device: str, options: KukaOptions) -> RsiContext:

@@ -66,7 +66,18 @@ class KukaProbe:
         return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_controllers(search, progress)
+        """Propose every controller with our EKI server: at the given addresses, or else on the networks.
+
+        A controller serves one EKI client at a time; one that serves another is found but not identified.
+        """
+        known = search.controllers or tuple(_listening(search.interfaces))
+        found = []
+        for number, controller in enumerate(known, start=1):
+            proposal = _proposal(controller, stream_address(search))
+            if search.controllers or not proposal.absent:  # on a network, other machines also listen
+                found.append(proposal)
+            progress(number / len(known))
+        return found
 
     def example(self, search: Search) -> Proposal:
         endpoints = _endpoints(EXAMPLE_CONTROLLER, stream_address(search))
@@ -106,21 +117,6 @@ def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
             "Ports below 1024 are reserved: choose another, here and in the Ethernet file.",
         )
     return error.strerror or str(error), "Give an IPv4 address of this computer."
-
-
-def find_controllers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Propose every controller with our EKI server: at the given addresses, or else on the networks.
-
-    A controller serves one EKI client at a time; one that serves another is found but not identified.
-    """
-    known = search.controllers or tuple(_listening(search.interfaces))
-    found = []
-    for number, controller in enumerate(known, start=1):
-        proposal = _proposal(controller, stream_address(search))
-        if search.controllers or not proposal.absent:  # on a network, other machines also listen
-            found.append(proposal)
-        progress(number / len(known))
-    return found
 
 
 def stream_address(search: Search) -> str:

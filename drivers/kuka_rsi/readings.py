@@ -79,7 +79,7 @@ class ArmReadings:
         )
 
 
-def standing_facts(state: ControllerState | None) -> Iterator[Fact]:
+def reported_facts(state: ControllerState | None) -> Iterator[Fact]:
     """List what a person has set and the controller reports unsolicited; nothing before its first report.
 
     Drives that are off are no objection: `activate` switches them on.
@@ -127,7 +127,7 @@ def _message(number: int) -> str:
 
 def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
     """List everything that `activate` checks."""
-    yield from standing_facts(state)
+    yield from reported_facts(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
         "A message ended it: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT

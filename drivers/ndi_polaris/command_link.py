@@ -7,6 +7,7 @@ sends ECHO with a text of its own and discards everything up to the echo.
 
 from __future__ import annotations
 
+import math
 import re
 import struct
 import time
@@ -27,38 +28,26 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.transport import Transport
 from ronna_hw.errors import ProtocolError
-from ronna_hw.wire.polaris import (
-    ASCII_CRC_DIGITS,
-    BITS_PER_BYTE_ON_LINE,
-    BX_CRC_BYTES,
-    BX_HEADER_BYTES,
-    BX_START,
-    COMMAND_TIMEOUT_S,
-    CR,
-    REPLY_RESET,
-    REPLY_WARNING,
-    WARNING_MEANINGS,
-    crc16,
-)
+from ronna_hw.wire import polaris as ndi
 
 KEPT_COMMANDS = 32  # every reading sends the same command
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
-BX_START_BYTES = struct.pack("<H", BX_START)
+BX_START_BYTES = struct.pack("<H", ndi.BX_START)
 ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
 LONGEST_REPLY_BYTES = 16384  # longer than any reply of these units: beyond this it is noise
-LONGEST_LIMIT_S = max(COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
+LONGEST_LIMIT_S = max(ndi.COMMAND_TIMEOUT_S.values())  # for commands without a limit of their own
 QUIET_S = 0.02  # silence after which a line counts as drained
 STALL_S = 0.5  # a reply that pauses this long is truncated
 BABBLE_BYTES = 1_000_000  # no unit sends this much unasked
 ECHO_ATTEMPTS = 3
 REFUSALS_NEEDED = 2  # one error may be a late reply to another command, two in a row are not
 NOISE_CODES = frozenset({0x01, 0x04})  # wrong CRC, or unknown: a command that lost its colon has no CRC
-RESET_TEXT = b"%b%04X\r" % (REPLY_RESET.encode(), crc16(REPLY_RESET.encode()))
+RESET_TEXT = b"%b%04X\r" % (ndi.REPLY_RESET.encode(), ndi.crc16(ndi.REPLY_RESET.encode()))
 Reply = str | bytes  # text of an ASCII reply, body of a binary one
 _HEADER = struct.Struct("<HHH")
 _CRC = struct.Struct("<H")
 _ERROR = re.compile(r"ERROR([0-9A-F]{2})")
-_WARNING = re.compile(rf"{REPLY_WARNING}([0-9A-F]{{2}})?")
+_WARNING = re.compile(rf"{ndi.REPLY_WARNING}([0-9A-F]{{2}})?")
 _FIRST_BYTES_OF_TEXT = b"ERW"  # ERROR, RESET, WARNING: possible in place of a binary reply
 
 
@@ -83,21 +72,18 @@ class CommandLink:
         self,
         transport: Transport,
         *,
-        limits_s: Mapping[str, float] = COMMAND_TIMEOUT_S,
+        limits_s: Mapping[str, float] = ndi.COMMAND_TIMEOUT_S,
         monotonic: Callable[[], float] = time.monotonic,
     ) -> None:
         self.transport = transport
         self.statistics = LinkStatistics()
+        self.deadline_s = math.inf  # on the clock `monotonic`: no command waits for longer
         self.waited_s = 0.0  # from the last command to its reply, without the transfer of both
         self._limits_s = limits_s
-        self._monotonic = monotonic
+        self.monotonic = monotonic  # the host's clock, on which deadlines are given
         self._settled = False  # replies to an earlier client may still arrive
         self._silent_since_s: float | None = None
         self._echoes = 0
-
-    def now_s(self) -> float:
-        """Read the host's monotonic clock, on which deadlines are given."""
-        return self._monotonic()
 
     def adopt_limits(self, limits_s: Mapping[str, float]) -> None:
         """Use these time limits, in seconds by command; other commands keep theirs."""
@@ -108,25 +94,22 @@ class CommandLink:
         name: str,
         argument: str = "",
         *,
-        deadline_s: float | None = None,
         reply_bytes: int = ORDINARY_REPLY_BYTES,
         retry: bool = True,
     ) -> str:
         """Send a command and return the text of its reply, OKAY and WARNINGhh included.
 
         The time limit is the unit's own for that command plus the transfer at the current rate, bounded by
-        `deadline_s` (see `now_s`). With `retry` a disturbed exchange is repeated once, so use it only for
-        commands that may be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
+        `deadline_s`. With `retry` a disturbed exchange is repeated once, so use it only for commands that may
+        be repeated. Raises NDI-005 to NDI-009 and the NDI-03x of ERRORhh.
         """
-        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=retry, binary=False)
+        reply = self._exchange(name, argument, reply_bytes, retry=retry, binary=False)
         assert isinstance(reply, str)
         return reply
 
-    def ask_binary(
-        self, name: str, argument: str = "", *, deadline_s: float | None = None, reply_bytes: int
-    ) -> bytes:
+    def ask_binary(self, name: str, argument: str = "", *, reply_bytes: int) -> bytes:
         """Send a command like `ask` and return the body of its binary reply, CRCs checked."""
-        reply = self._exchange(name, argument, deadline_s, reply_bytes, retry=True, binary=True)
+        reply = self._exchange(name, argument, reply_bytes, retry=True, binary=True)
         if isinstance(reply, str):
             self._settled = False
             raise MalformedReply(f"text reply to {name}, whose reply is binary", wire=reply.encode())
@@ -138,9 +121,9 @@ class CommandLink:
 
     def _transfer_s(self, count: int) -> float:
         baud = self.transport.baud
-        return count * BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
+        return count * ndi.BITS_PER_BYTE_ON_LINE / baud if baud else 0.0
 
-    def drain(self, quiet_s: float = QUIET_S, deadline_s: float | None = None) -> bytes:
+    def drain(self, quiet_s: float = QUIET_S, until_s: float = math.inf) -> bytes:
         """Discard input until the line has been silent for `quiet_s`; return the last part of it.
 
         Raises NDI-006 when the line never falls silent.
@@ -151,7 +134,7 @@ class CommandLink:
             count += len(data)
             if count > BABBLE_BYTES:
                 raise MalformedReply("the line never falls silent", wire=discarded)
-            if deadline_s is not None and self._monotonic() > deadline_s:
+            if self.monotonic() > until_s:
                 break
         return discarded
 
@@ -159,7 +142,7 @@ class CommandLink:
         """Resynchronise before the next command: the caller has seen an implausible reply."""
         self._settled = False
 
-    def settle(self, deadline_s: float | None = None) -> None:
+    def settle(self) -> None:
         """Resynchronise by ECHO with a unique text, discarding everything up to its echo.
 
         A unit without ECHO refuses it twice, which serves equally. Raises NDI-007 while the unit may only be
@@ -167,15 +150,15 @@ class CommandLink:
         """
         refusals = 0
         for _ in range(ECHO_ATTEMPTS):
-            if RESET_TEXT in self.drain(deadline_s=deadline_s):
+            if RESET_TEXT in self.drain(until_s=self.deadline_s):
                 raise UnitRestarted("the unit sent RESET")
-            outcome = self._echo(deadline_s)
+            outcome = self._echo()
             refusals = refusals + 1 if outcome is _Echo.REFUSED else 0
             if outcome is _Echo.HEARD or refusals >= REFUSALS_NEEDED:
                 self._settled = True
                 self._silent_since_s = None
                 return
-            if deadline_s is not None and self._monotonic() >= deadline_s:
+            if self.monotonic() >= self.deadline_s:
                 break
         self._give_up()
 
@@ -183,33 +166,30 @@ class CommandLink:
         self,
         name: str,
         argument: str,
-        deadline_s: float | None,
         reply_bytes: int,
         *,
         retry: bool,
         binary: bool,
     ) -> Reply:
         try:
-            return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
+            return self._exchange_once(name, argument, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
             noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
-            if not noise or not retry or (deadline_s is not None and self._monotonic() >= deadline_s):
+            if not noise or not retry or self.monotonic() >= self.deadline_s:
                 raise
         self.statistics.retries += 1
-        return self._exchange_once(name, argument, deadline_s, reply_bytes, binary)
+        return self._exchange_once(name, argument, reply_bytes, binary)
 
-    def _exchange_once(
-        self, name: str, argument: str, deadline_s: float | None, reply_bytes: int, binary: bool
-    ) -> Reply:
+    def _exchange_once(self, name: str, argument: str, reply_bytes: int, binary: bool) -> Reply:
         self._check_stale_input()
         command = encode_command(name, argument)
         limit_s = self.limit_s(name, len(command), reply_bytes)
         if not self._settled:
-            self.settle(deadline_s)
+            self.settle()
         self.transport.write(command)
         self.statistics.commands += 1
-        began_s = self._monotonic()
-        until_s = began_s + limit_s if deadline_s is None else min(began_s + limit_s, deadline_s)
+        began_s = self.monotonic()
+        until_s = min(began_s + limit_s, self.deadline_s)
         try:
             reply, rest = self._receive(until_s, binary)
         except ProtocolError:
@@ -226,7 +206,7 @@ class CommandLink:
                 wire=rest,
                 expected="a reply with CRC",
             )
-        self.waited_s = max(0.0, self._monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
+        self.waited_s = max(0.0, self.monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
             self._settled = False
@@ -235,7 +215,7 @@ class CommandLink:
         return reply
 
     def _raise_for(self, text: str, name: str) -> None:
-        if text == REPLY_RESET and name != "RESET":
+        if text == ndi.REPLY_RESET and name != "RESET":
             raise UnitRestarted(f"the unit replied RESET to {name}")
         error = unit_error(text, name)
         if isinstance(error, NotInitialised) and name != "INIT":
@@ -256,7 +236,7 @@ class CommandLink:
                 return open_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
                 raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
-            left_s = until_s - self._monotonic()
+            left_s = until_s - self.monotonic()
             if left_s <= 0:
                 return None, buffer
             data = self.transport.read(min(left_s, STALL_S) if buffer else left_s)
@@ -273,17 +253,15 @@ class CommandLink:
         if RESET_TEXT in stale:
             raise UnitRestarted("the unit sent RESET", wire=stale)
 
-    def _echo(self, deadline_s: float | None) -> _Echo:
+    def _echo(self) -> _Echo:
         self._echoes += 1
         mark = f"INSTEP{self._echoes:06d}"
         command = encode_command("ECHO", mark)
-        began_s = self._monotonic()
+        began_s = self.monotonic()
         self.transport.write(command)
-        until_s = began_s + self.limit_s("ECHO", len(command), len(command))
-        if deadline_s is not None:
-            until_s = min(until_s, deadline_s)
+        until_s = min(began_s + self.limit_s("ECHO", len(command), len(command)), self.deadline_s)
         heard = b""
-        while (left_s := until_s - self._monotonic()) > 0:
+        while (left_s := until_s - self.monotonic()) > 0:
             heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]
             if RESET_TEXT in heard:
                 raise UnitRestarted("the unit sent RESET", wire=heard)
@@ -303,7 +281,7 @@ class CommandLink:
 
     def _give_up(self) -> None:
         since_s = self._silent_since_s
-        silent_s = self._monotonic() - since_s if since_s is not None else 0.0
+        silent_s = self.monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
         if silent_s >= limit_s:
             raise LinkLost("the unit is silent", limit=f"{limit_s:.1f} s", got=f"{silent_s:.1f} s")
@@ -316,14 +294,14 @@ class CommandLink:
 def encode_command(name: str, argument: str = "") -> bytes:
     """Encode a command as `NAME:argument` + CRC + CR, the form whose CRC the unit checks."""
     text = f"{name}:{argument}".encode("ascii")
-    return b"%b%04X\r" % (text, crc16(text))
+    return b"%b%04X\r" % (text, ndi.crc16(text))
 
 
 def open_ascii(line: bytes) -> str:
     """Return the text of one ASCII reply (without its CR); raises NDI-005, or NDI-006 if it is not ASCII."""
-    text = line[:-ASCII_CRC_DIGITS]
+    text = line[: -ndi.ASCII_CRC_DIGITS]
     if not _crc_is_right(line):
-        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{crc16(text):04X}", wire=line)
+        raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{ndi.crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
     except UnicodeDecodeError as error:
@@ -332,35 +310,35 @@ def open_ascii(line: bytes) -> str:
 
 def trailing_text(heard: bytes) -> str | None:
     """Return the text of the last reply, without its CR, in bytes that may begin with remnants of others."""
-    line = heard.rsplit(CR, 1)[-1][-TRAILING_TEXT_BYTES:]
+    line = heard.rsplit(ndi.CR, 1)[-1][-TRAILING_TEXT_BYTES:]
     # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
     # valid together with it.
     for start in range(len(line)):
         if line[start:].isascii() and _crc_is_right(line[start:]):
-            return line[start:-ASCII_CRC_DIGITS].decode("ascii")
+            return line[start : -ndi.ASCII_CRC_DIGITS].decode("ascii")
     return None
 
 
 def _crc_is_right(line: bytes) -> bool:
     # an empty text is legal: an empty parameter list has CRC 0000
-    text, digits = line[:-ASCII_CRC_DIGITS], line[-ASCII_CRC_DIGITS:]
-    return len(digits) == ASCII_CRC_DIGITS and digits == b"%04X" % crc16(text)
+    text, digits = line[: -ndi.ASCII_CRC_DIGITS], line[-ndi.ASCII_CRC_DIGITS :]
+    return len(digits) == ndi.ASCII_CRC_DIGITS and digits == b"%04X" % ndi.crc16(text)
 
 
 def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
     """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
-    line, end, rest = buffer.partition(CR)
+    line, end, rest = buffer.partition(ndi.CR)
     return (line, rest) if end else None
 
 
 def binary_reply_bytes(header: bytes) -> int:
     """Return the length of a binary reply from its first six bytes; raises NDI-005 or NDI-006."""
     start, length, crc = _HEADER.unpack_from(header)
-    if start != BX_START:
+    if start != ndi.BX_START:
         raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
-    if crc != crc16(header[: BX_HEADER_BYTES - BX_CRC_BYTES]):
-        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[:BX_HEADER_BYTES])
-    return BX_HEADER_BYTES + int(length) + BX_CRC_BYTES
+    if crc != ndi.crc16(header[: ndi.BX_HEADER_BYTES - ndi.BX_CRC_BYTES]):
+        raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[: ndi.BX_HEADER_BYTES])
+    return ndi.BX_HEADER_BYTES + int(length) + ndi.BX_CRC_BYTES
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
@@ -368,16 +346,16 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
 
     Raises NDI-005 for a wrong CRC of header or body, NDI-006 for a wrong start sequence.
     """
-    if len(buffer) < BX_HEADER_BYTES:
+    if len(buffer) < ndi.BX_HEADER_BYTES:
         return None
     whole = binary_reply_bytes(buffer)
     if len(buffer) < whole:
         return None
-    body = buffer[BX_HEADER_BYTES : whole - BX_CRC_BYTES]
-    (crc,) = _CRC.unpack_from(buffer, whole - BX_CRC_BYTES)
-    if crc != crc16(body):
+    body = buffer[ndi.BX_HEADER_BYTES : whole - ndi.BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(buffer, whole - ndi.BX_CRC_BYTES)
+    if crc != ndi.crc16(body):
         raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply", expected=f"{crc16(body):04X}", wire=buffer[:whole]
+            "wrong CRC in the body of a binary reply", expected=f"{ndi.crc16(body):04X}", wire=buffer[:whole]
         )
     return body, buffer[whole:]
 
@@ -395,4 +373,4 @@ def warning_meaning(text: str) -> str | None:
         return None
     if match[1] is None:
         return "a warning without a code (older firmware)"
-    return WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")
+    return ndi.WARNING_MEANINGS.get(int(match[1], 16), f"undocumented warning {match[1]}")

@@ -24,14 +24,7 @@ from drivers.ndi_polaris.errors import (
     UnitError,
 )
 from ronna_hw.errors import LinkTimeout, ProtocolError
-from ronna_hw.wire.polaris import (
-    BITS_PER_BYTE_ON_LINE,
-    COMM_BAUD_CODES,
-    COMM_DEFAULT_ARGUMENT,
-    COMMAND_TIMEOUT_S,
-    CR,
-    DEFAULT_BAUD,
-)
+from ronna_hw.wire import polaris as ndi
 
 INQUIRY_COMMAND = "APIREV"  # every unit replies to it in some way
 INQUIRY = encode_command(INQUIRY_COMMAND)
@@ -40,11 +33,11 @@ REPLY_LIMIT_S = 0.3  # per rate: an idle unit replies within a few milliseconds
 TRIES = 2  # the first command may be garbled by the remains of an earlier one
 RESET_LIMIT_S = 7.0  # from a break to RESET: the longest wait of any client
 # Rates at which a unit may have been left, likeliest first.
-LIKELY_BAUDS = (DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
+LIKELY_BAUDS = (ndi.DEFAULT_BAUD, 115200, 921600, 230400, 57600, 38400, 19200, 14400)
 RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit to switch
 
 
-def find_unit(link: CommandLink, deadline_s: float) -> None:
+def find_unit(link: CommandLink) -> None:
     """Set the line to a rate at which the unit replies.
 
     Raises NDI-002 when nothing replies, NDI-003 when what replies is not a Polaris unit.
@@ -52,26 +45,26 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     transport = link.transport
     heard = bytearray()
     tried = []
-    bauds = LIKELY_BAUDS if transport.baud is not None else (DEFAULT_BAUD,)
+    bauds = LIKELY_BAUDS if transport.baud is not None else (ndi.DEFAULT_BAUD,)
     for baud in bauds:
-        if link.now_s() >= deadline_s:
+        if link.monotonic() >= link.deadline_s:
             break
         try:
             transport.set_baud(baud)
         except PortUnavailable:  # this adapter does not support that rate
             continue
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
-        inquiry = inquire(link, deadline_s)
+        inquiry = inquire(link)
         heard += inquiry.heard
         if inquiry.answered:
             return
-    if transport.baud is not None and link.now_s() < deadline_s:
-        transport.set_baud(DEFAULT_BAUD)
+    if transport.baud is not None and link.monotonic() < link.deadline_s:
+        transport.set_baud(ndi.DEFAULT_BAUD)
         transport.send_break()
         tried.append("a break")
-        if await_reset(link, deadline_s):
+        if await_reset(link):
             return
-        inquiry = inquire(link, deadline_s)
+        inquiry = inquire(link)
         heard += inquiry.heard
         if inquiry.answered:
             return
@@ -81,35 +74,33 @@ def find_unit(link: CommandLink, deadline_s: float) -> None:
     raise NothingAnswers(f"no unit replied; tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
-def initialise(link: CommandLink, deadline_s: float) -> None:
+def initialise(link: CommandLink) -> None:
     """Send INIT; if it fails, RESET the unit once and try again. Raises NDI-03x, NDI-005 to NDI-008."""
     try:
-        link.ask("INIT", deadline_s=deadline_s)
+        link.ask("INIT")
     except (UnitError, LinkTimeout, ProtocolError):
-        if link.now_s() >= deadline_s:
+        if link.monotonic() >= link.deadline_s:
             raise
         link.transport.write(encode_command("RESET", "0"))
         if link.transport.baud is not None:
-            link.transport.set_baud(DEFAULT_BAUD)
-        await_reset(link, deadline_s)
-        link.drain(deadline_s=deadline_s)
-        link.ask("INIT", deadline_s=deadline_s)
+            link.transport.set_baud(ndi.DEFAULT_BAUD)
+        await_reset(link)
+        link.drain(until_s=link.deadline_s)
+        link.ask("INIT")
 
 
-def await_reset(link: CommandLink, deadline_s: float) -> bool:
+def await_reset(link: CommandLink) -> bool:
     """Wait for RESET after a break or the RESET command; False if it does not come in time."""
-    until_s = min(deadline_s, link.now_s() + RESET_LIMIT_S)
+    until_s = min(link.deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
+    while (left_s := until_s - link.monotonic()) > 0:
         heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
         if RESET_TEXT in heard:
             return True
     return False
 
 
-def raise_baud(
-    link: CommandLink, maximum: int, deadline_s: float, pause: Callable[[float], None] = time.sleep
-) -> int | None:
+def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] = time.sleep) -> int | None:
     """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
 
     A unit lost at a rate that the cable does not carry is searched for again, if necessary with a break, and
@@ -117,23 +108,21 @@ def raise_baud(
     """
     if link.transport.baud is None:
         return None
-    for code, baud in sorted(COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
+    for code, baud in sorted(ndi.COMM_BAUD_CODES.items(), key=lambda item: -item[1]):
         if baud > maximum:
             continue
         if baud <= link.transport.baud:
             break
         try:
-            if _switch(link, code, baud, link.transport.baud, deadline_s, pause):
+            if _switch(link, code, baud, link.transport.baud, pause):
                 break
         except LinkLost:
-            find_unit(link, deadline_s)
-            initialise(link, deadline_s)
+            find_unit(link)
+            initialise(link)
     return link.transport.baud
 
 
-def _switch(
-    link: CommandLink, code: str, baud: int, current: int, deadline_s: float, pause: Callable[[float], None]
-) -> bool:
+def _switch(link: CommandLink, code: str, baud: int, current: int, pause: Callable[[float], None]) -> bool:
     try:  # our own end first: a unit at a rate we do not support would be lost
         link.transport.set_baud(baud)
         link.transport.set_baud(current)
@@ -141,17 +130,17 @@ def _switch(
         link.transport.set_baud(current)
         return False
     try:
-        link.ask("COMM", code + COMM_DEFAULT_ARGUMENT[1:], deadline_s=deadline_s, retry=False)
+        link.ask("COMM", code + ndi.COMM_DEFAULT_ARGUMENT[1:], retry=False)
     except UnitError:
         return False
     except (ProtocolError, NoReply):
         pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if inquire(link, deadline_s).answered:
+    if inquire(link).answered:
         return True
     link.transport.set_baud(current)
-    if not inquire(link, deadline_s).answered:
+    if not inquire(link).answered:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
 
@@ -167,38 +156,38 @@ class Inquiry(NamedTuple):
         return self.reply is not None
 
 
-def inquire(link: CommandLink, deadline_s: float) -> Inquiry:
+def inquire(link: CommandLink) -> Inquiry:
     """Send a command that changes nothing, twice if the first reply is garbled.
 
     Raises NDI-003 when the line never falls silent, NDI-008 when it is lost.
     """
     heard = b""
     for _ in range(TRIES):
-        inquiry = _inquire_once(link, deadline_s)
+        inquiry = _inquire_once(link)
         heard = inquiry.heard or heard
         if inquiry.answered or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)
 
 
-def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
+def _inquire_once(link: CommandLink) -> Inquiry:
     transport = link.transport
     try:
-        link.drain(deadline_s=min(deadline_s, link.now_s() + REPLY_LIMIT_S))
+        link.drain(until_s=min(link.deadline_s, link.monotonic() + REPLY_LIMIT_S))
     except MalformedReply as error:
         raise NotAPolaris("the line sends unsolicited data continuously", wire=error.wire) from error
-    transfer_s = (len(INQUIRY) + REPLY_BYTES) * BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
+    transfer_s = (len(INQUIRY) + REPLY_BYTES) * ndi.BITS_PER_BYTE_ON_LINE / (transport.baud or math.inf)
     rest_s = REPLY_LIMIT_S + transfer_s  # a reply that has begun is complete after this
     # over TCP there is no other rate to try: wait the full time limit
-    limit_s = rest_s if transport.baud is not None else COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
+    limit_s = rest_s if transport.baud is not None else ndi.COMMAND_TIMEOUT_S[INQUIRY_COMMAND]
     transport.write(INQUIRY)
-    until_s = min(deadline_s, link.now_s() + limit_s)
+    until_s = min(link.deadline_s, link.monotonic() + limit_s)
     heard = b""
-    while (left_s := until_s - link.now_s()) > 0:
+    while (left_s := until_s - link.monotonic()) > 0:
         if not (data := transport.read(left_s)):
             continue
         if not heard:
-            until_s = min(until_s, link.now_s() + rest_s)
+            until_s = min(until_s, link.monotonic() + rest_s)
         heard = (heard + data)[-LONGEST_REPLY_BYTES:]
         if (reply := _last_reply(heard)) is not None:
             return Inquiry(heard, reply)
@@ -208,5 +197,5 @@ def _inquire_once(link: CommandLink, deadline_s: float) -> Inquiry:
 def _last_reply(heard: bytes) -> str | None:
     """Return the text of the last reply with a valid CRC, ignoring our own command from a loop-back."""
     echo = f"{INQUIRY_COMMAND}:"
-    texts = (trailing_text(line) for line in reversed(heard.split(CR)[:-1]))
+    texts = (trailing_text(line) for line in reversed(heard.split(ndi.CR)[:-1]))
     return next((text for text in texts if text and text != echo), None)

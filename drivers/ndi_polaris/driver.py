@@ -191,7 +191,7 @@ class PolarisTracker:
         bump.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
-        self._guarded(self._set_up, self._monotonic() + timeout_s)
+        self._guarded(self._set_up, timeout_s)
         self._guard.enter(
             Lifecycle.CONFIGURED, baud=self.baud, tools=self.tools, volume=self._volume, notices=self.notices
         )
@@ -199,13 +199,13 @@ class PolarisTracker:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start tracking, with the frame number from 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
-        self._guarded(self._run.start, self._monotonic() + timeout_s)
+        self._guarded(self._run.start, timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop tracking; the tools stay loaded."""
         self._guard.require("deactivate", RUNNING)
-        self._guarded(lambda deadline_s: stop_tracking(self._link, deadline_s), self._monotonic() + timeout_s)
+        self._guarded(lambda: stop_tracking(self._link), timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
@@ -217,12 +217,9 @@ class PolarisTracker:
         """
         self._guard.require("read_frame", RUNNING)
         try:
-            frame = self._run.read(self._monotonic() + timeout_s)
+            frame = self._guarded(self._run.read, timeout_s)
         except TemperatureHold:
             self._guard.enter(Lifecycle.HOLD)
-            raise
-        except _FAULTS as fault:
-            self._guard.latch(fault)
             raise
         if self._guard.state is Lifecycle.HOLD:
             self._guard.enter(Lifecycle.ACTIVE)
@@ -245,10 +242,10 @@ class PolarisTracker:
             self._drop_link()
             raise WrongUnit("a different unit from before", expected=before.serial, got=identity.serial)
         if isinstance(cause, SensorBumped) or self._bump_reported:
-            clear_bump(self._link, deadline_s)
+            clear_bump(self._link)
             self._bump_reported = False
         try:
-            self._set_up(deadline_s)
+            self._set_up()
         except SensorBumped:  # the operator acknowledged another fault: the next recovery clears this one
             self._bump_reported = True
             raise
@@ -261,8 +258,9 @@ class PolarisTracker:
             return
         if self._open_link is not None:
             # a unit that is gone needs no closing commands
+            self._open_link.deadline_s = self._monotonic() + CLOSE_LIMIT_S
             with contextlib.suppress(RonnaError, OSError):
-                self._release_unit(self._open_link, self._monotonic() + CLOSE_LIMIT_S)
+                self._release_unit(self._open_link)
             self._drop_link()
         self._guard.enter(Lifecycle.CLOSED)
 
@@ -276,10 +274,11 @@ class PolarisTracker:
         assert self._tracking is not None, "the lifecycle allows this call only when configured"
         return self._tracking
 
-    def _guarded(self, work: Callable[[float], T], deadline_s: float) -> T:
-        """Run `work`; latch the faults that only `recover` may clear."""
+    def _guarded(self, work: Callable[[], T], timeout_s: float) -> T:
+        """Run `work` within the time limit; latch the faults that only `recover` may clear."""
+        self._link.deadline_s = self._monotonic() + timeout_s
         try:
-            return work(deadline_s)
+            return work()
         except _FAULTS as fault:
             self._guard.latch(fault)
             raise
@@ -289,10 +288,11 @@ class PolarisTracker:
         if self._sink is not None:
             transport = RecordedTransport(transport, self._name, self._sink)
         link = CommandLink(transport, limits_s=self._options.limits_s(), monotonic=self._monotonic)
+        link.deadline_s = deadline_s
         try:
-            find_unit(link, deadline_s)
-            initialise(link, deadline_s)
-            identity = read_identity(link, deadline_s)
+            find_unit(link)
+            initialise(link)
+            identity = read_identity(link)
             check_identity(identity, self._options.expected_model, self._options.expected_serial)
         except BaseException:  # including interruptions: the serial port is released
             transport.close()
@@ -300,36 +300,36 @@ class PolarisTracker:
         self._open_link = link
         return identity
 
-    def _set_up(self, deadline_s: float) -> None:
+    def _set_up(self) -> None:
         link = self._link
         self._notices[:] = [
             str(pair) for name, tool in self._definitions.items() for pair in find_alike({name: tool})
         ]
-        raise_baud(link, self._options.maximum_baud, deadline_s, self._pause)
-        link.adopt_limits({**read_time_limits(link, deadline_s), **self._options.time_limits_s})
-        refuse_pending_alerts(link, deadline_s)
+        raise_baud(link, self._options.maximum_baud, self._pause)
+        link.adopt_limits({**read_time_limits(link), **self._options.time_limits_s})
+        refuse_pending_alerts(link)
         wanted_hz = self._options.illuminator_rate_hz
-        rate_hz = set_illuminator_rate(link, wanted_hz, deadline_s)
+        rate_hz = set_illuminator_rate(link, wanted_hz)
         if rate_hz != wanted_hz:
             self._notices.append(f"the illuminators stay at {rate_hz} Hz instead of {wanted_hz} Hz")
-        self._volume = choose_volume(link, self._options.volume, deadline_s)
+        self._volume = choose_volume(link, self._options.volume)
         if self._volume is None:
             self._notices.append(
                 "the unit does not report its volume: strays rely on its own out-of-volume bits"
             )
         wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
-        self._loaded = load_tools(link, wanted, deadline_s, self._notices.append)
+        self._loaded = load_tools(link, wanted, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
-    def _release_unit(self, link: CommandLink, deadline_s: float) -> None:
+    def _release_unit(self, link: CommandLink) -> None:
         if isinstance(self._guard.fault, LinkLost):
             return
         if self._guard.state in RUNNING | {Lifecycle.FAULT}:
-            stop_tracking(link, deadline_s)
+            stop_tracking(link)
         for tool in self._loaded:
-            free_handle(link, tool.handle, deadline_s)
+            free_handle(link, tool.handle)
         if link.transport.baud is not None:
-            link.ask("COMM", COMM_DEFAULT_ARGUMENT, deadline_s=deadline_s, retry=False)
+            link.ask("COMM", COMM_DEFAULT_ARGUMENT, retry=False)
 
     def _drop_link(self) -> None:
         if self._open_link is not None:

@@ -1,13 +1,4 @@
-"""Errors of the tracker, NDI-001 to NDI-037.
-
-    ConnectError        NDI-001 PortUnavailable, NDI-002 NothingAnswers, NDI-003 NotAPolaris,
-                        NDI-004 WrongUnit
-    ProtocolError       NDI-005 BadReplyCrc, NDI-006 MalformedReply
-    LinkTimeout         NDI-007 NoReply (the unit is late), NDI-008 LinkLost (it is gone)
-    ConfigurationError  NDI-010 BadOptions, NDI-012 SameGeometry
-    DataError           NDI-011 BadToolFile, NDI-013 ForeignTool
-    DeviceError         NDI-009 UnitRestarted, NDI-020 HardwareFailure, NDI-021 SensorBumped,
-                        NDI-022 TemperatureHold, and NDI-03x: ERRORhh replies of the unit
+"""Errors of the tracker, NDI-001 to NDI-037; NDI-03x are the ERRORhh replies of the unit.
 
 `error_for(hh)` maps each vendor code to its type; `vendor_code` keeps the number.
 """

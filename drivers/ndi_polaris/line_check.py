@@ -12,7 +12,7 @@ import os
 import time
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.discovery import INQUIRY, LIKELY_BAUDS, inquire
@@ -34,6 +34,7 @@ PRINTABLE_SHARE = 0.9
 EKI_STATE = f"</{STATE}>".encode()  # how the telegrams of the project's EKI server end
 LEAST_TEXT = 6  # characters for bytes to count as text
 SECTION = "lines"
+Finding = tuple[bool, str, str]  # whether all is well, observation, advice
 
 
 class Opening(StrEnum):
@@ -98,7 +99,7 @@ _OPENING_BY_ERROR = {
 }
 
 
-def look_at_line(endpoint: Endpoint) -> LineState:
+def check_line(endpoint: Endpoint) -> LineState:
     """Check a serial or TCP line without ever raising for what it does; raises CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
@@ -138,7 +139,8 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
             link.transport.set_baud(baud)
         elif (first := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
             return Attempt(baud, Outcome.GARBAGE, first[-KEPT_BYTES:])
-        heard, reply = inquire(link, time.monotonic() + INQUIRY_LIMIT_S)
+        link.deadline_s = time.monotonic() + INQUIRY_LIMIT_S
+        heard, reply = inquire(link)
     except PortUnavailable:
         return Attempt(baud, Outcome.REFUSED)
     except LinkLost:
@@ -154,17 +156,12 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
     return Attempt(baud, outcome, heard[-KEPT_BYTES:], reply or "")
 
 
-class Diagnosis(NamedTuple):
-    """Observation and advice for display."""
+def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
+    """Return the doctor's entry for a line, with the bytes of every attempt.
 
-    well: bool
-    seen: str
-    advice: str = ""
-
-
-def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
-    """Return the doctor's entry for a line, with the bytes of every attempt."""
-    well, seen, advice = diagnose(line, of_tracker=of_tracker)
+    Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
+    """
+    well, seen, advice = _diagnose(line, of_tracker=of_tracker)
     answered = line.answered
     document: dict[str, Any] = {
         "endpoint": str(line.endpoint),
@@ -184,17 +181,13 @@ def line_diagnostic(line: LineState, *, of_tracker: bool) -> Diagnostic:
     return Diagnostic(f"line {line.endpoint}", well, seen, advice, SECTION, document)
 
 
-def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
-    """Interpret the state of a line: observation, likely cause, advice.
-
-    Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
-    """
+def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
     if line.opening is not Opening.OPENED:
         return _diagnose_refusal(line)
     if (answered := line.answered) is not None:
         return _diagnose_reply(answered)
     if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
-        return Diagnosis(
+        return (
             False,
             "lost during the inquiry",
             "Was the adapter unplugged, or the program at the other end stopped?",
@@ -203,13 +196,13 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
     if not noisy:
         return _diagnose_silence(line)
     if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
-        return Diagnosis(
+        return (
             False,
             f"echoes our commands {_rate_text(noisy[0])}",
             "A loop-back plug, or a terminal with its echo on: there is no unit.",
         )
     if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
-        return Diagnosis(
+        return (
             not of_tracker,
             f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
             "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
@@ -226,47 +219,47 @@ def diagnose(line: LineState, *, of_tracker: bool = True) -> Diagnosis:
             "Probably another rate, or another device. If it is the tracker: power-cycle it, which resets "
             f"it to {DEFAULT_BAUD} baud."
         )
-    return Diagnosis(False, seen, advice)
+    return False, seen, advice
 
 
-def _diagnose_refusal(line: LineState) -> Diagnosis:
+def _diagnose_refusal(line: LineState) -> Finding:
     endpoint = line.endpoint
     if line.opening is Opening.MISSING:
         advice = "Is the adapter plugged in? The ports that exist are listed above."
-        return Diagnosis(False, f"{endpoint.path} does not exist", advice)
+        return False, f"{endpoint.path} does not exist", advice
     if line.opening is Opening.FORBIDDEN:
-        return Diagnosis(False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path))
+        return False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path)
     if line.users:
         users = " and ".join(str(user) for user in line.users)
-        return Diagnosis(
+        return (
             False,
             f"held by another program: {users}",
             "If it runs a case, leave it alone: its arm may be at a patient. Otherwise stop it, or use "
             "another port.",
         )
     if line.opening is Opening.HELD:
-        return Diagnosis(
+        return (
             False,
             "held by another program, not visible to this user",
             f"Find it with: sudo fuser -v {endpoint.path}",
         )
     if line.opening is Opening.CLOSED:
-        return Diagnosis(
+        return (
             False,
             "the connection is closed as soon as it is used",
             "The unit may be serving another client: stop that one. Otherwise another program is "
             "listening there.",
         )
     assert line.refusal is not None
-    return Diagnosis(False, line.refusal.reason, line.refusal.advice)
+    return False, line.refusal.reason, line.refusal.advice
 
 
-def _diagnose_reply(attempt: Attempt) -> Diagnosis:
+def _diagnose_reply(attempt: Attempt) -> Finding:
     rate = "" if attempt.baud is None else f" at {attempt.baud}"
     seen = f"answered{rate}: {attempt.reply} (last bytes {attempt.heard.hex(' ')})"
     if attempt.baud in (None, DEFAULT_BAUD):
-        return Diagnosis(True, seen)
-    return Diagnosis(
+        return True, seen, ""
+    return (
         True,
         seen,
         f"An earlier program left it at this rate. Our driver finds it there; others need {DEFAULT_BAUD}: "
@@ -274,15 +267,15 @@ def _diagnose_reply(attempt: Attempt) -> Diagnosis:
     )
 
 
-def _diagnose_silence(line: LineState) -> Diagnosis:
+def _diagnose_silence(line: LineState) -> Finding:
     if line.endpoint.scheme == "tcp":
-        return Diagnosis(
+        return (
             False,
             "accepts the connection and sends nothing",
             "Another program is listening there, or the unit serves another client: check address and port.",
         )
     tried = [attempt.baud for attempt in line.attempts if attempt.outcome is not Outcome.REFUSED]
-    return Diagnosis(
+    return (
         False,
         f"silent at {', '.join(map(str, tried))} baud",
         "Is the unit powered, is its cable plugged in, and is this its port? At power-up it sends RESET.",

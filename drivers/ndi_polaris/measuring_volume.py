@@ -9,20 +9,13 @@ from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
 from drivers.ndi_polaris.unit import parameter_or, whole_number
 from ronna_hw.vectors import Vector3
-from ronna_hw.wire.polaris import (
-    LF,
-    PARAMETER_SELECTED_VOLUME,
-    SFLIST_DIMENSION_CHARACTERS,
-    SFLIST_DIMENSION_SCALE,
-    SFLIST_DIMENSIONS,
-    SFLIST_VOLUMES,
-)
+from ronna_hw.wire import polaris as ndi
 
 PYRAMID_SHAPE = "5"  # pyramid and extended pyramid of the Spectra: the only shape whose formula is public
 SLOPE_PER = 1000.0  # slopes are sent per 1000
 Section = tuple[float, float, float]  # of `ronna_hw.devices.sensors.BoundedTracker`
 SFLIST_BYTES = 1024  # room for nine volumes of 74 characters each
-_DIMENSION = re.compile(rf"[+-][0-9]{{{SFLIST_DIMENSION_CHARACTERS - 1}}}")
+_DIMENSION = re.compile(rf"[+-][0-9]{{{ndi.SFLIST_DIMENSION_CHARACTERS - 1}}}")
 
 
 @dataclass(frozen=True)
@@ -72,7 +65,7 @@ class MeasuringVolume:
 
 def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
     """Parse the reply to SFLIST 03: a count of one digit, then one record per volume. Raises NDI-006."""
-    count, records = text[:1], text[1:].strip(LF).split(LF)
+    count, records = text[:1], text[1:].strip(ndi.LF).split(ndi.LF)
     if not count.isdecimal() or int(count) != len(records):
         raise MalformedReply(f"SFLIST announces {count or 'no'} volumes but sends {len(records)}")
     return tuple(_parse_volume(record) for record in records)
@@ -80,29 +73,27 @@ def parse_volumes(text: str) -> tuple[MeasuringVolume, ...]:
 
 def _parse_volume(record: str) -> MeasuringVolume:
     fields = [
-        record[1 + k * SFLIST_DIMENSION_CHARACTERS : 1 + (k + 1) * SFLIST_DIMENSION_CHARACTERS]
-        for k in range(SFLIST_DIMENSIONS)
+        record[1 + k * ndi.SFLIST_DIMENSION_CHARACTERS : 1 + (k + 1) * ndi.SFLIST_DIMENSION_CHARACTERS]
+        for k in range(ndi.SFLIST_DIMENSIONS)
     ]
     if not all(_DIMENSION.fullmatch(field) for field in fields):
         raise MalformedReply("unknown form of a volume in SFLIST", wire=record.encode("ascii", "replace"))
-    d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / SFLIST_DIMENSION_SCALE for field in fields)
+    d1, d2, d3, d4, d5, d6, d7, d8, d9, d10 = (int(field) / ndi.SFLIST_DIMENSION_SCALE for field in fields)
     return MeasuringVolume(
         record[0], d1, d2, d3, d4, d5, d6 / SLOPE_PER, d7 / SLOPE_PER, d8 / SLOPE_PER, d9, d10
     )
 
 
-def choose_volume(link: CommandLink, wanted: int | None, deadline_s: float) -> MeasuringVolume | None:
+def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | None:
     """Select volume `wanted` (from 1) if given; return the volume in use, None if unknown."""
     if wanted is not None:
-        link.ask("VSEL", f"{wanted}", deadline_s=deadline_s)
+        link.ask("VSEL", f"{wanted}")
     try:
-        volumes = parse_volumes(
-            link.ask("SFLIST", SFLIST_VOLUMES, deadline_s=deadline_s, reply_bytes=SFLIST_BYTES)
-        )
+        volumes = parse_volumes(link.ask("SFLIST", ndi.SFLIST_VOLUMES, reply_bytes=SFLIST_BYTES))
     except (UnitError, MalformedReply):
         return None
     if wanted is not None:
         index = wanted - 1
     else:
-        index = whole_number(parameter_or(link, PARAMETER_SELECTED_VOLUME, "", deadline_s)) or 0
+        index = whole_number(parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "")) or 0
     return volumes[index] if 0 <= index < len(volumes) else None

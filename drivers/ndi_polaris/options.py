@@ -7,20 +7,18 @@ expected_model = "spectra"
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 from typing import Annotated, Literal, Self
 
-from pydantic import Field, ValidationError, field_validator, model_validator
+from pydantic import Field, field_validator, model_validator
 
 from drivers.ndi_polaris.errors import BadOptions, ForeignTool
 from drivers.ndi_polaris.shipped_tools import find_definition
 from drivers.ndi_polaris.tool_comparison import check_distinct
 from drivers.ndi_polaris.tool_definition import ToolDefinition, definition_hash, read_definition
+from drivers.theatre_options import parse_options
 from ronna_hw.calibration import Strict
 from ronna_hw.config import DeviceConfig
-from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, COMMAND_TIMEOUT_S
 
 
@@ -121,13 +119,4 @@ class PolarisOptions(Strict):
 
 def read_options(config: DeviceConfig) -> PolarisOptions:
     """Parse the options of the theatre file; raises NDI-010 listing every mistake."""
-    try:
-        # via JSON: strict types, but lists are accepted for tuples
-        return PolarisOptions.model_validate_json(json.dumps(config.options))
-    except ValidationError as error:
-        mistakes = describe_mistakes(error, PolarisOptions)
-        raise BadOptions(
-            f"tracker options have {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
-        ) from error
-    except TypeError as error:
-        raise BadOptions(f"tracker options: {error}") from error
+    return parse_options(PolarisOptions, config.options, "tracker options", BadOptions)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import Any, get_args
 
 from drivers.ndi_polaris.driver import PolarisTracker
-from drivers.ndi_polaris.line_check import Opening, line_diagnostic, look_at_line
+from drivers.ndi_polaris.line_check import Opening, check_line, line_diagnostic
 from drivers.ndi_polaris.options import PolarisOptions
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
@@ -56,7 +56,19 @@ class PolarisProbe:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
-        return find_trackers(search, progress)
+        """Propose every line with a unit that answers, and those that do not exist.
+
+        A unit is identified as a procedure would identify it.
+        """
+        found = []
+        for number, line in enumerate(search.lines, start=1):
+            state = check_line(line)
+            if state.answered is not None:
+                found.append(_proposal(line))
+            elif state.opening is Opening.MISSING:
+                found.append(_missing(line))
+            progress(number / len(search.lines))
+        return found
 
     def example(self, search: Search) -> Proposal:
         return Proposal(DRIVER, "", {ONLY: EXAMPLE_LINE}, _options({}), TOOLS)
@@ -70,25 +82,9 @@ def _diagnose_lines(
 ) -> list[Diagnostic]:
     diagnostics: list[Diagnostic] = []
     for endpoint in endpoints:
-        diagnostics.append(line_diagnostic(look_at_line(endpoint), of_tracker=of_tracker))
+        diagnostics.append(line_diagnostic(check_line(endpoint), of_tracker=of_tracker))
         progress(len(diagnostics) / len(endpoints))
     return diagnostics
-
-
-def find_trackers(search: Search, progress: Progress) -> Sequence[Proposal]:
-    """Propose every line with a unit that answers, and those that do not exist.
-
-    A unit is identified as a procedure would identify it.
-    """
-    found = []
-    for number, line in enumerate(search.lines, start=1):
-        state = look_at_line(line)
-        if state.answered is not None:
-            found.append(_proposal(line))
-        elif state.opening is Opening.MISSING:
-            found.append(_missing(line))
-        progress(number / len(search.lines))
-    return found
 
 
 def _proposal(line: Endpoint) -> Proposal:

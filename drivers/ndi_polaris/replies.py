@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 import struct
-from enum import Enum
 from typing import NamedTuple
 
 from drivers.ndi_polaris.errors import MalformedReply
@@ -14,24 +13,8 @@ from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import DOUBTFUL_STATUS
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.vectors import Quaternion, Vector3
-from ronna_hw.wire.polaris import (
-    LF,
-    MAXIMUM_STRAYS,
-    REPLY_DISABLED,
-    REPLY_MISSING,
-    REPLY_UNOCCUPIED,
-    TX_ERROR_CHARACTERS,
-    TX_ERROR_SCALE,
-    TX_FRAME_DIGITS,
-    TX_PORT_STATUS_DIGITS,
-    TX_POSITION_CHARACTERS,
-    TX_POSITION_SCALE,
-    TX_QUATERNION_CHARACTERS,
-    TX_QUATERNION_SCALE,
-    TX_SYSTEM_STATUS_DIGITS,
-    HandleStatus,
-    PortStatus,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import HandleStatus, PortStatus
 
 NORM_TOLERANCE = 1e-2  # rounding in TX changes the norm by 1e-4; beyond this it is not a rotation
 FARTHEST_MM = 9999.99  # limit of the unit's text format
@@ -41,35 +24,28 @@ _BX_POSE = struct.Struct("<8f2I")  # Q0 Qx Qy Qz Tx Ty Tz error, port status, fr
 _BX_STATUS_AND_FRAME = struct.Struct("<2I")
 _BX_POSITION = struct.Struct("<3f")
 _BX_SYSTEM_STATUS = struct.Struct("<H")
-_QUATERNION = rf"([+-][0-9]{{{TX_QUATERNION_CHARACTERS - 1}}})"
-_POSITION = rf"([+-][0-9]{{{TX_POSITION_CHARACTERS - 1}}})"
-_ERROR = rf"([+-][0-9]{{{TX_ERROR_CHARACTERS - 1}}})"
-_STATUS_AND_FRAME = rf"([0-9A-F]{{{TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{TX_FRAME_DIGITS}}})"
+_QUATERNION = rf"([+-][0-9]{{{ndi.TX_QUATERNION_CHARACTERS - 1}}})"
+_POSITION = rf"([+-][0-9]{{{ndi.TX_POSITION_CHARACTERS - 1}}})"
+_ERROR = rf"([+-][0-9]{{{ndi.TX_ERROR_CHARACTERS - 1}}})"
+_STATUS_AND_FRAME = rf"([0-9A-F]{{{ndi.TX_PORT_STATUS_DIGITS}}})([0-9A-F]{{{ndi.TX_FRAME_DIGITS}}})"
 _VALID = re.compile(_QUATERNION * 4 + _POSITION * 3 + _ERROR + _STATUS_AND_FRAME)
-_MISSING = re.compile(REPLY_MISSING + _STATUS_AND_FRAME)
+_MISSING = re.compile(ndi.REPLY_MISSING + _STATUS_AND_FRAME)
 # Clients differ on whether a disabled or empty handle carries status and frame: both are accepted.
-_ABSENT = re.compile(f"({REPLY_DISABLED}|{REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
+_ABSENT = re.compile(f"({ndi.REPLY_DISABLED}|{ndi.REPLY_UNOCCUPIED})(?:{_STATUS_AND_FRAME})?")
 _HEX2 = re.compile("[0-9A-F]{2}")
-_STATUS = re.compile(f"[0-9A-F]{{{TX_SYSTEM_STATUS_DIGITS}}}")
+_STATUS = re.compile(f"[0-9A-F]{{{ndi.TX_SYSTEM_STATUS_DIGITS}}}")
 _HEX = re.compile("[0-9A-F]*")
-_STRAY_CHARACTERS = 3 * TX_POSITION_CHARACTERS
+_STRAY_CHARACTERS = 3 * ndi.TX_POSITION_CHARACTERS
 _STRAY = re.compile(_POSITION * 3)
 
 
-class HandleState(Enum):
-    """State of a handle as reported by the unit."""
-
-    VALID = "valid"
-    MISSING = "missing"
-    DISABLED = "disabled"
-    UNOCCUPIED = "unoccupied"
-
-
 class HandleReport(NamedTuple):
-    """Report on one handle. Pose and error only when VALID; status and frame also when MISSING."""
+    """Report on one handle: pose and error only for a tool that is seen.
+
+    Port status and frame also for a missing tool, neither for a disabled or unoccupied handle.
+    """
 
     handle: int
-    state: HandleState
     rotation: Quaternion | None = None  # tracker <- tool, scalar first, as sent: not yet normalised
     position_mm: Vector3 | None = None
     fit_error_mm: float | None = None
@@ -107,13 +83,13 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
             q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, at)
             at += _BX_POSE.size
             rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
-            handles.append(HandleReport(number, HandleState.VALID, rotation, position, fit, port, frame))
+            handles.append(HandleReport(number, rotation, position, fit, port, frame))
         elif status == HandleStatus.MISSING:
             port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, at)
             at += _BX_STATUS_AND_FRAME.size
-            handles.append(HandleReport(number, HandleState.MISSING, port_status=port, frame=frame))
+            handles.append(HandleReport(number, port_status=port, frame=frame))
         elif status == HandleStatus.DISABLED:
-            handles.append(HandleReport(number, HandleState.DISABLED))
+            handles.append(HandleReport(number))
         else:
             raise MalformedReply(f"BX: unknown status {status:02X} of handle {number:02X}", wire=body)
     positions: tuple[Vector3, ...] = ()
@@ -128,8 +104,8 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
 
 def _bx_strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
     count = body[at]
-    if count > MAXIMUM_STRAYS:
-        raise MalformedReply(f"BX announces {count} strays", limit=str(MAXIMUM_STRAYS), wire=body)
+    if count > ndi.MAXIMUM_STRAYS:
+        raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
     bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
     at += 1 + (count + 7) // 8
@@ -148,14 +124,14 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
     Raises NDI-006 when the text does not match the options.
     """
     count = _hex2(text[:2], "number of handles", text)
-    *records, tail = text[2:].split(LF)
+    *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
         raise _malformed(f"TX announces {count} handles but sends {len(records)}", text)
     handles = tuple(_tx_handle(record, text) for record in records)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if strays:
-        block, tail = tail[:-TX_SYSTEM_STATUS_DIGITS], tail[-TX_SYSTEM_STATUS_DIGITS:]
+        block, tail = tail[: -ndi.TX_SYSTEM_STATUS_DIGITS], tail[-ndi.TX_SYSTEM_STATUS_DIGITS :]
         positions, outside = _tx_strays(block, text)
     if not _STATUS.fullmatch(tail):
         raise _malformed("TX has no system status", text)
@@ -168,34 +144,27 @@ def _tx_handle(record: str, text: str) -> HandleReport:
         q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
         return HandleReport(
             number,
-            HandleState.VALID,
             (
-                q0 / TX_QUATERNION_SCALE,
-                qx / TX_QUATERNION_SCALE,
-                qy / TX_QUATERNION_SCALE,
-                qz / TX_QUATERNION_SCALE,
+                q0 / ndi.TX_QUATERNION_SCALE,
+                qx / ndi.TX_QUATERNION_SCALE,
+                qy / ndi.TX_QUATERNION_SCALE,
+                qz / ndi.TX_QUATERNION_SCALE,
             ),
-            (tx / TX_POSITION_SCALE, ty / TX_POSITION_SCALE, tz / TX_POSITION_SCALE),
-            fit / TX_ERROR_SCALE,
+            (tx / ndi.TX_POSITION_SCALE, ty / ndi.TX_POSITION_SCALE, tz / ndi.TX_POSITION_SCALE),
+            fit / ndi.TX_ERROR_SCALE,
             int(match[9], 16),
             int(match[10], 16),
         )
     if match := _MISSING.fullmatch(content):
-        return HandleReport(
-            number,
-            HandleState.MISSING,
-            port_status=int(match[1], 16),
-            frame=int(match[2], 16),
-        )
-    if match := _ABSENT.fullmatch(content):
-        state = HandleState.DISABLED if match[1] == REPLY_DISABLED else HandleState.UNOCCUPIED
-        return HandleReport(number, state)
+        return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
+    if _ABSENT.fullmatch(content):
+        return HandleReport(number)
     raise _malformed(f"unknown form of the TX record of handle {number:02X}", text)
 
 
 def _tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
     count = _hex2(block[:2], "number of strays", text)
-    if count > MAXIMUM_STRAYS:
+    if count > ndi.MAXIMUM_STRAYS:
         raise _malformed(f"TX announces {count} strays", text)
     digits = (count + 3) // 4
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
@@ -217,7 +186,7 @@ def _tx_position(record: str, text: str) -> Vector3:
     match = _STRAY.fullmatch(record)
     if not match:
         raise _malformed("unknown form of a stray position in TX", text)
-    x, y, z = (int(value) / TX_POSITION_SCALE for value in match.groups())
+    x, y, z = (int(value) / ndi.TX_POSITION_SCALE for value in match.groups())
     return x, y, z
 
 
@@ -233,29 +202,23 @@ def _malformed(what: str, text: str) -> MalformedReply:
 
 def frame_number(reply: TrackingReply) -> int:
     """Return the frame number of a reply; raises NDI-006 when no handle carries one."""
-    number: int | None = None
-    for report in reply.handles:
-        if report.frame is not None and (number is None or report.frame > number):
-            number = report.frame
-    if number is None:
+    numbers = [report.frame for report in reply.handles if report.frame is not None]
+    if not numbers:
         raise MalformedReply("no handle of the reply carries a frame number")
-    return number
+    return max(numbers)
 
 
 def assemble(
     reply: TrackingReply,
     tools: tuple[LoadedTool, ...],
     *,
-    frame: int,
     stamp: Stamp,
     repeated: bool,
     volume: MeasuringVolume | None,
     stray_to_marker_mm: float,
 ) -> TrackerFrame:
-    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status.
-
-    `frame` is the frame number of the reply.
-    """
+    """Assemble one frame of readings: STALE when repeated, PARTIAL for a doubtful system status."""
+    frame = frame_number(reply)
     reports = {report.handle: report for report in reply.handles}
     readings = []
     seen = []
@@ -278,14 +241,11 @@ def _tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolRea
     if report is None or report.rotation is None or report.position_mm is None:
         outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
         return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
-    rotation = _normalised(report.rotation)
-    if (
-        rotation is None
-        or not _is_plausible_position(report.position_mm)
-        or not _is_plausible_error(report.fit_error_mm)
-    ):
+    rotation, error_mm = _normalised(report.rotation), report.fit_error_mm
+    plausible = error_mm is not None and 0 <= error_mm <= FARTHEST_MM
+    if rotation is None or not plausible or not _is_plausible_position(report.position_mm):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
-    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, report.fit_error_mm)
+    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, error_mm)
 
 
 def _validity(report: HandleReport, frame: int) -> Validity:
@@ -340,10 +300,6 @@ def _normalised(rotation: Quaternion) -> Quaternion | None:
 def _is_plausible_position(position_mm: Vector3) -> bool:
     x, y, z = position_mm
     return abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM and -FARTHEST_MM <= z < 0
-
-
-def _is_plausible_error(error_mm: float | None) -> bool:
-    return error_mm is not None and 0 <= error_mm <= FARTHEST_MM
 
 
 def _to_tracker_mm(

@@ -50,7 +50,7 @@ def make(
     one for an existing definition. Exit codes: 0 written, possibly with warnings about similar distances;
     1 the description is wrong or the file cannot be written.
     """
-    from drivers.ndi_polaris.tool_comparison import alike_segments_mm, find_alike
+    from drivers.ndi_polaris.tool_comparison import find_alike
     from drivers.ndi_polaris.tool_definition import decode_definition, definition_hash, encode_definition
     from drivers.ndi_polaris.tool_description import read_description
     from ronna_hw.records import write_whole
@@ -60,7 +60,7 @@ def make(
     tool = decode_definition(block)
     write_whole(out, block)
     warnings = [str(pair) for pair in find_alike({tool.part_number: tool})]
-    if tool.unique_geometry and alike_segments_mm(tool):
+    if tool.unique_geometry and warnings:
         warnings.append("the definition claims unique geometry; set unique_geometry = false")
     if as_json:
         terminal.print_json(

@@ -124,35 +124,20 @@ def find_alike(
     tools: Mapping[str, ToolDefinition], tolerance_mm: float = SEGMENT_TOLERANCE_MM
 ) -> tuple[AlikeSegments, ...]:
     """Find all segments that break the unique-geometry rules, within each tool and between every two."""
+    lengths_mm = {name: segment_lengths_mm(tool.markers_mm) for name, tool in tools.items()}
     within = [
-        AlikeSegments(name, name, *pair)
-        for name, tool in tools.items()
-        for pair in alike_segments_mm(tool, tolerance_mm)
+        AlikeSegments(name, name, a, b)
+        for name, lengths in lengths_mm.items()
+        for a, b in itertools.pairwise(lengths)
+        if b - a < tolerance_mm
     ]
     between = [
-        AlikeSegments(name, other_name, *pair)
-        for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2)
-        for pair in shared_segments_mm(tool, other, tolerance_mm)
+        AlikeSegments(name, other_name, a, b)
+        for (name, lengths), (other_name, others) in itertools.combinations(lengths_mm.items(), 2)
+        for a, b in itertools.product(lengths, others)
+        if abs(a - b) < tolerance_mm
     ]
     return (*within, *between)
-
-
-def alike_segments_mm(
-    tool: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
-) -> tuple[tuple[float, float], ...]:
-    """Return segment lengths of one tool that are too similar; empty for a unique geometry."""
-    lengths = segment_lengths_mm(tool.markers_mm)
-    return tuple((a, b) for a, b in itertools.pairwise(lengths) if b - a < tolerance_mm)
-
-
-def shared_segments_mm(
-    first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = SEGMENT_TOLERANCE_MM
-) -> tuple[tuple[float, float], ...]:
-    """Return segment lengths of two tools that are too similar, as (first, second)."""
-    theirs = segment_lengths_mm(second.markers_mm)
-    return tuple(
-        (a, b) for a in segment_lengths_mm(first.markers_mm) for b in theirs if abs(a - b) < tolerance_mm
-    )
 
 
 def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:

@@ -102,26 +102,16 @@ class ToolDescription(Strict):
         faces = self.faces * count if len(self.faces) == 1 else self.faces
         main_type = MAIN_TYPES[self.main_type]
         subtype = max(0, main_type - layout.SUBTYPE_BELOW_TYPE) if self.subtype is None else self.subtype
-        return ToolDefinition(
-            part_number=self.part_number,
-            markers_mm=self.markers_mm,
-            normals=normals,
-            faces=faces,
-            face_normals=tuple(_unit(normal) for normal in self.face_normals)
+        interpreted = {
+            "normals": normals,
+            "faces": faces,
+            "face_normals": tuple(_unit(normal) for normal in self.face_normals)
             or tuple(_opposite(normals, faces, face) for face in range(1, max(faces) + 1)),
-            manufacturer=self.manufacturer,
-            made_on=self.made_on,
-            main_type=main_type,
-            subtype=subtype,
-            revision=self.revision,
-            sequence=self.sequence,
-            maximum_angle_deg=self.maximum_angle_deg,
-            minimum_markers=self.minimum_markers,
-            maximum_error_mm=self.maximum_error_mm,
-            minimum_spread_mm=self.minimum_spread_mm,
-            unique_geometry=self.unique_geometry,
-            marker_type=MARKER_TYPES[self.marker_type],
-        )
+            "main_type": main_type,
+            "subtype": subtype,
+            "marker_type": MARKER_TYPES[self.marker_type],
+        }
+        return ToolDefinition(**{**dict(self), **interpreted})
 
 
 def read_description(path: Path) -> ToolDescription:

@@ -18,16 +18,8 @@ from drivers.ndi_polaris.errors import (
 )
 from drivers.ndi_polaris.options import ToolOption
 from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition
-from ronna_hw.wire.polaris import (
-    HANDLE_DIGITS,
-    PHRQ_ANY_PASSIVE,
-    PHRQ_DUMMY_PASSIVE,
-    PVWR_BLOCK_BYTES,
-    REPLY_OKAY,
-    HandleQuery,
-    PortStatus,
-    TrackingPriority,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import HandleQuery, PortStatus, TrackingPriority
 from ronna_hw.wire.polaris_rom import SERIAL_OFFSET
 
 PHSR_STATUS_DIGITS = 3
@@ -56,7 +48,6 @@ class LoadedTool:
 def load_tools(
     link: CommandLink,
     tools: Iterable[tuple[ToolOption, ToolDefinition]],
-    deadline_s: float,
     note: Callable[[str], None],
 ) -> tuple[LoadedTool, ...]:
     """Free all handles, then load, initialise and enable each tool; `note` receives warnings.
@@ -67,34 +58,33 @@ def load_tools(
     """
     wanted = tuple(tools)
     try:
-        return _load(link, wanted, deadline_s, note)
+        return _load(link, wanted, note)
     except (BadReplyCrc, MalformedReply, NoReply):
-        return _load(link, wanted, deadline_s, note)
+        return _load(link, wanted, note)
 
 
 def _load(
     link: CommandLink,
     tools: tuple[tuple[ToolOption, ToolDefinition], ...],
-    deadline_s: float,
     note: Callable[[str], None],
 ) -> tuple[LoadedTool, ...]:
-    for handle in list_handles(link, HandleQuery.ALL, deadline_s):  # ours or an earlier client's
-        free_handle(link, handle, deadline_s)
+    for handle in list_handles(link, HandleQuery.ALL):  # ours or an earlier client's
+        free_handle(link, handle)
     loaded = []
     for option, definition in tools:
-        handle = request_handle(link, PHRQ_ANY_PASSIVE, deadline_s)
-        _write_definition(link, handle, encode_definition(definition), deadline_s)
-        _initialise(link, handle, option.name, deadline_s, note)
-        if (difference := check_handle(link, handle, option.name, definition, deadline_s)) is not None:
+        handle = request_handle(link, ndi.PHRQ_ANY_PASSIVE)
+        _write_definition(link, handle, encode_definition(definition))
+        _initialise(link, handle, option.name, note)
+        if (difference := check_handle(link, handle, option.name, definition)) is not None:
             note(difference)
-        link.ask("PENA", f"{handle:02X}{option.priority}", deadline_s=deadline_s)
+        link.ask("PENA", f"{handle:02X}{option.priority}")
         loaded.append(LoadedTool(handle, option.name, definition))
     if not loaded:
-        handle = request_handle(link, PHRQ_DUMMY_PASSIVE, deadline_s)
-        _initialise(link, handle, "dummy tool", deadline_s, note)
-        link.ask("PENA", f"{handle:02X}{TrackingPriority.DYNAMIC}", deadline_s=deadline_s)
+        handle = request_handle(link, ndi.PHRQ_DUMMY_PASSIVE)
+        _initialise(link, handle, "dummy tool", note)
+        link.ask("PENA", f"{handle:02X}{TrackingPriority.DYNAMIC}")
         loaded.append(LoadedTool(handle, None, None))
-    enabled = list_handles(link, HandleQuery.ENABLED, deadline_s)
+    enabled = list_handles(link, HandleQuery.ENABLED)
     if missing := [tool for tool in loaded if tool.handle not in enabled]:
         raise MalformedReply(
             "a tool that was enabled is not listed as enabled",
@@ -103,32 +93,28 @@ def _load(
     return tuple(loaded)
 
 
-def _write_definition(link: CommandLink, handle: int, block: bytes, deadline_s: float) -> None:
-    for address in range(0, len(block), PVWR_BLOCK_BYTES):
-        chunk = block[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
-        link.ask("PVWR", f"{handle:02X}{address:04X}{chunk.hex().upper()}", deadline_s=deadline_s)
+def _write_definition(link: CommandLink, handle: int, block: bytes) -> None:
+    for address in range(0, len(block), ndi.PVWR_BLOCK_BYTES):
+        chunk = block[address : address + ndi.PVWR_BLOCK_BYTES].ljust(ndi.PVWR_BLOCK_BYTES, b"\0")
+        link.ask("PVWR", f"{handle:02X}{address:04X}{chunk.hex().upper()}")
 
 
-def _initialise(
-    link: CommandLink, handle: int, name: str, deadline_s: float, note: Callable[[str], None]
-) -> None:
-    reply = link.ask("PINIT", f"{handle:02X}", deadline_s=deadline_s)
+def _initialise(link: CommandLink, handle: int, name: str, note: Callable[[str], None]) -> None:
+    reply = link.ask("PINIT", f"{handle:02X}")
     if (warning := warning_meaning(reply)) is not None:
         note(f"{name}: {warning}")
-    elif reply != REPLY_OKAY:
+    elif reply != ndi.REPLY_OKAY:
         raise MalformedReply("unknown reply to PINIT", wire=reply.encode())
 
 
-def check_handle(
-    link: CommandLink, handle: int, name: str, definition: ToolDefinition, deadline_s: float
-) -> str | None:
+def check_handle(link: CommandLink, handle: int, name: str, definition: ToolDefinition) -> str | None:
     """Return a notice if serial or part number differs; raises NDI-013 if both do.
 
     Either byte order of the serial number is accepted, since firmware differs. A unit
     without PHINF is trusted.
     """
     try:
-        text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}", deadline_s=deadline_s)
+        text = link.ask("PHINF", f"{handle:02X}{TOOL_AND_PART_NUMBER}")
     except UnitError:
         return None
     serial, part_number = text[SERIAL].upper(), text[PART_NUMBER].strip()
@@ -146,9 +132,9 @@ def check_handle(
     return f"{name}: the unit reports {reported}, the definition has {expected}"
 
 
-def request_handle(link: CommandLink, argument: str, deadline_s: float) -> int:
+def request_handle(link: CommandLink, argument: str) -> int:
     """Request a handle by PHRQ, which is never repeated: a lost reply would leak a handle."""
-    text = link.ask("PHRQ", argument, deadline_s=deadline_s, retry=False)
+    text = link.ask("PHRQ", argument, retry=False)
     try:
         handle = int(text, 16)
     except ValueError as error:
@@ -158,22 +144,24 @@ def request_handle(link: CommandLink, argument: str, deadline_s: float) -> int:
     return handle
 
 
-def free_handle(link: CommandLink, handle: int, deadline_s: float | None) -> None:
+def free_handle(link: CommandLink, handle: int) -> None:
     """Free one handle; freeing a free one is not an error."""
     try:
-        link.ask("PHF", f"{handle:02X}", deadline_s=deadline_s)
+        link.ask("PHF", f"{handle:02X}")
     except HandleRefused:
         return
 
 
-def list_handles(link: CommandLink, query: HandleQuery, deadline_s: float | None) -> dict[int, PortStatus]:
+def list_handles(link: CommandLink, query: HandleQuery) -> dict[int, PortStatus]:
     """List the handles selected by a PHSR query, with their status."""
-    text = link.ask("PHSR", f"{query.value:02X}", deadline_s=deadline_s, reply_bytes=PHSR_BYTES)
-    width = HANDLE_DIGITS + PHSR_STATUS_DIGITS
+    text = link.ask("PHSR", f"{query.value:02X}", reply_bytes=PHSR_BYTES)
+    width = ndi.HANDLE_DIGITS + PHSR_STATUS_DIGITS
     try:
         count = int(text[:2], 16)
         records = [text[2 + k * width : 2 + (k + 1) * width] for k in range(count)]
-        handles = {int(r[:HANDLE_DIGITS], 16): PortStatus(int(r[HANDLE_DIGITS:], 16)) for r in records}
+        handles = {
+            int(r[: ndi.HANDLE_DIGITS], 16): PortStatus(int(r[ndi.HANDLE_DIGITS :], 16)) for r in records
+        }
     except ValueError as error:
         raise MalformedReply("unknown form of PHSR", wire=text.encode()) from error
     if len(text.rstrip()) != 2 + count * width or len(handles) != count:

@@ -17,18 +17,11 @@ from drivers.ndi_polaris.tool_loading import LoadedTool
 from drivers.ndi_polaris.unit import ALARMING_STATUS, alarm
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import Stamp, TrackerFrame
-from ronna_hw.wire.polaris import (
-    BX_CRC_BYTES,
-    BX_HEADER_BYTES,
-    FRAME_RATE_HZ,
-    MAXIMUM_STRAYS,
-    TSTART_RESET_FRAME_COUNTER,
-    TX_FRAME_DIGITS,
-    ReplyOption,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import ReplyOption
 
-FRAME_NUMBERS = 16**TX_FRAME_DIGITS  # the number wraps after 2.3 years
-NOMINAL_PERIOD_S = 1.0 / FRAME_RATE_HZ
+FRAME_NUMBERS = 16**ndi.TX_FRAME_DIGITS  # the number wraps after 2.3 years
+NOMINAL_PERIOD_S = 1.0 / ndi.FRAME_RATE_HZ
 WINDOW_FRAMES = 60  # one second: long enough to contain a reply with hardly any delay
 WINDOWS_KEPT = 60  # a minute; the drift of a quartz is steady for longer
 LEAST_WINDOWS = 10  # with fewer the jitter dominates the slope
@@ -52,7 +45,7 @@ class TrackingStatistics:
 
 
 class Tracking:
-    """Tracking with a configured unit: tools, volume, clock. Deadlines are on the link's clock."""
+    """Tracking with a configured unit: tools, volume, clock."""
 
     def __init__(
         self,
@@ -68,10 +61,13 @@ class Tracking:
         self._volume = volume
         self._options = options
         self._clock = clock
-        self._frames_per_measurement = round(FRAME_RATE_HZ / rate_hz)
+        self._frames_per_measurement = round(ndi.FRAME_RATE_HZ / rate_hz)
         self._binary = options.reply != "TX"
         self._longest_reply_bytes = (
-            BX_HEADER_BYTES + BX_CRC_BYTES + len(tools) * BYTES_PER_HANDLE + MAXIMUM_STRAYS * BYTES_PER_STRAY
+            ndi.BX_HEADER_BYTES
+            + ndi.BX_CRC_BYTES
+            + len(tools) * BYTES_PER_HANDLE
+            + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
         )
         self.replies_s: tuple[float, ...] = ()
         self._begin()
@@ -82,25 +78,25 @@ class Tracking:
         self.statistics = TrackingStatistics()
         self.frame_clock = FrameClock()
 
-    def start(self, deadline_s: float) -> None:
+    def start(self) -> None:
         """Send TSTART; frame numbers begin at 0."""
         try:
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+            self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, retry=False)
         except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
-            stop_tracking(self._link, deadline_s)
-            self._link.ask("TSTART", TSTART_RESET_FRAME_COUNTER, deadline_s=deadline_s, retry=False)
+            stop_tracking(self._link)
+            self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, retry=False)
         self._begin()
 
-    def read(self, deadline_s: float) -> TrackerFrame:
+    def read(self) -> TrackerFrame:
         """Read the next frame; raises like `PolarisTracker.read_frame`."""
         asked_s = self._clock.now_s()
         retries = self._link.statistics.retries
-        reply, count = self._newest(deadline_s)
+        reply, count = self._newest()
         self.statistics.disturbed += self._link.statistics.retries - retries
         arrived_s = self._clock.now_s()
         self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], min(self._link.waited_s, arrived_s - asked_s))
         if reply.system_status & ALARMING_STATUS:
-            problem = alarm(reply.system_status, self._link, deadline_s)
+            problem = alarm(reply.system_status, self._link)
             if problem is not None:
                 raise problem
         repeated = count == self._last_count
@@ -115,49 +111,42 @@ class Tracking:
         return assemble(
             reply,
             self._tools,
-            frame=frame_number(reply),
             stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.note(count, arrived_s)),
             repeated=repeated,
             volume=self._volume,
             stray_to_marker_mm=self._options.stray_to_marker_mm,
         )
 
-    def _newest(self, deadline_s: float) -> tuple[TrackingReply, int]:
+    def _newest(self) -> tuple[TrackingReply, int]:
         """Request a reply and its frame count, again if it is older than the previous one."""
         for _ in range(2):
-            reply = self._request(deadline_s)
+            reply = self._request()
             count = unwrap_frame_number(frame_number(reply), self._last_count)
             if self._last_count is None or count >= self._last_count:
                 return reply, count
             self._link.distrust()  # a late copy of another reply
         raise UnitRestarted("the frame number went backwards: another client has restarted tracking")
 
-    def _request(self, deadline_s: float) -> TrackingReply:
+    def _request(self) -> TrackingReply:
         try:
             if self._binary:
                 try:
                     return decode_bx(
-                        self._link.ask_binary(
-                            "BX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
-                        )
+                        self._link.ask_binary("BX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes)
                     )
                 except UnitError as error:
                     if self._options.reply == "BX" or isinstance(error, WrongMode | HandleRefused):
                         raise
                     self._binary = False  # this unit has no BX
-            return decode_tx(
-                self._link.ask(
-                    "TX", _OPTIONS_TEXT, deadline_s=deadline_s, reply_bytes=self._longest_reply_bytes
-                )
-            )
+            return decode_tx(self._link.ask("TX", _OPTIONS_TEXT, reply_bytes=self._longest_reply_bytes))
         except WrongMode as error:
             raise UnitRestarted("the unit is no longer tracking") from error
 
 
-def stop_tracking(link: CommandLink, deadline_s: float) -> None:
+def stop_tracking(link: CommandLink) -> None:
     """Send TSTOP; a unit that is not tracking is not an error."""
     try:
-        link.ask("TSTOP", deadline_s=deadline_s)
+        link.ask("TSTOP")
     except WrongMode:  # it had stopped on its own, or the reply to the first try was lost
         return
 

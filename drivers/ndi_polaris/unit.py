@@ -16,20 +16,8 @@ from drivers.ndi_polaris.errors import (
 )
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import DeviceError
-from ronna_hw.wire.polaris import (
-    COMMAND_TIMEOUT_S,
-    ILLUMINATOR_RATES_HZ,
-    LF,
-    PARAMETER_ALERTS,
-    PARAMETER_BUMP_CLEAR,
-    PARAMETER_BUMPED,
-    PARAMETER_FIRMWARE,
-    PARAMETER_ILLUMINATOR_RATE,
-    PARAMETER_NEW_ALERTS,
-    PARAMETER_TIMEOUT_PREFIX,
-    Alert,
-    SystemStatus,
-)
+from ronna_hw.wire import polaris as ndi
+from ronna_hw.wire.polaris import Alert, SystemStatus
 
 PARAMETER_REPLY_BYTES = 256
 MOST_DIGITS = 10  # of 32 bits
@@ -64,20 +52,21 @@ LONGEST_BELIEVED_S = 60.0  # no command takes longer; a longer limit would only 
 _MODEL_ENDS_AT = " Control Firmware"
 
 
-def read_identity(link: CommandLink, deadline_s: float) -> Identity:
+def read_identity(link: CommandLink) -> Identity:
     """Read model, serial number and firmware by VER, GET and APIREV; raises NDI-003 for another device."""
-    text = _ask_or(link, "VER", "4", deadline_s) or _ask_or(link, "VER", "0", deadline_s)
-    lines = text.split(LF)
+    text = _ask_or(link, "VER", "4") or _ask_or(link, "VER", "0")
+    lines = text.split(ndi.LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
         raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
-    fields = _fields(lines[1:])
-    firmware = parameter_or(link, PARAMETER_FIRMWARE, "", deadline_s)
+    pairs = (line.partition(":") for line in lines[1:] if ":" in line)
+    fields = {name.strip().lower(): value.strip() for name, _, value in pairs}
+    firmware = parameter_or(link, ndi.PARAMETER_FIRMWARE, "")
     details = {
         "freeze tag": fields.get("freeze tag", ""),
         "characterization date": fields.get("characterization date", ""),
-        "api revision": _ask_or(link, "APIREV", "", deadline_s),
-        "combined firmware": _ask_or(link, "VER", "5", deadline_s),
+        "api revision": _ask_or(link, "APIREV", ""),
+        "combined firmware": _ask_or(link, "VER", "5"),
     }
     return Identity(
         vendor=VENDOR,
@@ -96,36 +85,31 @@ def check_identity(identity: Identity, model: str | None, serial: str | None) ->
         raise WrongUnit("wrong serial number", expected=serial, got=identity.serial or "none")
 
 
-def _ask_or(link: CommandLink, name: str, argument: str, deadline_s: float) -> str:
+def _ask_or(link: CommandLink, name: str, argument: str) -> str:
     """Return the reply, or an empty text when the unit lacks the command or parameter."""
     try:
-        return link.ask(name, argument, deadline_s=deadline_s, reply_bytes=VERSION_TEXT_BYTES)
+        return link.ask(name, argument, reply_bytes=VERSION_TEXT_BYTES)
     except UnitError:
         return ""
 
 
-def _fields(lines: list[str]) -> dict[str, str]:
-    pairs = (line.partition(":") for line in lines if ":" in line)
-    return {name.strip().lower(): value.strip() for name, _, value in pairs}
-
-
-def refuse_pending_alerts(link: CommandLink, deadline_s: float) -> None:
+def refuse_pending_alerts(link: CommandLink) -> None:
     """Raise NDI-020 or NDI-021 for an unread fault or bump from before this connection."""
-    value = parameter_or(link, PARAMETER_ALERTS, "0", deadline_s)
+    value = parameter_or(link, ndi.PARAMETER_ALERTS, "0")
     alerts = Alert(whole_number(value) or 0)
     if alerts & FAILURE_ALERTS:
         raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
-    if Alert.BUMP in alerts or parameter_or(link, PARAMETER_BUMPED, "0", deadline_s) == "1":
+    if Alert.BUMP in alerts or parameter_or(link, ndi.PARAMETER_BUMPED, "0") == "1":
         raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
 
 
-def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None:
+def alarm(bits: int, link: CommandLink) -> DeviceError | None:
     """Return the fault or hold indicated by the system status, or None.
 
     While diagnostics are pending the alerts are read, which also makes the unit send poses again.
     """
     status = SystemStatus(bits)
-    alerts = read_new_alerts(link, deadline_s) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
+    alerts = read_new_alerts(link) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
     if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
         return HardwareFailure("the unit reports a hardware fault", got=_names(status, alerts))
     if Alert.BUMP in alerts:
@@ -137,58 +121,56 @@ def alarm(bits: int, link: CommandLink, deadline_s: float) -> DeviceError | None
     return None
 
 
-def read_new_alerts(link: CommandLink, deadline_s: float | None) -> Alert:
+def read_new_alerts(link: CommandLink) -> Alert:
     """Read the alerts raised since the last reading; this clears the pending bit."""
-    value = read_parameter(link, PARAMETER_NEW_ALERTS, deadline_s)
+    value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
     alerts = whole_number(value)
     if alerts is None:
         raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(alerts)
 
 
-def clear_bump(link: CommandLink, deadline_s: float) -> None:
+def clear_bump(link: CommandLink) -> None:
     """Acknowledge a bump; raises NDI-021 if the unit still reports one afterwards."""
-    link.ask("SET", f"{PARAMETER_BUMP_CLEAR}=1", deadline_s=deadline_s)
-    read_new_alerts(link, deadline_s)
-    if read_parameter(link, PARAMETER_BUMPED, deadline_s) == "1":
+    link.ask("SET", f"{ndi.PARAMETER_BUMP_CLEAR}=1")
+    read_new_alerts(link)
+    if read_parameter(link, ndi.PARAMETER_BUMPED) == "1":
         raise SensorBumped("the unit still reports a bump after it was cleared")
 
 
-def set_illuminator_rate(link: CommandLink, rate_hz: int, deadline_s: float) -> int:
+def set_illuminator_rate(link: CommandLink, rate_hz: int) -> int:
     """Set the rate by SET, or IRATE on older firmware; return the rate in use, Hz."""
-    code = next(code for code, rate in ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
-    for name, argument in (("SET", f"{PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
+    code = next(code for code, rate in ndi.ILLUMINATOR_RATES_HZ.items() if rate == rate_hz)
+    for name, argument in (("SET", f"{ndi.PARAMETER_ILLUMINATOR_RATE}={code}"), ("IRATE", f"{code}")):
         try:
-            link.ask(name, argument, deadline_s=deadline_s)
+            link.ask(name, argument)
         except UnitError:
             continue
         return rate_hz
-    kept = whole_number(parameter_or(link, PARAMETER_ILLUMINATOR_RATE, "", deadline_s))
-    return ILLUMINATOR_RATES_HZ.get(kept or 0, min(ILLUMINATOR_RATES_HZ.values()))
+    kept = whole_number(parameter_or(link, ndi.PARAMETER_ILLUMINATOR_RATE, ""))
+    return ndi.ILLUMINATOR_RATES_HZ.get(kept or 0, min(ndi.ILLUMINATOR_RATES_HZ.values()))
 
 
-def read_time_limits(link: CommandLink, deadline_s: float) -> dict[str, float]:
+def read_time_limits(link: CommandLink) -> dict[str, float]:
     """Read the unit's time limits in seconds by command; empty when it reports none."""
     try:
-        text = link.ask(
-            "GET", f"{PARAMETER_TIMEOUT_PREFIX}*", deadline_s=deadline_s, reply_bytes=TIME_LIMITS_BYTES
-        )
+        text = link.ask("GET", f"{ndi.PARAMETER_TIMEOUT_PREFIX}*", reply_bytes=TIME_LIMITS_BYTES)
     except UnitError:
         return {}
     limits_s = {}
-    for line in text.split(LF):
+    for line in text.split(ndi.LF):
         parameter, _, value = line.partition("=")
-        _, found, command = parameter.rpartition(PARAMETER_TIMEOUT_PREFIX)
+        _, found, command = parameter.rpartition(ndi.PARAMETER_TIMEOUT_PREFIX)
         limit_s = _seconds(value)
-        if found and command in COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
+        if found and command in ndi.COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
             limits_s[command] = limit_s
     return limits_s
 
 
-def read_parameter(link: CommandLink, name: str, deadline_s: float | None) -> str:
+def read_parameter(link: CommandLink, name: str) -> str:
     """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 for another one."""
     for _ in range(2):
-        text = link.ask("GET", name, deadline_s=deadline_s, reply_bytes=PARAMETER_REPLY_BYTES)
+        text = link.ask("GET", name, reply_bytes=PARAMETER_REPLY_BYTES)
         answered, _, value = text.partition("=")
         if answered.endswith(name):  # some firmware prefixes the name with the device
             return value.strip()
@@ -201,10 +183,10 @@ def whole_number(value: str) -> int | None:
     return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
 
 
-def parameter_or(link: CommandLink, name: str, missing: str, deadline_s: float) -> str:
+def parameter_or(link: CommandLink, name: str, missing: str) -> str:
     """Read one parameter; return `missing` if the unit lacks it."""
     try:
-        return read_parameter(link, name, deadline_s)
+        return read_parameter(link, name)
     except UnitError:
         return missing
 

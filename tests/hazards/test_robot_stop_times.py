@@ -15,6 +15,7 @@ import pytest
 from rsi_tap import RsiTap
 from waiting import eventually
 
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.monitor import SPEED_MARGIN
 from ronna_hw.arm.motion.limits import WORKING_SPEED_FRACTION
@@ -118,7 +119,7 @@ def test_the_first_telegram_after_the_report_is_answered_by_a_stop_and_the_arm_r
     assert "flight-record-robot.master.txt" in caught.value.attachments
     assert arm.state is Lifecycle.FAULT
     # Cycles of the driver count from 1. The reply of the one in which it happened was out already.
-    first_stop = next(cycle for cycle in arm.recorded_cycles if cycle.choice == "stop")
+    first_stop = next(cycle for cycle in arm.recorded_cycles if cycle.choice is Choice.STOP)
     assert first_stop.cycle - 1 == witness.begun_at + 1
     rest_at = witness.begun_at + LONGEST_STOP_CYCLES
     eventually(lambda: len(tap.seen) > rest_at + STANDS_CYCLES)

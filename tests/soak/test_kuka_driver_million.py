@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import pytest
-from rsi_mutants import answer_mutants
+from rsi_loop import answer_mutants
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
 

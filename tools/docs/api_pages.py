@@ -104,7 +104,7 @@ def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
         yield from _fields(one)
     if inspect.isfunction(call := vars(one).get("__call__")) and getattr(one, "_is_protocol", False):
         yield f"- **`{one.__name__}{_signature(call)}`**: {_on_one_line(_words(call))}"
-    for name, member in vars(one).items():
+    for name, member in _members(one).items():
         if name.startswith("_"):
             continue
         got = member.__func__ if isinstance(member, classmethod | staticmethod) else member
@@ -115,6 +115,12 @@ def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
         elif inspect.isfunction(got):
             yield f"- **`{name}{_signature(got)}`**: {_on_one_line(words)}"
     yield ""
+
+
+def _members(one: type) -> dict[str, Any]:
+    """Members of a class, for a driver with those of its base classes."""
+    bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
+    return {name: member for base in bases for name, member in vars(base).items()}
 
 
 def _fields(one: type[DataclassInstance]) -> Iterator[str]:

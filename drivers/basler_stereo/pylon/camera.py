@@ -55,7 +55,10 @@ class PylonFrame:
 
 
 class PylonCamera:
-    """Camera found by address, or by serial number if emulated. Deadlines are host monotonic time."""
+    """Camera found by address, or by serial number if emulated.
+
+    Deadlines are host monotonic time; the library has time limits of its own for all calls but `take`.
+    """
 
     def __init__(
         self, side: str, address: str, serial: str | None, device_class: str, options: BaslerOptions
@@ -118,12 +121,12 @@ class PylonCamera:
         """Features; only while controlled."""
         return PylonFeatures(self._camera.GetNodeMap(), self._genicam)
 
-    def set_area(self, area: AreaOfInterest) -> None:
+    def set_area(self, area: AreaOfInterest, deadline_s: float) -> None:
         """Choose the part of the sensor to read; not while streaming. Raises GEV-011."""
         known_state.set_area(self.features, area)
         self.area = area
 
-    def set_exposure(self, exposure_us: float, gain_raw: int | None) -> None:
+    def set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         """Set exposure and gain (None: the smallest), also while streaming; raises GEV-011."""
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
 
@@ -164,7 +167,7 @@ class PylonCamera:
         finally:
             result.Release()  # returns the buffer to the library
 
-    def close(self) -> None:
+    def close(self, deadline_s: float) -> None:
         """Release control and close; never raises."""
         if self._camera is not None:
             with contextlib.suppress(self._genicam.GenericException):

@@ -34,7 +34,7 @@ from ronna_hw.wire.gige_vision import Bootstrap
 
 RECEIVER_MODULE = "drivers.basler_stereo.stream.receiver_process"
 END_LIMIT_S = 2.0
-LOOK_UP_S = 0.1  # while waiting for a frame: how quickly a lost camera is noticed
+POLL_S = 0.1  # while waiting for a frame: how quickly a lost camera is noticed
 SO_RCVBUFFORCE = 33  # from asm-generic/socket.h; not in Python's socket module
 # largest first: jumbo frames of the camera family, ordinary Ethernet, and what every path carries
 CANDIDATES_BYTES = (8192, 4000, 1500, SMALLEST_PACKET_BYTES)
@@ -97,7 +97,7 @@ class ReceiverProcess:
     def ended(self, got: OSError | None = None) -> ReceiverEnded:
         """Return the error for a process that no longer answers, with how it ended."""
         try:
-            how = describe_exit(self._process.wait(LOOK_UP_S))  # its end follows that of its channels
+            how = describe_exit(self._process.wait(POLL_S))  # its end follows that of its channels
         except subprocess.TimeoutExpired:
             how = str(got or "its channel is closed")
         return ReceiverEnded("the receiver process has ended", got=how)
@@ -136,7 +136,7 @@ class StreamReceiver:
         return self._slots.counters()
 
     @property
-    def begun(self) -> bool:
+    def has_begun(self) -> bool:
         """True once an image packet has arrived since the stream was opened."""
         counters = self.counters
         return counters.packets > counters.refusals
@@ -153,7 +153,7 @@ class StreamReceiver:
         while True:
             left_s = deadline_s - time.monotonic()
             # an available frame is taken even after the deadline
-            if select.select([self._notes], [], [], max(0.0, min(left_s, LOOK_UP_S)))[0]:
+            if select.select([self._notes], [], [], max(0.0, min(left_s, POLL_S)))[0]:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:
                     return frame
@@ -193,7 +193,7 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
     return stream
 
 
-def probe_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
+def packet_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
     """Wait for a datagram of this packet size from the sender; others are dropped."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even if the host stalled beyond the limit
@@ -242,7 +242,7 @@ def _size_arrives(control: ControlChannel, stream: socket.socket, size: int, dea
     fire = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
     for _ in range(PROBES):
         control.write_register(Bootstrap.SCPS, fire, deadline_s)
-        if probe_arrives(stream, control.peer_address, size, PROBE_LIMIT_S):
+        if packet_arrives(stream, control.peer_address, size, PROBE_LIMIT_S):
             return True
     return False
 

@@ -61,6 +61,7 @@ def render(context: RsiContext) -> dict[str, str]:
         autoescape=False,  # the values are our own numbers and names
     )
     model = kr6_r900(context.program.variant)
+    corrected = {w.indx for w in context.wiring if w.object in ("AXISCORR", "POSCORR")}
     values = {
         "context": context,
         "hash": context_hash(context),
@@ -75,7 +76,7 @@ def render(context: RsiContext) -> dict[str, str]:
         "ipo_mode": IPO_MODES[context.program.cycle_ms],
         "object_ids": OBJECT_IDS,
         "first_upper": FIRST_UPPER_LIMIT_ID,
-        "holds": int(all(e.holdon == 1 for e in context.receive if e.indx in _correction_channels(context))),
+        "holds": int(all(e.holdon == 1 for e in context.receive if e.indx in corrected)),
         "reference": "ABS" if context.program.corrections == "absolute" else "REL",
         "eki_port": kuka_eki.PROJECT_PORT,
         "state_attributes": list(kuka_eki.StateAttribute),
@@ -90,10 +91,6 @@ def render(context: RsiContext) -> dict[str, str]:
         name.format(name=context.name): environment.get_template(template).render(values)
         for template, name in TEMPLATES.items()
     }
-
-
-def _correction_channels(context: RsiContext) -> set[int]:
-    return {w.indx for w in context.wiring if w.object in ("AXISCORR", "POSCORR")}
 
 
 def generate(

@@ -99,34 +99,24 @@ class EkiClient:
         self._sending = threading.Lock()
         self._acks: dict[int, Ack] = {}
         self._states: dict[int, ControllerState] = {}
-        self._latest: ControllerState | None = None
-        self._failure: RonnaError | None = None
+        self.latest: ControllerState | None = None  # the last one sent, requested or unsolicited
+        self.failure: RonnaError | None = None  # what broke the connection
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name="eki reader", daemon=True)
         self._reader.start()
 
     @property
-    def latest(self) -> ControllerState | None:
-        """The last state sent by the controller, requested or unsolicited."""
-        return self._latest
-
-    @property
     def silent_s(self) -> float:
         """Host time since the last state; the controller sends one every 0.1 s."""
-        latest = self._latest
+        latest = self.latest
         return time.monotonic() - latest.received_s if latest is not None else 0.0
-
-    @property
-    def failure(self) -> RonnaError | None:
-        """Error that broke the connection, if any."""
-        return self._failure
 
     def listen(self, listener: Listener) -> None:
         """Register for every state, and for the loss of the connection."""
         self._listener = listener
-        if self._failure is not None and not self._closing:
-            listener.on_loss(self._failure)
+        if self.failure is not None and not self._closing:
+            listener.on_loss(self.failure)
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
@@ -170,7 +160,7 @@ class EkiClient:
         """
 
         def fulfilled() -> ControllerState | None:
-            latest = self._latest
+            latest = self.latest
             return latest if latest is not None and condition(latest) else None
 
         deadline = time.monotonic() + timeout_s
@@ -200,18 +190,18 @@ class EkiClient:
                 if self._passed is not None:
                     self._passed(Direction.SENT, sent)
         except OSError as error:
-            raise self._failure or self._lost(f": {error.strerror or error}") from error
+            raise self.failure or self._lost(f": {error.strerror or error}") from error
         return number
 
-    def _await(self, look: Callable[[], T | None], timeout_s: float) -> T | None:
+    def _await(self, find: Callable[[], T | None], timeout_s: float) -> T | None:
         deadline = time.monotonic() + timeout_s
         with self._arrived:
             while True:
-                found = look()
+                found = find()
                 if found is not None:
                     return found
-                if self._failure is not None:
-                    raise self._failure
+                if self.failure is not None:
+                    raise self.failure
                 rest = deadline - time.monotonic()
                 if rest <= 0.0:
                     return None
@@ -230,14 +220,14 @@ class EkiClient:
         except Exception as error:  # also a listener's: nobody would read on, and no emergency stop arrive
             failure = self._lost(f": {getattr(error, 'strerror', None) or error or type(error).__name__}")
         with self._arrived:
-            self._failure = failure
+            self.failure = failure
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
             self._listener.on_loss(failure)
 
     def _lost(self, how: str) -> ControllerLost:
         """Return the error for a broken connection; without any state it was never really open."""
-        if self._latest is None:
+        if self.latest is None:
             return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
@@ -263,7 +253,7 @@ class EkiClient:
         state = read_state(root, time.monotonic()) if root.tag == STATE else None
         with self._arrived:
             if state is not None:
-                self._latest = state
+                self.latest = state
                 _keep(self._states, number, state)
             elif root.tag == ACK:
                 # A motion is answered twice; the caller waits for the first answer.

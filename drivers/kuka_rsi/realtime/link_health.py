@@ -48,8 +48,8 @@ class Losses:
         self.lost = 0
         self.late = 0
         self.degraded = False
-        self.untaken = False  # the last reply had no effect
-        self.standing = 0  # consecutive cycles, up to now, without an effective reply
+        self.reply_lost = False  # the last reply had no effect
+        self.held_cycles = 0  # consecutive cycles, up to now, without an effective reply
 
     def count(self, ipoc: int, delay: int) -> int | None:
         """Count cycles missing before this telegram; -1 if repeated or overtaken, None if another run's."""
@@ -72,8 +72,8 @@ class Losses:
             self._last_delay = self.reported_late = delay
         self.lost += missing
         self.late += late
-        self.untaken = late > missing
-        self.standing = missing + self.standing + 1 if self.untaken else missing
+        self.reply_lost = late > missing
+        self.held_cycles = missing + self.held_cycles + 1 if self.reply_lost else missing
         self._judge(max(missing, late))
         self._judge_window(1 + missing, max(missing, late))
         return missing

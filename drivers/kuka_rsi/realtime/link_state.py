@@ -214,8 +214,8 @@ NO_STATE = LinkState(
 )
 
 
-class Record(NamedTuple):
-    """Cycle in the flight recorder."""
+class RecordedCycle(NamedTuple):
+    """Cycle in the flight recorder. Host monotonic time."""
 
     cycle: Annotated[int, "Q"]
     IPOC: Annotated[int, "Q"]

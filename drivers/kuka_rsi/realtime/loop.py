@@ -18,7 +18,7 @@ import time
 
 from drivers.kuka_rsi.errors import BadTelegram
 from drivers.kuka_rsi.realtime.link_health import bin_of
-from drivers.kuka_rsi.realtime.link_state import Command, LinkSettings, Orders, Phase, Record
+from drivers.kuka_rsi.realtime.link_state import Command, LinkSettings, Orders, Phase, RecordedCycle
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
 from drivers.kuka_rsi.realtime.set_points import PreparedReply
@@ -229,7 +229,7 @@ class LinkLoop:
         self._cycles_since_fault = self._cycles_since_fault + 1 if responder.fault else 0
         if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
             mailbox.record(
-                Record(
+                RecordedCycle(
                     responder.cycles,
                     int(ipoc),
                     self._received_ns,

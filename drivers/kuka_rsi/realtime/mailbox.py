@@ -18,7 +18,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     CommandKind,
     LinkState,
     Orders,
-    Record,
+    RecordedCycle,
     StopOrder,
 )
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -71,7 +71,7 @@ _COMMAND = _MAP.checked(CommandRow)
 _STATE = _MAP.checked(LinkState)
 _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
 _JITTER = _MAP.counters(HISTOGRAM_BINS)
-_RECORDER = _MAP.rows(Record, RECORDER_CYCLES)
+_RECORDER = _MAP.rows(RecordedCycle, RECORDER_CYCLES)
 _SURROUNDINGS = _MAP.checked_bytes(LONGEST_SURROUNDINGS_BYTES)
 _KEPT = ByteRing(_MAP.word(), _MAP.plain_bytes(KEPT_BYTES), LONGEST_KEPT_BYTES)
 
@@ -202,7 +202,7 @@ class Mailbox:
         for k in range(HISTOGRAM_BINS):
             self._histogram[k] = self._jitter[k] = 0
 
-    def record(self, record: Record) -> None:
+    def record(self, record: RecordedCycle) -> None:
         _RECORDER.write(self._memory, record, record.cycle % RECORDER_CYCLES)
 
     def keep(self, received_ns: int, sent_ns: int, telegram: bytes, reply: bytes) -> None:
@@ -235,7 +235,7 @@ class Mailbox:
     def jitter_histogram(self) -> tuple[int, ...]:
         return tuple(self._jitter)
 
-    def records(self) -> tuple[Record, ...]:
+    def records(self) -> tuple[RecordedCycle, ...]:
         """Return the recorded cycles, oldest first. Consistent only while nothing is being recorded."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
         return tuple(sorted(record for record in kept if record.cycle))

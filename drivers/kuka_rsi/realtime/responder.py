@@ -141,7 +141,7 @@ class Responder:
             self._latch(Fault.PATH)
         elif points.moving and self._losses.unusable:
             self._latch(Fault.LOSSES)
-        if points.moving and (self._losses.untaken or missing > HELD_AFTER_CYCLES):
+        if points.moving and (self._losses.reply_lost or missing > HELD_AFTER_CYCLES):
             return self._answer_loss(points)
         self.choice = Choice.STOP if self._stopping else Choice.GO
         return self._replies.heads[self.choice]
@@ -269,10 +269,10 @@ class Responder:
 
     def _answer_loss(self, points: SetPoints) -> bytes:
         """Return the reply while the arm waits at a point because replies or telegrams were lost."""
-        violation = points.monitor.not_taken() if self._losses.untaken else None
+        violation = points.monitor.not_taken() if self._losses.reply_lost else None
         if violation is not None:
             self._trip(violation)
-        if violation is not None or self._losses.standing > HELD_AFTER_CYCLES:
+        if violation is not None or self._losses.held_cycles > HELD_AFTER_CYCLES:
             self.choice = Choice.HOLD
             return self._replies.head(points.held_rad, False)
         self.choice = Choice.REPEAT

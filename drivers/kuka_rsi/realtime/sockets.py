@@ -18,7 +18,7 @@ from fcntl import ioctl
 
 from drivers.kuka_rsi.realtime.telegram import LONGEST_TELEGRAM
 
-IDLE_LOOK_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
+IDLE_POLL_S = 0.01  # longest wait for a telegram between checks of orders, silence and parent
 ANY_HOST = "0.0.0.0"
 Address = tuple[str, int]
 Received = tuple[bytes, Address]
@@ -123,7 +123,7 @@ class LinkSockets:
 
 
 def _limit_waiting(link: socket.socket) -> None:
-    seconds, rest = divmod(IDLE_LOOK_S, 1.0)
+    seconds, rest = divmod(IDLE_POLL_S, 1.0)
     link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
 
 
@@ -176,7 +176,7 @@ class TelegramReceiver:
 
     def _sleep_until_rehearsal(self) -> None:
         pause_s = (self._pace.due_ns - self._lead_ns - self._now_ns()) / _NS
-        if 0.0 < pause_s < IDLE_LOOK_S and not self._sockets.sleep(pause_s):
+        if 0.0 < pause_s < IDLE_POLL_S and not self._sockets.sleep(pause_s):
             self._rehearse()
 
 

@@ -11,7 +11,6 @@ from waiting import eventually
 
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import radians6
-from ronna_hw.devices import Lifecycle
 
 CYCLE_S = 0.004
 MODEL = kr6_r900("kr6_r900_sixx")
@@ -19,9 +18,15 @@ THERE = radians6(10, -85, 85, 5, 65, -10)
 FAR = radians6(60, -60, 60, 30, 80, 90)
 
 
-def state_of(arm: Any) -> Lifecycle:
-    state: Lifecycle = arm.state
-    return state
+def configured(arm: Any) -> Any:
+    arm.connect()
+    arm.configure()
+    return arm
+
+
+def activated(arm: Any) -> Any:
+    configured(arm).activate()
+    return arm
 
 
 def largest_step(replies: list[tuple[int, tuple[float, ...], int]]) -> float:

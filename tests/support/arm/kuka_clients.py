@@ -75,21 +75,22 @@ class RsiClient:
             self.receive()
             self.answer(axes_deg)
 
-    def move(self, goal_deg: Sequence[float], cycles: int = 200, begin_deg: Sequence[float] = ZERO) -> None:
-        for n in range(1, cycles + 1):
-            share = 0.5 - 0.5 * cos(pi * n / cycles)
-            self.receive()
-            self.answer([a + share * (b - a) for a, b in zip(begin_deg, goal_deg, strict=True)])
-
-    def move_axis(self, goal_deg: float, cycles: int = 200, begin_deg: float = 0.0) -> list[float]:
-        """A1 from one correction to another; the measured angle of every telegram."""
+    def move(
+        self, goal_deg: Sequence[float], cycles: int = 200, begin_deg: Sequence[float] = ZERO
+    ) -> list[list[float]]:
+        """From some corrections to others; the measured axes of every telegram."""
         seen = []
         for n in range(1, cycles + 1):
             share = 0.5 - 0.5 * cos(pi * n / cycles)
             self.receive()
-            seen.append(self.axes_deg[0])
-            self.answer((begin_deg + share * (goal_deg - begin_deg), 0.0, 0.0, 0.0, 0.0, 0.0))
+            seen.append(self.axes_deg)
+            self.answer([a + share * (b - a) for a, b in zip(begin_deg, goal_deg, strict=True)])
         return seen
+
+    def move_axis(self, goal_deg: float, cycles: int = 200, begin_deg: float = 0.0) -> list[float]:
+        """A1 from one correction to another; its measured angle of every telegram."""
+        seen = self.move((goal_deg, *ZERO[1:]), cycles, (begin_deg, *ZERO[1:]))
+        return [axes_deg[0] for axes_deg in seen]
 
     def try_cycle(self, axes_deg: Sequence[float]) -> bool:
         """A cycle, when there is one; False when the stream has ended."""

@@ -11,10 +11,8 @@ from typing import Any
 from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
-    Fault,
     LinkSettings,
     Orders,
-    Phase,
     Result,
     StopOrder,
 )
@@ -105,6 +103,10 @@ class ResponderStand:
             self.axes = (a, b, c, d, e, f)
         return True
 
+    def cycles(self, count: int) -> None:
+        for _ in range(count):
+            self.cycle()
+
     def run(self, most: int = 3000) -> int:
         """Run cycles until the motion has a result."""
         for count in range(most):
@@ -112,6 +114,11 @@ class ResponderStand:
                 return count
             self.cycle()
         raise AssertionError("no result")
+
+    @property
+    def violation_kind(self) -> str:
+        """Kind of the violation that stopped the arm; empty without one."""
+        return "" if self.responder.violation is None else self.responder.violation.kind
 
     def smooth(self, share: float = 1.05) -> bool:
         """Assert that no step exceeds `share` of the working step, far below a controller's limit."""
@@ -125,27 +132,13 @@ class ResponderStand:
 
 def begun(cycles: int = 3, **changes: Any) -> ResponderStand:
     stand = ResponderStand(**changes)
-    for _ in range(cycles):
-        stand.cycle()
+    stand.cycles(cycles)
     return stand
 
 
 def moving(cycles: int = 120, target: JointVector = FAR) -> ResponderStand:
     stand = begun()
     stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, target, LIMITS))
-    for _ in range(cycles):
-        stand.cycle()
+    stand.cycles(cycles)
     assert stand.responder.moving
     return stand
-
-
-def result_of(stand: ResponderStand) -> Result:
-    return stand.responder.result
-
-
-def phase_of(stand: ResponderStand) -> Phase:
-    return stand.responder.phase
-
-
-def fault_of(stand: ResponderStand) -> Fault:
-    return stand.responder.fault

@@ -9,15 +9,15 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
-from responder_stand import LIMITS, SETTINGS
+from mutations import mutations
+from responder_stand import LIMITS, SETTINGS, START_DEG
 
 from drivers.kuka_rsi.options import REHEARSAL_LEAD_US
-from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, StopOrder
+from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Phase, StopOrder
 from drivers.kuka_rsi.realtime.loop import LinkLoop
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.sockets import ANY_HOST
 
-START_DEG = (0.0, -90.0, 90.0, 0.0, 60.0, 0.0)
 CONTROLLER = ("127.0.0.1", 40000)
 CYCLE_MS = 4
 FIRST_IPOC = 1000
@@ -108,3 +108,26 @@ def telegram(ipoc: int, axes_deg: Sequence[float] = START_DEG, delay: int = 0) -
 
 def corrections_of(reply: bytes) -> tuple[float, ...]:
     return tuple(float(value) for value in CORRECTIONS.findall(reply))
+
+
+ORIGINALS = (telegram(0), telegram(0, delay=7), telegram(0, (12.5, -80.0, 95.25, 3.0, 61.0, -9.0)))
+
+
+def answer_mutants(count: int, seed: int) -> tuple[int, int]:
+    """Count mutants answered and not answered; every reply must command no motion."""
+    link = InProcessLink()
+    link.open()
+    ipoc, answered = FIRST_IPOC, 0
+    now = [original.replace(b"<IPOC>0<", b"<IPOC>%(now)<") for original in ORIGINALS]
+    for mutant in mutations(now, count, seed):
+        if link.loop.responder.phase is not Phase.RUNNING:
+            link.open()
+            assert link.receive(telegram(ipoc)) is not None
+        ipoc += CYCLE_MS
+        reply = link.receive(mutant.replace(b"%(now)", str(ipoc).encode()))
+        if reply is not None:
+            answered += 1
+            assert corrections_of(reply) == (0.0,) * 6
+            assert b"<Stop>0</Stop>" in reply
+    link.close()
+    return answered, count - answered

@@ -79,8 +79,7 @@ MUTATIONS: tuple[Callable[[bytes, random.Random], Delivery], ...] = (
 )  # fmt: skip
 
 
-def crc_by_definition(data: bytes) -> int:
-    crc = 0
+def crc_by_definition(data: bytes, crc: int = 0) -> int:
     for byte in data:
         crc ^= byte
         for _ in range(8):

@@ -328,9 +328,14 @@ def tracker_on(unit: UnitInProcess, clock: StillClock, endpoint: str, **options:
     )
 
 
+def configured(device: PolarisTracker, limit_s: float = 10.0) -> PolarisTracker:
+    """Connect and configure the tracker, and return it."""
+    device.connect()
+    device.configure(limit_s)
+    return device
+
+
 def bring_up(device: PolarisTracker) -> PolarisTracker:
     """Bring the tracker to tracking, and return it."""
-    device.connect()
-    device.configure()
-    device.activate()
+    configured(device).activate()
     return device

@@ -15,7 +15,7 @@ SCIKIT_PROGRAM = Path(__file__).with_name("scikit_program.py")
 ANSWER_LIMIT_S = 40.0  # host time; only a hang takes so long
 
 
-class StrangerError(Exception):
+class NdicapiError(Exception):
     """Error raised by ndicapi."""
 
 
@@ -47,7 +47,7 @@ class NdicapiHost:
         self.process.stdin.flush()
 
     def answer(self) -> Any:
-        """Return the answer to the request begun before; raises StrangerError."""
+        """Return the answer to the request begun before; raises NdicapiError."""
         output = self.process.stdout
         assert output is not None
         assert select.select([output], [], [], ANSWER_LIMIT_S)[0], "ndicapi hangs"
@@ -55,7 +55,7 @@ class NdicapiHost:
         assert line, f"ndicapi died: {self.process.wait()}"
         said = json.loads(line)
         if "error" in said:
-            raise StrangerError(said["error"])
+            raise NdicapiError(said["error"])
         return said["answer"]
 
     def ask(self, action: str, **arguments: Any) -> Any:

@@ -22,6 +22,7 @@ import pytest
 from fake_controller import FakeController
 
 from drivers.kuka_rsi import KukaRsiArm
+from drivers.kuka_rsi.connections import NO_DESCRIPTOR
 from drivers.kuka_rsi.controller.generate import render
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.realtime.link_state import (
@@ -78,29 +79,27 @@ def ethernet_file(tmp_path: Path) -> Path:
 def link(ethernet_file: Path) -> Iterator[LinkClient]:
     root = ElementTree.parse(ethernet_file).getroot()
 
-    def settings(mailbox_fd: int, event_fd: int) -> LinkSettings:
-        def tags(where: str) -> tuple[str, ...]:
-            return tuple(str(e.get("TAG")) for e in root.findall(f"{where}/ELEMENTS/ELEMENT"))
+    def tags(where: str) -> tuple[str, ...]:
+        return tuple(str(e.get("TAG")) for e in root.findall(f"{where}/ELEMENTS/ELEMENT"))
 
-        return LinkSettings(
-            host=str(root.findtext("CONFIG/IP_NUMBER")),
-            port=int(str(root.findtext("CONFIG/PORT"))),
-            parent_pid=os.getpid(),
-            mailbox_fd=mailbox_fd,
-            event_fd=event_fd,
-            variant="kr6_r900_sixx",
-            cycle_ms=4,
-            sentype=str(root.findtext("CONFIG/SENTYPE")),
-            send_tags=tags("SEND"),
-            receive_tags=tags("RECEIVE"),
-            axis_tags=tuple(f"AKorr.{axis}" for axis in AXIS_NAMES),
-            stop_tag="",
-            silence_limit_s=2.0,
-            heartbeat_limit_s=5.0,
-            settle_tolerance_deg=ECHO_DIGIT_DEG,
-            real_time_priority=0,
-        )
-
+    settings = LinkSettings(
+        host=str(root.findtext("CONFIG/IP_NUMBER")),
+        port=int(str(root.findtext("CONFIG/PORT"))),
+        parent_pid=os.getpid(),
+        mailbox_fd=NO_DESCRIPTOR,
+        event_fd=NO_DESCRIPTOR,
+        variant="kr6_r900_sixx",
+        cycle_ms=4,
+        sentype=str(root.findtext("CONFIG/SENTYPE")),
+        send_tags=tags("SEND"),
+        receive_tags=tags("RECEIVE"),
+        axis_tags=tuple(f"AKorr.{axis}" for axis in AXIS_NAMES),
+        stop_tag="",
+        silence_limit_s=2.0,
+        heartbeat_limit_s=5.0,
+        settle_tolerance_deg=ECHO_DIGIT_DEG,
+        real_time_priority=0,
+    )
     client = LinkClient(settings)
     yield client
     client.close()

@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from tracker_strangers import NdicapiHost, StrangerError, scikit_frames
+from tracker_strangers import NdicapiError, NdicapiHost, scikit_frames
 
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.control_port import ask_control_port
@@ -256,12 +256,12 @@ def test_line_noise_reaches_the_client_as_errors_and_tracking_continues(
         assert host.command("TSTART:80") == "OKAY"
         # A wrong bit in the colon makes another form of command of it: an unknown one, then. The highest bit
         # of a reply must stay: ndicapi 3.7 reads outside its CRC table on a negative character, and dies.
-        wrong = pytest.raises(StrangerError, match=r"POLARIS 0x0[14]")
+        wrong = pytest.raises(NdicapiError, match=r"POLARIS 0x0[14]")
         with fault(fresh_unit, "tracker garble commands 100 %"), wrong:
             host.command("TX:0001")
         with (
             fault(fresh_unit, "tracker garble replies 100 %"),
-            pytest.raises(StrangerError, match="Error 0x0100"),
+            pytest.raises(NdicapiError, match="Error 0x0100"),
         ):
             host.command("TX:0001")
         assert len(host.track("TX:1801", handles, 3)) == 3
@@ -273,7 +273,7 @@ def test_each_error_of_the_unit_reaches_the_client_with_its_own_code(
     with begun(waiting_unit) as host:
 
         def refused(line: str) -> str:
-            with pytest.raises(StrangerError) as caught:
+            with pytest.raises(NdicapiError) as caught:
                 host.command(line)
             return str(caught.value).split(":")[0]
 
@@ -291,7 +291,7 @@ def test_each_error_of_the_unit_reaches_the_client_with_its_own_code(
         content = bytearray(roms[0].read_bytes())
         content[100] ^= 1
         corrupt.write_bytes(content)
-        with pytest.raises(StrangerError, match=r"POLARIS 0x(13|40)"):
+        with pytest.raises(NdicapiError, match=r"POLARIS 0x(13|40)"):
             host.load(corrupt)
         assert host.command("PHF:01") == "OKAY"
         (handle,) = host.load(roms[0])
@@ -336,7 +336,7 @@ def test_a_break_resets_a_unit_on_a_fast_line(unit: dict[str, Any]) -> None:
         assert host.command("COMM:50000") == "OKAY"
         assert host.command("TSTART:80") == "OKAY"
         assert host.ask("reset") == 0
-        with pytest.raises(StrangerError, match="POLARIS 0x10"):  # as after power-up, at 9600 baud
+        with pytest.raises(NdicapiError, match="POLARIS 0x10"):  # as after power-up, at 9600 baud
             host.command("PHSR:00")
         assert host.command("INIT:") == "OKAY"
 

@@ -54,7 +54,8 @@ ENDPOINTS = {"left": "gev://127.0.0.1", "right": "gev://127.0.0.2"}
 
 
 def options(**values):
-    return read_options(DeviceConfig(driver="basler_stereo", endpoints=ENDPOINTS, options=values))
+    config = DeviceConfig(driver="basler_stereo", endpoints=ENDPOINTS, options=values)
+    return read_options(config, BaslerOptions)
 
 
 def test_every_option_has_a_working_default():

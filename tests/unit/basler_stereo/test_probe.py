@@ -19,8 +19,8 @@ from drivers.basler_stereo.camera_check import (
     Expected,
     Response,
     camera_diagnostic,
+    check_camera,
     discovery_diagnostic,
-    look_at_camera,
 )
 from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.probe import probe
@@ -171,7 +171,7 @@ def stand() -> Iterator[Stand]:
 
 
 def probed(stand: Stand) -> CameraState:
-    return look_at_camera(parse_endpoint(stand.pair.endpoints["left"]))
+    return check_camera(parse_endpoint(stand.pair.endpoints["left"]))
 
 
 def test_a_camera_is_queried_measured_and_released(stand: Stand) -> None:
@@ -202,10 +202,10 @@ def test_a_camera_without_test_packets_is_reported(stand: Stand) -> None:
 def test_a_closed_port_and_a_silent_one_are_distinguished(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(camera_check, "REPLY_LIMIT_S", 0.2)
     endpoint = Endpoint("gev", host=NOBODY)
-    assert look_at_camera(endpoint).response is Response.REFUSED
+    assert check_camera(endpoint).response is Response.REFUSED
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as silent:
         silent.bind((NOBODY, GVCP_PORT))
-        assert look_at_camera(endpoint).response is Response.SILENT
+        assert check_camera(endpoint).response is Response.SILENT
 
 
 def test_a_network_that_goes_down_during_the_look_is_reported(
@@ -232,7 +232,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
         return (RIGHT,)
 
     monkeypatch.setattr(camera_probe, "discover_cameras", discover)
-    monkeypatch.setattr(camera_probe, "look_at_camera", lambda each: CameraState(each, Response.SILENT))
+    monkeypatch.setattr(camera_probe, "check_camera", lambda each: CameraState(each, Response.SILENT))
     return networks
 
 

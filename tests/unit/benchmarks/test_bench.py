@@ -11,7 +11,7 @@ import pytest
 
 from benchmarks import figures, run
 from benchmarks.robot import robot_link
-from drivers.kuka_rsi.errors import RecordedCycle
+from drivers.kuka_rsi.realtime.link_state import Choice, RecordedCycle
 
 ROOT = Path(__file__).resolve().parents[3]
 RUN = ROOT / "benchmarks" / "run.py"
@@ -60,7 +60,7 @@ def test_a_goal_applies_to_the_value_or_the_ratio_and_a_miss_is_reported() -> No
 def test_the_lock_step_rate_counts_only_cycles_in_which_the_arm_moves() -> None:
     def cycle(number: int, received_us: int, A1_rad: float) -> RecordedCycle:
         return RecordedCycle(
-            number, 4 * number, received_us * 1000, 10.0, "go", REST_RAD, (A1_rad, *REST_RAD[1:])
+            number, 4 * number, received_us * 1000, 10.0, REST_RAD, (A1_rad, *REST_RAD[1:]), Choice.GO
         )
 
     waiting = [cycle(1, 0, 0.0), cycle(2, 4000, 0.0), cycle(3, 8000, 0.0)]

@@ -36,7 +36,7 @@ from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.network import own_udp_endpoint
 port = parse_endpoint(own_udp_endpoint()).port
 own = replace(SETTINGS, port=port, parent_pid=os.getpid(), heartbeat_limit_s=10.0)
-link = LinkClient(lambda memory, event: replace(own, mailbox_fd=memory, event_fd=event), 60.0)
+link = LinkClient(own, 60.0)
 print(link.state.phase.name)
 os.killpg(0, signal.SIGINT)
 time.sleep(0.1)  # nothing to await: the link is to outlive the signal

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterator
 from typing import Any
 
 import pytest
+from driven_arm import activated
 from fake_controller import FakeController
 
 from drivers.kuka_rsi.arm import KukaRsiArm
@@ -54,8 +55,4 @@ def make_arm(controller: FakeController) -> Iterator[MakeArm]:
 
 @pytest.fixture
 def active_arm(make_arm: MakeArm) -> KukaRsiArm:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
-    arm.activate()
-    return arm
+    return activated(make_arm())

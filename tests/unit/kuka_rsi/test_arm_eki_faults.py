@@ -6,7 +6,7 @@ from threading import current_thread
 from typing import Any
 
 import pytest
-from driven_arm import THERE, state_of
+from driven_arm import activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import (
@@ -24,13 +24,13 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 
 
-def test_connect_reports_that_nothing_listens_at_the_address(controller: Any, make_arm: Any) -> None:
+def test_connect_reports_that_nothing_listens_at_the_address(make_arm: Any) -> None:
     arm = make_arm(eki_port=1)
     with pytest.raises(ControllerNotFound, match="refused") as caught:
         arm.connect(timeout_s=1.0)
     assert caught.value.code == "EKI-001"
     assert caught.value.exit_code == 4
-    assert state_of(arm) is Lifecycle.DISCONNECTED
+    assert arm.state is Lifecycle.DISCONNECTED
 
 
 def test_connect_reports_that_no_controller_answers_at_the_address(controller: Any, make_arm: Any) -> None:
@@ -58,7 +58,7 @@ def test_a_controller_with_another_configuration_is_refused_at_connect(
     with pytest.raises(WrongController, match=said) as caught:
         arm.connect()
     assert caught.value.code == "EKI-005"
-    assert state_of(arm) is Lifecycle.DISCONNECTED
+    assert arm.state is Lifecycle.DISCONNECTED
 
 
 @pytest.mark.hazard(20)
@@ -67,11 +67,11 @@ def test_recovery_with_another_controller_is_refused(
     controller: Any, active_arm: Any, fact: str, value: str
 ) -> None:
     controller.drop_eki()
-    eventually(lambda: state_of(active_arm) is Lifecycle.FAULT)
+    eventually(lambda: active_arm.state is Lifecycle.FAULT)
     controller.facts[fact] = value
     with pytest.raises(WrongController, match=value):
         active_arm.recover("tester", 3.0)
-    assert state_of(active_arm) is Lifecycle.FAULT
+    assert active_arm.state is Lifecycle.FAULT
     assert "ACK_ERRORS" not in controller.commands
 
 
@@ -86,14 +86,12 @@ def test_a_controller_that_does_not_report_its_context_hash_is_unverified(
 
 
 def test_a_controller_that_is_not_ready_is_not_started(controller: Any, make_arm: Any) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     controller.facts["Err"] = "29002"
     with pytest.raises(ControllerNotReady, match=r"message 29002.*recover\(acknowledged_by\)") as caught:
         arm.activate()
     assert caught.value.code == "EKI-007"
-    assert state_of(arm) is Lifecycle.FAULT
+    assert arm.state is Lifecycle.FAULT
     assert not {"RSI_START", "ACK_ERRORS"} & set(controller.commands)
     arm.recover("operator")
     assert controller.facts["Err"] == "0"
@@ -102,41 +100,21 @@ def test_a_controller_that_is_not_ready_is_not_started(controller: Any, make_arm
 
 def test_activate_switches_on_drives_that_are_off(controller: Any, make_arm: Any) -> None:
     controller.facts["Drives"] = "0"
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
-    arm.activate()
+    activated(make_arm())
     assert controller.facts["Drives"] == "1"
 
 
 def test_a_refused_start_is_reported_with_the_controllers_code(controller: Any, make_arm: Any) -> None:
     controller.ack_codes["RSI_START"] = 5
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     with pytest.raises(CommandRefused, match="NOT_READY") as caught:
         arm.activate()
     assert caught.value.code == "EKI-008"
 
 
-def test_a_lost_connection_is_latched_and_recovered_by_a_new_session(
-    controller: Any, active_arm: Any
-) -> None:
-    controller.drop_eki()
-    eventually(lambda: state_of(active_arm) is Lifecycle.FAULT)
-    with pytest.raises(ControllerLost) as caught:  # the first call that meets a fault is given it
-        active_arm.read_state()
-    assert caught.value.code == "EKI-002"
-    with pytest.raises(WrongState, match="EKI-002"):
-        active_arm.read_state()
-    active_arm.recover("operator")
-    active_arm.activate()
-    active_arm.move_joints(THERE)
-
-
 @pytest.mark.hazard(4)
 def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
-    controller: Any, active_arm: Any, monkeypatch: pytest.MonkeyPatch
+    active_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Nothing would hear of an emergency stop."""
 
@@ -154,13 +132,11 @@ def test_a_reader_that_ends_by_any_error_is_a_lost_connection(
 
 
 def test_a_session_that_fell_silent_is_recovered_by_a_new_one(controller: Any, make_arm: Any) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     controller.deaf = True
     with pytest.raises(NoAnswer):
         arm.activate(timeout_s=0.1)
-    assert state_of(arm) is Lifecycle.FAULT
+    assert arm.state is Lifecycle.FAULT
     arm.recover("operator", 3.0)
     arm.activate()
 
@@ -196,9 +172,9 @@ def test_a_message_from_an_earlier_run_is_acknowledged_only_by_a_named_person(
     assert controller.facts["Err"] == "29002"
     arm.recover("operator")
     assert controller.facts["Err"] == "0"
-    assert state_of(arm) is Lifecycle.CONNECTED
+    assert arm.state is Lifecycle.CONNECTED
     with pytest.raises(WrongState):  # nothing is pending any more
         arm.recover("operator")
     arm.configure()
     arm.activate()
-    assert state_of(arm) is Lifecycle.ACTIVE
+    assert arm.state is Lifecycle.ACTIVE

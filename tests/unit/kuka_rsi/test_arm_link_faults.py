@@ -11,10 +11,11 @@ from concurrent.futures import Future, ThreadPoolExecutor
 from typing import Any
 
 import pytest
-from driven_arm import THERE, largest_step, moving, state_of
+from driven_arm import THERE, configured, largest_step, moving
 from waiting import eventually
 
 from drivers.kuka_rsi.errors import LinkNotStarted, LinkSilent, MotionTripped, NoTelegram, PoseDisagrees
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import Lifecycle
 
@@ -32,7 +33,7 @@ def test_an_axis_that_does_not_follow_trips_the_monitor_and_the_last_cycles_are_
     cycles = active_arm.recorded_cycles
     assert 10 < len(cycles) <= 256
     assert [c.cycle for c in cycles] == sorted(c.cycle for c in cycles)
-    assert cycles[-1].choice == "stop"  # how the stop began is kept as well
+    assert cycles[-1].choice is Choice.STOP  # how the stop began is kept as well
     table = error.attachments["flight-record-robot.master.txt"].splitlines()
     assert "following error" in table[0]
     assert table[2].split()[:4] == ["cycle", "IPOC", "ms", "turnaround"]
@@ -66,13 +67,13 @@ def test_configure_reports_a_port_in_use(controller: Any, make_arm: Any) -> None
         with pytest.raises(LinkNotStarted, match="Address already in use") as caught:
             arm.configure()
     assert caught.value.code == "RSI-001"
-    assert state_of(arm) is Lifecycle.CONNECTED
+    assert arm.state is Lifecycle.CONNECTED
     arm.configure()
 
 
 @pytest.mark.hazard(30)
 def test_configure_names_the_signal_that_killed_the_real_time_process(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+    make_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     class Killed(subprocess.Popen[bytes]):
         def __init__(self, *arguments: Any, **options: Any) -> None:
@@ -91,13 +92,11 @@ def test_configure_names_the_signal_that_killed_the_real_time_process(
 
 def test_activate_reports_and_latches_a_missing_first_telegram(controller: Any, make_arm: Any) -> None:
     controller.silent.set()
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     with pytest.raises(NoTelegram) as caught:
         arm.activate(timeout_s=0.5)
     assert caught.value.code == "RSI-002"
-    assert state_of(arm) is Lifecycle.FAULT
+    assert arm.state is Lifecycle.FAULT
     controller.silent.clear()
     arm.recover("operator")
     arm.activate()
@@ -106,9 +105,7 @@ def test_activate_reports_and_latches_a_missing_first_telegram(controller: Any, 
 @pytest.mark.hazard(20)
 def test_axes_that_disagree_between_eki_and_rsi_are_refused(controller: Any, make_arm: Any) -> None:
     controller.eki_axes_deg = (5.0, -90.0, 90.0, 0.0, 60.0, 0.0)
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     with pytest.raises(PoseDisagrees, match=r"A1 is 5\.000 deg by EKI and 0\.000 by RSI") as caught:
         arm.activate(timeout_s=0.5)
     assert caught.value.code == "RSI-015"
@@ -119,9 +116,7 @@ def test_axes_that_disagree_between_eki_and_rsi_are_refused(controller: Any, mak
 def waiting_arm(controller: Any, make_arm: Any) -> Iterator[tuple[Any, Future[None]]]:
     """Start an arm that waits for its controller's first telegram; keep the outcome."""
     controller.silent.set()
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     with ThreadPoolExecutor(1) as another:
         activated = another.submit(arm.activate, timeout_s=2.0)
         assert controller.standing.wait(5.0)
@@ -151,7 +146,7 @@ def test_foreign_datagrams_before_the_controllers_first_telegram_get_no_reply_an
     _strangers_say(controller, b"hello", _elsewhere(controller), unknown, b"<Rob", _elsewhere(controller))
     controller.silent.clear()
     activated.result(5.0)
-    assert state_of(arm) is Lifecycle.ACTIVE
+    assert arm.state is Lifecycle.ACTIVE
     assert arm.read_state().joints_rad == radians6(*controller.axes_deg)
 
 
@@ -163,4 +158,4 @@ def test_foreign_datagrams_are_counted_and_named_when_the_controllers_telegram_d
     said = "A1 is 0.000 deg by EKI and 30.000 by RSI; 2 reported other axes, 1 were malformed"
     with pytest.raises(PoseDisagrees, match=re.escape(said) + ".*the last from 127.0.0.1"):
         activated.result(5.0)
-    assert state_of(arm) is Lifecycle.FAULT
+    assert arm.state is Lifecycle.FAULT

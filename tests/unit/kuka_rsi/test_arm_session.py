@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from driven_arm import MODEL, THERE, largest_step, moving, state_of
+from driven_arm import MODEL, THERE, largest_step, moving
 from fake_controller import FakeController
 from recorded_bytes import RecordedBytes
 from waiting import HANG_LIMIT_S
@@ -37,7 +37,7 @@ def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) ->
     assert arm.read_tool_identity().number == 2
     arm.configure()
     arm.activate()
-    assert state_of(arm) is Lifecycle.ACTIVE
+    assert arm.state is Lifecycle.ACTIVE
     reading = arm.move_joints(THERE)
     assert reading.joints_rad == pytest.approx(THERE, abs=4e-6)
     assert reading.commanded_rad == THERE
@@ -61,15 +61,15 @@ def test_a_session_runs_from_connect_to_close(controller: Any, make_arm: Any) ->
     assert len(statistics.histogram_edges_us) == len(statistics.histogram_counts) + 1
     assert 0 < statistics.turnaround_median_us <= statistics.turnaround_p99_us
     arm.deactivate()
-    assert state_of(arm) is Lifecycle.CONFIGURED
+    assert arm.state is Lifecycle.CONFIGURED
     assert controller.facts["RSI"] == "0"
     arm.close()
-    assert state_of(arm) is Lifecycle.CLOSED
+    assert arm.state is Lifecycle.CLOSED
     arm.close()
 
 
 def test_observe_works_in_every_state_from_any_thread_without_checking_for_faults(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
+    make_arm: Any, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     looked_in: list[str] = []  # names of threads; the reader of the EKI channel looks by itself
 
@@ -106,7 +106,7 @@ def test_an_error_inside_the_active_block_brings_a_moving_arm_to_rest(controller
     thread, caught = motions[0]
     thread.join()
     assert [type(error) for error in caught] == [MotionStopped]
-    assert state_of(arm) is Lifecycle.CONFIGURED
+    assert arm.state is Lifecycle.CONFIGURED
     assert controller.facts["RSI"] == "0"
     assert largest_step(controller.replies) < 1 / 8
 
@@ -130,7 +130,7 @@ def test_close_is_bounded_when_the_controller_is_gone(controller: Any, active_ar
     begun = time.monotonic()
     active_arm.close()
     assert time.monotonic() - begun < HANG_LIMIT_S
-    assert state_of(active_arm) is Lifecycle.CLOSED
+    assert active_arm.state is Lifecycle.CLOSED
 
 
 @pytest.mark.slow
@@ -173,7 +173,7 @@ def test_telegrams_replies_and_the_eki_session_are_recorded(make_arm, controller
 def test_the_real_time_process_keeps_no_bytes_without_a_recorder(make_arm) -> None:
     arm = make_arm()
     with arm.active():
-        assert arm.connections.link._mailbox.fetch_kept() == ([], 0)
+        assert arm.connections.link.mailbox.fetch_kept() == ([], 0)
 
 
 def test_a_telegram_without_a_reply_is_recorded_too(make_arm, controller: FakeController) -> None:

@@ -7,7 +7,7 @@ import signal
 from typing import Any
 
 import pytest
-from driven_arm import FAR, THERE, largest_step, moving, state_of
+from driven_arm import FAR, THERE, activated, configured, largest_step, moving
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi.errors import DrivesOff, LinkStopped, MotionNotFinished, MotionStopped, ProtectiveStop
@@ -27,7 +27,7 @@ def test_hold_stops_the_arm_smoothly_and_resume_causes_no_motion(controller: Any
     thread.join()
     assert isinstance(caught[0], MotionStopped)
     assert caught[0].code == "RSI-010"
-    assert state_of(active_arm) is Lifecycle.HOLD
+    assert active_arm.state is Lifecycle.HOLD
     with pytest.raises(WrongState):
         active_arm.move_joints(FAR)
     held = active_arm.read_state().commanded_rad
@@ -53,7 +53,7 @@ def test_a_motion_begun_while_a_hold_is_carried_out_is_refused(
 
     monkeypatch.setattr(MotionFollower, "wait", move_once_the_stop_is_seen)
     active_arm.stop(StopKind.HOLD)
-    assert state_of(active_arm) is Lifecycle.HOLD
+    assert active_arm.state is Lifecycle.HOLD
     assert active_arm.read_state().commanded_rad == held
 
 
@@ -85,7 +85,7 @@ def test_a_stop_that_fails_leaves_the_state_as_it_was(
         patched.setattr(MotionFollower, "wait", lambda *_condition: None)
         with pytest.raises(MotionNotFinished, match="does not come to rest"):
             active_arm.stop(StopKind.HOLD)
-    assert state_of(active_arm) is state
+    assert active_arm.state is state
 
 
 @pytest.mark.parametrize(
@@ -104,7 +104,7 @@ def test_every_stop_except_hold_is_latched_until_recovered(
     active_arm.stop(kind)
     thread.join()
     assert type(caught[0]) is error
-    assert state_of(active_arm) is Lifecycle.FAULT
+    assert active_arm.state is Lifecycle.FAULT
     assert type(active_arm.fault) is error
     assert largest_step(controller.replies) < 1 / 8
     with pytest.raises(WrongState, match=error.code):  # later calls are refused and name it
@@ -112,7 +112,7 @@ def test_every_stop_except_hold_is_latched_until_recovered(
     if kind is StopKind.DRIVES_OFF:
         assert controller.facts["Drives"] == "0"
     active_arm.recover("operator")
-    assert state_of(active_arm) is Lifecycle.CONFIGURED
+    assert active_arm.state is Lifecycle.CONFIGURED
     assert "ACK_ERRORS" in controller.commands
     active_arm.activate()
     active_arm.move_joints(THERE)
@@ -129,26 +129,21 @@ def test_of_two_stops_within_one_cycle_the_stronger_one_counts(active_arm: Any) 
     eventually(lambda: link.state.stop_number == 2)
     eventually(lambda: link.state.fault)
     assert link.state.fault is Fault.PROTECTIVE
-    assert state_of(active_arm) is Lifecycle.FAULT
+    assert active_arm.state is Lifecycle.FAULT
 
 
 def test_a_protective_stop_before_a_session_does_not_make_one_of_its_holds(make_arm: Any) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     arm.stop(StopKind.PROTECTIVE)
     arm.activate()
     arm.stop(StopKind.HOLD)
-    assert state_of(arm) is Lifecycle.HOLD
+    assert arm.state is Lifecycle.HOLD
 
 
 def test_a_motion_that_does_not_settle_is_reported_after_its_time_limit(
     make_arm: Any, controller: Any
 ) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
-    arm.activate()
+    arm = activated(make_arm())
     controller.frozen = True
     with pytest.raises(MotionNotFinished) as caught:
         arm.move_joints(radians6(0, -90, 90, 0, 60, 0.05), timeout_s=0.5)
@@ -174,4 +169,4 @@ def test_a_pushed_arm_is_in_fault_although_it_is_deactivated(active_arm: Any, co
     eventually(lambda: active_arm.connections.link.state.fault)
     with pytest.raises(RonnaError, match="RSI-005"):
         active_arm.deactivate()
-    assert state_of(active_arm) is Lifecycle.FAULT
+    assert active_arm.state is Lifecycle.FAULT

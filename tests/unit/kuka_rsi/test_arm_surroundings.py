@@ -10,16 +10,14 @@ import pytest
 from drivers.kuka_rsi.errors import MotionTripped
 from drivers.kuka_rsi.fault_errors import error_of_fault
 from drivers.kuka_rsi.options import KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Command, CommandKind, Fault
-from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox
+from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Fault
 from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
-from ronna_hw.arm.errors import NotClear, Singular, SurroundingsTooLarge, Unreachable
+from ronna_hw.arm.errors import NotClear, Singular, Unreachable
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arm.motion.progress import MOST_STEPS, SpeedStep
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import JointMove, Lifecycle, LineMove
 from ronna_hw.frames import Frame, Transform
@@ -141,38 +139,3 @@ def test_a_trip_names_the_limit_and_the_mode() -> None:
     assert "speed of the hand" in str(error)
     assert "head" not in str(error)
     assert (error.limit, error.got) == ("250.0 mm/s in T1", "301.0 mm/s")
-
-
-@pytest.fixture
-def mailboxes() -> Any:
-    import os
-
-    fd = os.memfd_create("test")
-    Mailbox.initialise(fd)
-    sides = (Mailbox(fd), Mailbox(fd))
-    yield sides
-    for side in sides:
-        side.close()
-    os.close(fd)
-
-
-def test_speed_steps_and_surroundings_arrive_through_the_mailbox(mailboxes: Any) -> None:
-    ours, theirs = mailboxes
-    plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
-    for steps in ((), (SpeedStep(0.0, 0.5), SpeedStep(0.25, 0.1)), (SpeedStep(0.5, 0.2),) * MOST_STEPS):
-        around = _post_beside(3.0 * len(steps))
-        sent = type(plan)(**{**vars(plan), "speed_steps": steps})
-        ours.write_command(Command(len(steps), CommandKind.MOVE, sent, 0, around))
-        found = theirs.read_command()
-        assert found is not None
-        assert found.plan == sent
-        assert found.surroundings == around
-    assert theirs.read_command().surroundings is theirs.read_command().surroundings  # read once
-
-
-def test_surroundings_too_large_for_the_mailbox_are_refused(mailboxes: Any) -> None:
-    plan = plan_joint_move(MODEL, START, ASIDE, working_limits(MODEL))
-    ball = Obstacle("x" * 100, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0))
-    many = Surroundings(obstacles=(ball,) * (LONGEST_SURROUNDINGS_BYTES // 100))
-    with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
-        mailboxes[0].write_command(Command(1, CommandKind.MOVE, plan, 0, many))

@@ -7,6 +7,7 @@ import signal
 from typing import Any
 
 import pytest
+from driven_arm import THERE, activated, configured
 from waiting import eventually
 
 from drivers.kuka_rsi.arm import KukaRsiArm
@@ -19,20 +20,12 @@ from drivers.kuka_rsi.errors import (
     NoTelegram,
     WrongController,
 )
-from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.arm.pose import Pose
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.wire.kuka_context import ContextInvalid, context_hash, load_context
-
-THERE = radians6(10, -85, 85, 5, 65, -10)
-
-
-def _configured(arm: Any) -> Any:
-    arm.connect()
-    arm.configure()
-    return arm
 
 
 @pytest.mark.parametrize(
@@ -56,7 +49,7 @@ def test_configure_reports_a_stream_address_that_is_not_this_computers(
 def test_telegrams_from_another_host_than_the_configured_one_open_no_session(
     controller: Any, make_arm: Any
 ) -> None:
-    arm = _configured(make_arm(controller_host="127.0.0.9"))
+    arm = configured(make_arm(controller_host="127.0.0.9"))
     with pytest.raises(
         NoTelegram, match=r"came from elsewhere, the last from 127.0.0.1; expected telegrams of 127.0.0.9"
     ):
@@ -66,15 +59,14 @@ def test_telegrams_from_another_host_than_the_configured_one_open_no_session(
 
 
 def test_telegrams_from_the_configured_host_are_answered(controller: Any, make_arm: Any) -> None:
-    arm = _configured(make_arm(controller_host="127.0.0.1"))
-    arm.activate()
+    arm = activated(make_arm(controller_host="127.0.0.1"))
     arm.move_joints(THERE)
     assert controller.replies
 
 
 def test_telegrams_of_another_type_are_reported_and_get_no_reply(controller: Any, make_arm: Any) -> None:
     controller.root_type = "OTHER"
-    arm = _configured(make_arm())
+    arm = configured(make_arm())
     with pytest.raises(NoTelegram, match="were malformed or of another Type"):
         arm.activate(timeout_s=1.0)
     assert not controller.replies
@@ -88,8 +80,7 @@ def test_a_12_ms_cycle_runs_when_driver_and_controller_agree_on_it(controller: A
     program = context.program.model_copy(update={"cycle_ms": 12})
     controller.facts.update(Cycle="12", CtxHash=context_hash(context.model_copy(update={"program": program})))
     controller.cycle_ms = 12
-    arm = _configured(make_arm(cycle_ms=12))
-    arm.activate()
+    arm = activated(make_arm(cycle_ms=12))
     reading = arm.move_joints(THERE)
     assert reading.joints_rad == pytest.approx(THERE, abs=1e-5)
     assert arm.link_statistics().lost_cycles == 0
@@ -107,9 +98,7 @@ def test_options_that_do_not_fit_the_context_are_refused_at_once(make_arm: Any, 
         make_arm(**options)
 
 
-def test_a_second_client_of_the_controller_gets_no_answer(
-    controller: Any, active_arm: Any, make_arm: Any
-) -> None:
+def test_a_second_client_of_the_controller_gets_no_answer(active_arm: Any, make_arm: Any) -> None:
     with pytest.raises(ControllerNotFound):
         make_arm().connect(timeout_s=0.5)
     active_arm.move_joints(THERE)  # the first one is not disturbed
@@ -117,8 +106,7 @@ def test_a_second_client_of_the_controller_gets_no_answer(
 
 @pytest.mark.hazard(4)
 def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any, make_arm: Any) -> None:
-    arm = _configured(make_arm(heartbeat_limit_s=0.5))
-    arm.activate()
+    arm = activated(make_arm(heartbeat_limit_s=0.5))
     os.kill(arm.connections.link.process.pid, signal.SIGSTOP)
 
     def latched() -> bool:
@@ -137,7 +125,7 @@ def test_a_stalled_real_time_process_is_latched_without_any_call(controller: Any
 
 
 def test_tool_and_base_can_be_set_only_at_rest(controller: Any, make_arm: Any) -> None:
-    arm = _configured(make_arm())
+    arm = configured(make_arm())
     arm.controller.set_tool(2, Pose.from_kuka(0, 0, 150, 0, 0, 0), mass_kg=1.2)
     arm.controller.set_base(1, Pose())
     arm.controller.set_override(50)

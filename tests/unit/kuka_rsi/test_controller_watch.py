@@ -9,6 +9,7 @@ from math import degrees
 from typing import Any
 
 import pytest
+from driven_arm import THERE, configured
 from waiting import HANG_LIMIT_S, eventually
 
 from drivers.kuka_rsi import micro_move
@@ -21,13 +22,12 @@ from drivers.kuka_rsi.errors import (
     NoAnswer,
     Unverified,
 )
+from drivers.kuka_rsi.micro_move import MicroMove
 from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.pose import radians6
 from ronna_hw.devices import ConfirmedStart, JointMove, Lifecycle, OperatingMode
 from ronna_hw.devices.errors import PersonNotNamed
 from ronna_hw.errors import RonnaError
 
-THERE = radians6(10, -85, 85, 5, 65, -10)
 FULL_SPEED_DEG_S = degrees(kr6_r900("kr6_r900_sixx").full_speed_rad_s[0])
 
 
@@ -58,9 +58,7 @@ def test_a_silent_eki_channel_is_latched_without_any_call(controller: Any, activ
 
 def test_t1_needs_a_persons_confirmation_for_each_start(controller: Any, make_arm: Any) -> None:
     controller.facts["Mode"] = "T1"
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     with pytest.raises(ControllerNotReady, match="T1"):
         arm.activate()
     arm.recover("Ana")
@@ -79,9 +77,7 @@ def test_in_t1_the_pendant_can_start_the_program_and_speed_is_limited_to_a_tenth
 ) -> None:
     controller.facts["Mode"] = "T1"
     controller.ack_codes["RSI_START"] = 5
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     arm.allow_t1("Ana")
     assert arm.operating_mode is OperatingMode.REDUCED_SPEED
     assert arm.limits() == arm.limits(OperatingMode.REDUCED_SPEED) != arm.limits(OperatingMode.AUTOMATIC)
@@ -162,9 +158,7 @@ def test_a_confirmed_start_of_an_unverified_controller_is_a_micro_move_and_is_va
 def test_a_confirmation_given_when_none_was_due_does_not_permit_a_start_in_t1(
     controller: Any, make_arm: Any
 ) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     assert arm.to_confirm is None
     arm.confirm_start("Ana")
     controller.tell(Mode="T1")
@@ -174,9 +168,7 @@ def test_a_confirmation_given_when_none_was_due_does_not_permit_a_start_in_t1(
 
 def test_in_t1_a_start_is_confirmed_by_the_person_next_to_the_arm(controller: Any, make_arm: Any) -> None:
     controller.facts["Mode"] = "T1"
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+    arm = configured(make_arm())
     assert arm.to_confirm == "the controller is in T1: someone holding the pendant is next to the arm"
     arm.confirm_start("Ana")
     arm.activate()
@@ -233,15 +225,15 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
 ) -> None:
     arm = _configured(make_arm)
     silent_controller.pace_s = 0.001
-    require_small = micro_move._require_small
+    require_small = MicroMove._require_small
 
-    def fail_once_moving(name: str, link: Any, state: Any, *limits: Any) -> None:
-        require_small(name, link, state, *limits)
+    def fail_once_moving(test: Any, state: Any, *limits: Any) -> None:
+        require_small(test, state, *limits)
         if state.moving:
-            link.process.send_signal(signalled)
+            test._link.process.send_signal(signalled)
             monkeypatch.setattr(micro_move, "TELEGRAMS_LIMIT_S", 0.5)
 
-    monkeypatch.setattr(micro_move, "_require_small", fail_once_moving)
+    monkeypatch.setattr(MicroMove, "_require_small", fail_once_moving)
     with pytest.raises(error):
         arm.activate_unverified("Ana")
     assert isinstance(arm.fault, error)
@@ -249,12 +241,8 @@ def test_a_real_time_process_that_fails_during_the_micro_move_ends_it(
     arm.connections.eki.status(HANG_LIMIT_S)  # what it was asked before is answered before it closes
 
 
-def test_a_stop_during_a_start_leaves_the_arm_in_hold(
-    controller: Any, make_arm: Any, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
+def test_a_stop_during_a_start_leaves_the_arm_in_hold(make_arm: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    arm = configured(make_arm())
     start = Connections.start_stream
 
     def started(*details: Any) -> Any:

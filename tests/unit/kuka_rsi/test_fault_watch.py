@@ -9,10 +9,18 @@ import pytest
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.telegrams import ControllerState
-from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied, RecordedCycle
+from drivers.kuka_rsi.errors import ControllerLost, ControllerStopped, LinkProcessDied
 from drivers.kuka_rsi.fault_watch import EKI_SILENCE_S, REASON_S, FaultWatch
 from drivers.kuka_rsi.options import HEARTBEAT_LIMIT_S, KukaOptions
-from drivers.kuka_rsi.realtime.link_state import NO_STATE, NOTHING_AROUND, Fault, LinkState, Phase, StopOrder
+from drivers.kuka_rsi.realtime.link_state import (
+    NO_STATE,
+    NOTHING_AROUND,
+    Fault,
+    LinkState,
+    Phase,
+    RecordedCycle,
+    StopOrder,
+)
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.live_watch import ViolationKind
 from ronna_hw.devices.lifecycle import Lifecycle, LifecycleGuard
@@ -112,13 +120,7 @@ class Watched:
 def test_eki_silence_is_tolerated_up_to_its_limit_and_no_longer(
     options: dict[str, float], limit_s: float
 ) -> None:
-    watched = Watched(**options)
-    watched.eki.silent_s = limit_s
-    watched.watch.on_silence()
-    assert watched.outcome == ("", [])
-    watched.eki.silent_s = limit_s + A_LITTLE_S
-    watched.watch.on_silence()  # from the reader of the channel: nobody has asked
-    assert watched.outcome == ("EKI-003", [StopOrder.PROTECTIVE])
+    _tolerated_up_to(limit_s, Watched(**options), "eki", "silent_s", ("EKI-003", [StopOrder.PROTECTIVE]))
 
 
 @pytest.mark.hazard(4)
@@ -130,14 +132,17 @@ def test_eki_silence_is_tolerated_up_to_its_limit_and_no_longer(
 def test_a_stalled_real_time_process_is_tolerated_up_to_its_limit(
     options: dict[str, float], limit_s: float
 ) -> None:
-    watched = Watched(**options)
-    watched.link.stalled_s = limit_s
-    watched.watch.check()
-    assert watched.outcome == ("", [])
-    watched.link.stalled_s = limit_s + A_LITTLE_S
-    watched.watch.check()
     # Nobody is there to carry a stop out: the controller's Timeout does.
-    assert watched.outcome == ("RSI-020", [])
+    _tolerated_up_to(limit_s, Watched(**options), "link", "stalled_s", ("RSI-020", []))
+
+
+def _tolerated_up_to(limit_s: float, watched: Watched, end: str, name: str, outcome: Any) -> None:
+    setattr(getattr(watched, end), name, limit_s)
+    watched.watch.on_silence()  # from the reader of the EKI channel: nobody has asked
+    assert watched.outcome == ("", [])
+    setattr(getattr(watched, end), name, limit_s + A_LITTLE_S)
+    watched.watch.on_silence()
+    assert watched.outcome == outcome
 
 
 @pytest.mark.hazard(4)

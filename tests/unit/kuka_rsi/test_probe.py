@@ -15,7 +15,7 @@ from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.telegrams import read_state
 from drivers.kuka_rsi.probe import stream_port_diagnostic
-from drivers.kuka_rsi.readings import standing_facts
+from drivers.kuka_rsi.readings import reported_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -112,7 +112,7 @@ def test_brakes_are_judged_as_the_controller_reports_them(
     else:
         controller.facts["Brakes"] = brakes
     state = read_state(ElementTree.fromstring(controller.state()), 0.0)
-    (fact,) = (one for one in standing_facts(state) if one.name == "brakes")
+    (fact,) = (one for one in reported_facts(state) if one.name == "brakes")
     assert (fact.found, fact.ready, bool(fact.advice)) == (found, well, not well)
 
 

@@ -46,8 +46,3 @@ def pointer() -> ToolDefinition:
         manufacturer="TEST",
         made_on=date(2025, 1, 1),
     )
-
-
-@pytest.fixture
-def new_unit() -> type[UnitInProcess]:
-    return UnitInProcess

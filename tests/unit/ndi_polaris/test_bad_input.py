@@ -16,14 +16,16 @@ from typing import Any
 
 import pytest
 import serial
-from polaris_unit_in_process import bring_up
+from polaris_unit_in_process import bring_up, configured
 
 from drivers.ndi_polaris import PolarisTracker, errors
 from drivers.ndi_polaris.shipped_tools import shipped_definitions
 from drivers.ndi_polaris.tool_definition import definition_hash, encode_definition
+from drivers.ndi_polaris.transport import SerialTransport
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Lifecycle
+from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
 ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
@@ -80,12 +82,11 @@ def test_a_missing_permission_is_reported_with_its_remedy(monkeypatch: pytest.Mo
 @pytest.mark.hazard(34)
 def test_a_port_held_by_another_program_is_reported() -> None:
     unit, terminal = pty.openpty()
-    path = os.ttyname(terminal)
-    with (
-        serial.Serial(path, exclusive=True),
-        raises_on_one_line("NDI-001", "held by another program", "stop it"),
-    ):
-        tracker_at(f"serial://{path}").connect(1.0)
+    endpoint = f"serial://{os.ttyname(terminal)}"
+    first = SerialTransport(parse_endpoint(endpoint))
+    with raises_on_one_line("NDI-001", "held by another program", "stop it"):
+        tracker_at(endpoint).connect(1.0)
+    first.close()
     os.close(unit)
     os.close(terminal)
 
@@ -118,38 +119,58 @@ def test_another_device_on_the_serial_port_is_reported(make_tracker: Make, unit:
     assert caught.value.wire
 
 
+@contextmanager
+def a_server(serve: Callable[[socket.socket], None]) -> Iterator[str]:
+    """Run a program that is no unit, listening on the loopback address."""
+    with socket.create_server(("127.0.0.1", 0)) as server:
+
+        def run() -> None:
+            connection = server.accept()[0]
+            with connection:
+                serve(connection)
+
+        thread = threading.Thread(target=run, daemon=True)
+        thread.start()
+        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
+        thread.join(30.0)
+        assert not thread.is_alive()
+
+
+def answer_everything(talk: bytes, connection: socket.socket) -> None:
+    while connection.recv(4096):
+        connection.sendall(talk)
+
+
+def talk_for_ever(connection: socket.socket) -> None:
+    try:
+        while True:
+            connection.sendall(b"tick tock " * 1000)
+    except OSError:
+        return  # the host has had enough
+
+
 @pytest.mark.parametrize(
-    "talk",
+    ("serve", "code", "message", "advice"),
     [
-        b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n",
-        b"220 mail ready\r\n",
-        b"\xff\xfb\x01\xff\xfb\x03",
-        b"\xc4\xa5" + bytes(400),
+        *(
+            (partial(answer_everything, talk), "NDI-003", "CRC", "another device or program")
+            for talk in (
+                b"HTTP/1.1 400 Bad Request\r\nContent-Length: 0\r\n\r\n",
+                b"220 mail ready\r\n",
+                b"\xff\xfb\x01\xff\xfb\x03",
+                b"\xc4\xa5" + bytes(400),
+            )
+        ),
+        (talk_for_ever, "NDI-003", "sends unsolicited data", "another device or program"),
+        (socket.socket.close, "NDI-008", "closed|broke", "power and cable"),
     ],
-    ids=["http", "mail", "telnet", "bytes"],
+    ids=["http", "mail", "telnet", "bytes", "endless", "hangs up"],
 )
-def test_another_program_at_the_tcp_address_is_reported(talk: bytes) -> None:
-    with (
-        a_server(partial(answer_everything, talk)) as endpoint,
-        raises_on_one_line("NDI-003", "CRC", "another device or program"),
-    ):
-        tracker_at(endpoint).connect(20.0)
-
-
-def test_a_program_that_never_stops_sending_is_reported() -> None:
-    with (
-        a_server(talk_for_ever) as endpoint,
-        raises_on_one_line("NDI-003", "sends unsolicited data", "another device or program"),
-    ):
+def test_another_program_at_the_tcp_address_is_reported(
+    serve: Callable[[socket.socket], None], code: str, message: str, advice: str
+) -> None:
+    with a_server(serve) as endpoint, raises_on_one_line(code, message, advice):
         tracker_at(endpoint).connect(30.0)
-
-
-def test_a_program_that_hangs_up_is_reported() -> None:
-    with (
-        a_server(socket.socket.close) as endpoint,
-        raises_on_one_line("NDI-008", "closed|broke", "power and cable"),
-    ):
-        tracker_at(endpoint).connect(20.0)
 
 
 # --- the mode of the unit -------------------------------------------------------------------------------
@@ -163,9 +184,7 @@ def test_a_unit_left_tracking_by_an_earlier_program_is_taken_over(make_tracker: 
 
 
 def test_a_unit_in_a_mode_that_cannot_track_refuses_activation(make_tracker: Make, unit: Any) -> None:
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     unit.answers_to["TSTART"] = unit.answers_to["TSTOP"] = "ERROR0C"  # diagnostic mode, by another host
     with raises_on_one_line("NDI-032", "TSTART.*mode", "another program"):
         device.activate()
@@ -178,24 +197,26 @@ def test_a_unit_in_a_mode_that_cannot_track_refuses_activation(make_tracker: Mak
 # --- tool definitions -----------------------------------------------------------------------------------
 
 
-def test_a_corrupt_definition_is_refused_before_the_line_is_opened(
-    make_tracker: Make, unit: Any, tmp_path: Path
+CORRUPT = bytearray(encode_definition(ROBOT_FRAME))
+CORRUPT[80] ^= 1
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (bytes(CORRUPT), "has a wrong checksum"),
+        (b"", "has 0 bytes"),
+        (b"PK\3\4" + bytes(748), "is not a tool definition"),
+        (b"NDI\0" + bytes(100), "has 104 bytes"),
+    ],
+)
+def test_an_invalid_definition_is_refused_before_the_line_is_opened(
+    make_tracker: Make, unit: Any, tmp_path: Path, content: bytes, words: str
 ) -> None:
-    block = bytearray(encode_definition(ROBOT_FRAME))
-    block[80] ^= 1
-    (tmp_path / "bent.rom").write_bytes(block)
-    with raises_on_one_line("NDI-011", "bent.rom has a wrong checksum", "of the tool"):
+    (tmp_path / "bent.rom").write_bytes(content)
+    with raises_on_one_line("NDI-011", f"bent.rom {words}", "of the tool"):
         make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "bent.rom")}])
     assert unit.commands == []
-
-
-@pytest.mark.parametrize("content", [b"", b"PK\3\4" + bytes(748), b"NDI\0" + bytes(100)])
-def test_a_file_that_is_not_a_tool_definition_is_refused(
-    make_tracker: Make, tmp_path: Path, content: bytes
-) -> None:
-    (tmp_path / "other.rom").write_bytes(content)
-    with raises_on_one_line("NDI-011", "other.rom (has|is not)", "of the tool"):
-        make_tracker(tools=[{"name": "M", "rom": str(tmp_path / "other.rom")}])
 
 
 @pytest.mark.hazard(17)
@@ -229,17 +250,13 @@ def test_a_unit_that_holds_another_tool_than_was_sent_is_refused(make_tracker: M
 def test_either_byte_order_of_the_serial_number_is_accepted(make_tracker: Make, unit: Any, step: int) -> None:
     number = encode_definition(ROBOT_FRAME)[20:24][::step].hex().upper()
     unit.override("PHINF", lambda argument: described("RONNA-M", number))
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     assert device.notices == ()
 
 
 def test_a_tool_reported_with_another_serial_number_is_noted(make_tracker: Make, unit: Any) -> None:
     unit.override("PHINF", lambda argument: described("RONNA-M", "00000000"))
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     assert any("serial number 00000000" in note for note in device.notices)
 
 
@@ -342,36 +359,3 @@ def test_a_persistent_hardware_fault_blocks_recovery(tracker: PolarisTracker, un
     tracker.recover("tester")
     tracker.activate()
     assert tracker.read_frame().tool("robot_frame").position_mm
-
-
-# --- programs behind an address -------------------------------------------------------------------------
-
-
-@contextmanager
-def a_server(serve: Callable[[socket.socket], None]) -> Iterator[str]:
-    """Run a program that is no unit, listening on the loopback address."""
-    with socket.create_server(("127.0.0.1", 0)) as server:
-
-        def run() -> None:
-            connection = server.accept()[0]
-            with connection:
-                serve(connection)
-
-        thread = threading.Thread(target=run, daemon=True)
-        thread.start()
-        yield f"tcp://127.0.0.1:{server.getsockname()[1]}"
-        thread.join(30.0)
-        assert not thread.is_alive()
-
-
-def answer_everything(talk: bytes, connection: socket.socket) -> None:
-    while connection.recv(4096):
-        connection.sendall(talk)
-
-
-def talk_for_ever(connection: socket.socket) -> None:
-    try:
-        while True:
-            connection.sendall(b"tick tock " * 1000)
-    except OSError:
-        return  # the host has had enough

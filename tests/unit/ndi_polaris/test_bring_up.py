@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from polaris_unit_in_process import bring_up
+from polaris_unit_in_process import bring_up, configured
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import MalformedReply
@@ -60,9 +60,7 @@ def test_a_unit_that_fails_to_initialise_is_reset_and_initialised_again(
 
 
 def test_configure_negotiates_the_fastest_common_rate(make_tracker: Make, unit: Any) -> None:
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    device = configured(make_tracker())
     assert unit.unit_baud == unit.baud == device.baud == 115200
     assert [line for line in unit.commands if line.startswith("COMM")][:3] == [
         "COMM:60000",
@@ -72,9 +70,7 @@ def test_configure_negotiates_the_fastest_common_rate(make_tracker: Make, unit: 
 
 
 def test_the_negotiated_rate_can_be_limited(make_tracker: Make, unit: Any) -> None:
-    device = make_tracker(maximum_baud=38400)
-    device.connect()
-    device.configure()
+    configured(make_tracker(maximum_baud=38400))
     assert unit.unit_baud == 38400
 
 
@@ -82,9 +78,7 @@ def test_a_rate_at_which_the_unit_does_not_answer_is_abandoned(make_tracker: Mak
     usual = unit.usual("COMM")
     # says OKAY to 921600 and stays where it is
     unit.override("COMM", lambda argument: "OKAY" if argument[0] == "6" else usual(argument))
-    device = make_tracker()
-    device.connect()
-    device.configure()
+    configured(make_tracker())
     assert unit.baud == unit.unit_baud == 115200
 
 
@@ -93,9 +87,7 @@ def test_a_rate_the_cable_does_not_carry_is_abandoned_by_a_break_for_a_slower_on
 ) -> None:
     unit.known_bauds["6"] = 921600
     unit.deliver = lambda name, reply: [(0.001, reply if unit.unit_baud < 921600 else b"\xff\x80" * 9)]
-    device = make_tracker()
-    device.connect()
-    device.configure(30.0)
+    device = configured(make_tracker(), 30.0)
     assert unit.breaks == 1
     assert device.baud == unit.unit_baud == 115200
     device.activate()
@@ -105,9 +97,7 @@ def test_a_rate_the_cable_does_not_carry_is_abandoned_by_a_break_for_a_slower_on
 def test_a_lost_reply_to_comm_does_not_lose_the_unit(make_tracker: Make, unit: Any) -> None:
     unit.known_bauds = {"0": 9600, "6": 921600}
     unit.deliver = lambda name, reply: [] if name == "COMM" else [(0.001, reply)]
-    device = make_tracker()
-    device.connect()
-    device.configure(20.0)
+    device = configured(make_tracker(), 20.0)
     assert device.baud == 921600
 
 
@@ -124,9 +114,7 @@ def test_plausible_command_time_limits_from_the_unit_are_adopted(make_tracker: M
     said = ["BX=1.5", "TX=9", "GET=0", "INIT=900", "PHSR=soon", "NOPE=3", "TSTOP=7"]
     limits = "\n".join(f"Info.Timeout.{line}" for line in said)
     unit.override("GET", lambda name: limits if name == "Info.Timeout.*" else usual(name))
-    device = make_tracker(time_limits_s={"TSTOP": 3.0})
-    device.connect()
-    device.configure()
+    device = configured(make_tracker(time_limits_s={"TSTOP": 3.0}))
     unit.set_baud(9600)
     waits = {name: device._link.limit_s(name, 0, 96) for name in ("BX", "TX", "GET", "INIT", "PHSR", "TSTOP")}
     assert waits == pytest.approx({"BX": 1.6, "TX": 9.1, "GET": 8.1, "INIT": 4.1, "PHSR": 2.1, "TSTOP": 3.1})

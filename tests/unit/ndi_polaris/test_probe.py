@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import fcntl
 import os
+import re
 import socket
 import subprocess
 import sys
@@ -20,11 +21,10 @@ from drivers.ndi_polaris.line_check import (
     LineState,
     Opening,
     Outcome,
-    diagnose,
+    check_line,
     line_diagnostic,
-    look_at_line,
 )
-from drivers.ndi_polaris.probe import find_trackers, probe
+from drivers.ndi_polaris.probe import probe
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -91,64 +91,56 @@ def unit_at(baud: int, elsewhere: bytes = b"") -> Hears:
     return lambda rate, _said: ANSWER if rate == baud else elsewhere
 
 
-def test_a_unit_at_the_power_up_rate_answers(other_end: Callable[[Hears], OtherEnd]) -> None:
-    state = look_at_line(other_end(unit_at(9600)).endpoint)
-    diagnosis = diagnose(state)
-    assert (diagnosis.well, diagnosis.advice) == (True, "")
-    assert diagnosis.seen == f"answered at 9600: G.001.005 (last bytes {ANSWER.hex(' ')})"
-    assert len(state.attempts) == 1
+@pytest.mark.parametrize(("elsewhere", "left_at"), [(b"", 9600), (b"", 115200), (b"\x80\xff\x00", 115200)])
+def test_a_unit_is_found_at_the_rate_it_was_left_at(
+    other_end: Callable[[Hears], OtherEnd], elsewhere: bytes, left_at: int
+) -> None:
+    state = check_line(other_end(unit_at(left_at, elsewhere)).endpoint)
+    diagnostic = line_diagnostic(state)
+    assert diagnostic.well
+    assert diagnostic.seen == f"answered at {left_at}: G.001.005 (last bytes {ANSWER.hex(' ')})"
+    assert ("An earlier program left it at this rate" in diagnostic.advice) is (left_at != 9600)
+    assert [attempt.baud for attempt in state.attempts] == ([9600] if left_at == 9600 else [9600, 115200])
     assert state.last_bytes == ANSWER
 
 
-@pytest.mark.parametrize("elsewhere", [b"", b"\x80\xff\x00"])
-def test_a_unit_left_at_another_rate_is_found_there(
-    other_end: Callable[[Hears], OtherEnd], elsewhere: bytes
+GARBAGE, ECHO, SILENCE = Outcome.GARBAGE, Outcome.ECHO, Outcome.SILENCE
+
+
+@pytest.mark.parametrize(
+    ("hears", "outcomes", "seen", "advice"),
+    [
+        (
+            lambda rate, _: b"\x80\xf8\x00\xe6" if rate == 9600 else b"",
+            [GARBAGE, SILENCE, SILENCE],
+            "garbage at 9600: bytes 80 f8 00 e6",
+            "Probably another rate, or another device.* resets it to 9600 baud",
+        ),
+        (lambda _rate, _said: b"\r\nlogin: ", [GARBAGE] * 3, "garbage at", "'login:'"),
+        (lambda _rate, said: said, [ECHO] * 3, "echoes our commands", "loop-back"),
+        (lambda _rate, _said: b"", [SILENCE] * 3, "silent at 9600, 115200, 230400 baud", "powered"),
+    ],
+    ids=["garbage", "text", "loop-back", "silence"],
+)
+def test_a_line_without_a_unit_is_tried_at_every_rate_and_diagnosed(
+    other_end: Callable[[Hears], OtherEnd], hears: Hears, outcomes: list[Outcome], seen: str, advice: str
 ) -> None:
-    state = look_at_line(other_end(unit_at(115200, elsewhere)).endpoint)
-    diagnosis = diagnose(state)
-    assert diagnosis.well
-    assert diagnosis.seen.startswith("answered at 115200: G.001.005")
-    assert "An earlier program left it at this rate" in diagnosis.advice
-    assert [attempt.baud for attempt in state.attempts] == [9600, 115200]
-
-
-def test_garbage_is_shown_in_hex_with_its_rate(other_end: Callable[[Hears], OtherEnd]) -> None:
-    state = look_at_line(other_end(lambda rate, _: b"\x80\xf8\x00\xe6" if rate == 9600 else b"").endpoint)
-    diagnosis = diagnose(state)
-    assert not diagnosis.well
-    assert diagnosis.seen == "garbage at 9600: bytes 80 f8 00 e6"
-    assert "Probably another rate, or another device" in diagnosis.advice
-    assert "resets it to 9600 baud" in diagnosis.advice
-    assert [attempt.outcome for attempt in state.attempts] == [
-        Outcome.GARBAGE, Outcome.SILENCE, Outcome.SILENCE
-    ]  # fmt: skip
-
-
-def test_text_from_another_device_is_quoted(other_end: Callable[[Hears], OtherEnd]) -> None:
-    diagnosis = diagnose(look_at_line(other_end(lambda _rate, _said: b"\r\nlogin: ").endpoint))
-    assert "'login:'" in diagnosis.advice
-
-
-def test_a_loopback_is_recognised(other_end: Callable[[Hears], OtherEnd]) -> None:
-    diagnosis = diagnose(look_at_line(other_end(lambda _rate, said: said).endpoint))
-    assert not diagnosis.well
-    assert "echoes our commands" in diagnosis.seen
+    end = other_end(hears)
+    state = check_line(end.endpoint)
+    diagnostic = line_diagnostic(state)
+    assert not diagnostic.well
+    assert seen in diagnostic.seen
+    assert re.search(advice, diagnostic.advice)
+    assert [attempt.outcome for attempt in state.attempts] == outcomes
+    assert {said for _, said in end.heard} == {b"APIREV:443E\r"}
+    assert list(dict.fromkeys(rate for rate, _ in end.heard)) == [9600, 115200, 230400]
 
 
 def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Hears], OtherEnd]) -> None:
     answers = iter([b"\xff\xfe", ANSWER])
-    state = look_at_line(other_end(lambda _rate, _said: next(answers)).endpoint)
+    state = check_line(other_end(lambda _rate, _said: next(answers)).endpoint)
     assert state.answered is not None
     assert state.answered.baud == 9600
-
-
-def test_a_silent_line_names_the_rates_tried(other_end: Callable[[Hears], OtherEnd]) -> None:
-    end = other_end(lambda _rate, _said: b"")
-    diagnosis = diagnose(look_at_line(end.endpoint))
-    assert diagnosis.seen == "silent at 9600, 115200, 230400 baud"
-    assert "powered" in diagnosis.advice
-    assert [rate for rate, _ in end.heard] == [9600, 115200, 230400]
-    assert {said for _, said in end.heard} == {b"APIREV:443E\r"}
 
 
 @pytest.fixture
@@ -170,11 +162,11 @@ def other_program(other_end: Callable[[Hears], OtherEnd]) -> Iterator[tuple[Othe
 
 def test_another_program_is_named_and_its_line_is_left_alone(other_program: tuple[OtherEnd, int]) -> None:
     end, pid = other_program
-    state = look_at_line(end.endpoint)
-    diagnosis = diagnose(state)
-    assert not diagnosis.well
-    assert diagnosis.seen.startswith("held by another program: ")
-    assert f"(pid {pid})" in diagnosis.seen
+    state = check_line(end.endpoint)
+    diagnostic = line_diagnostic(state)
+    assert not diagnostic.well
+    assert diagnostic.seen.startswith("held by another program: ")
+    assert f"(pid {pid})" in diagnostic.seen
     assert end.heard == []
 
 
@@ -182,12 +174,12 @@ def test_another_program_is_named_and_its_line_is_left_alone(other_program: tupl
 def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(line_check, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
     with socket.create_server(("127.0.0.1", 0)) as unit:
-        diagnosis = diagnose(look_at_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
+        diagnostic = line_diagnostic(check_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
         unit.setblocking(False)
         with pytest.raises(BlockingIOError):
             unit.accept()
-    assert diagnosis.seen == "held by another program: ronna-procedure (pid 4711)"
-    assert "leave it alone" in diagnosis.advice
+    assert diagnostic.seen == "held by another program: ronna-procedure (pid 4711)"
+    assert "leave it alone" in diagnostic.advice
 
 
 def test_a_lock_with_an_invisible_holder_is_reported(
@@ -198,11 +190,11 @@ def test_a_lock_with_an_invisible_holder_is_reported(
     locked = os.open(end.path, os.O_RDWR | os.O_NOCTTY)
     try:
         fcntl.flock(locked, fcntl.LOCK_EX)
-        diagnosis = diagnose(look_at_line(end.endpoint))
+        diagnostic = line_diagnostic(check_line(end.endpoint))
     finally:
         os.close(locked)
-    assert "held by another program, not visible to this user" in diagnosis.seen
-    assert f"sudo fuser -v {end.path}" in diagnosis.advice
+    assert "held by another program, not visible to this user" in diagnostic.seen
+    assert f"sudo fuser -v {end.path}" in diagnostic.advice
 
 
 def test_a_missing_permission_is_reported_and_nothing_is_sent(
@@ -210,16 +202,16 @@ def test_a_missing_permission_is_reported_and_nothing_is_sent(
 ) -> None:
     end = other_end(unit_at(9600))
     monkeypatch.setattr(line_check.os, "access", lambda _path, _mode: False)
-    state = look_at_line(end.endpoint)
+    state = check_line(end.endpoint)
     assert state.opening is Opening.FORBIDDEN
-    diagnosis = diagnose(state)
-    assert diagnosis.seen == f"permission denied: {end.path}"
+    diagnostic = line_diagnostic(state)
+    assert diagnostic.seen == f"permission denied: {end.path}"
     assert end.heard == []
 
 
 def test_a_port_that_does_not_exist_is_reported() -> None:
-    diagnosis = diagnose(look_at_line(Endpoint("serial", path="/dev/no-such-port")))
-    assert "does not exist" in diagnosis.seen
+    diagnostic = line_diagnostic(check_line(Endpoint("serial", path="/dev/no-such-port")))
+    assert "does not exist" in diagnostic.seen
 
 
 # --- TCP ---------------------------------------------------------------------------------------------------
@@ -269,10 +261,10 @@ def test_each_kind_of_tcp_peer_is_diagnosed(
     words: str,
 ) -> None:
     monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
-    diagnosis = diagnose(look_at_line(listener(answer)))
-    assert diagnosis.well is well
-    assert words in diagnosis.seen
-    assert bool(diagnosis.advice) is not well
+    diagnostic = line_diagnostic(check_line(listener(answer)))
+    assert diagnostic.well is well
+    assert words in diagnostic.seen
+    assert bool(diagnostic.advice) is not well
 
 
 def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
@@ -296,16 +288,18 @@ def test_a_controller_that_speaks_first_is_sent_nothing() -> None:
 
         controller = threading.Thread(target=serve)
         controller.start()
-        seen = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1]))).seen
+        seen = line_diagnostic(
+            check_line(Endpoint("tcp", host="127.0.0.1", port=server.getsockname()[1]))
+        ).seen
         controller.join()
     assert shown == [b""]
     assert "a robot controller that sends its state over EKI" in seen
 
 
 def test_an_address_where_nothing_listens_is_reported() -> None:
-    diagnosis = diagnose(look_at_line(Endpoint("tcp", host="127.0.0.1", port=1)))
-    assert not diagnosis.well
-    assert "Nothing listens" in diagnosis.advice
+    diagnostic = line_diagnostic(check_line(Endpoint("tcp", host="127.0.0.1", port=1)))
+    assert not diagnostic.well
+    assert "Nothing listens" in diagnostic.advice
 
 
 # --- the diagnostics --------------------------------------------------------------------------------------
@@ -313,7 +307,7 @@ def test_an_address_where_nothing_listens_is_reported() -> None:
 
 def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Hears], OtherEnd]) -> None:
     end = other_end(unit_at(115200, b"\xfe\xff"))
-    diagnostic = line_diagnostic(look_at_line(end.endpoint), of_tracker=True)
+    diagnostic = line_diagnostic(check_line(end.endpoint))
     assert (diagnostic.subject, diagnostic.section) == (f"line serial://{end.path}", "lines")
     assert diagnostic.document is not None
     assert diagnostic.document["answered_at_baud"] == 115200
@@ -323,9 +317,7 @@ def test_the_document_lists_every_attempt_in_hex(other_end: Callable[[Hears], Ot
 
 
 def test_a_line_that_was_not_opened_has_no_attempts() -> None:
-    diagnostic = line_diagnostic(
-        LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING), of_tracker=True
-    )
+    diagnostic = line_diagnostic(LineState(Endpoint("tcp", host="127.0.0.1", port=1), Opening.MISSING))
     assert diagnostic.document is not None
     assert diagnostic.document["attempts"] == []
 
@@ -345,6 +337,6 @@ def test_a_line_that_does_not_exist_is_named_with_the_ports_that_do(monkeypatch:
     port = SimpleNamespace(device="/dev/ttyUSB0")
     monkeypatch.setattr("serial.tools.list_ports.comports", lambda: [port])
     lines = (parse_endpoint("serial:///dev/ttyUSB99"),)
-    (missing,) = find_trackers(Search(lines=lines), lambda share: None)
+    (missing,) = probe.find(Search(lines=lines), lambda share: None)
     assert missing.absent == ("/dev/ttyUSB99 does not exist; the serial ports of this computer: /dev/ttyUSB0")
     assert missing.endpoints == {ONLY: "serial:///dev/ttyUSB99"}

@@ -13,13 +13,11 @@ import pytest
 from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
 from drivers.ndi_polaris.shipped_tools import FOLDER, shipped_definitions
 from drivers.ndi_polaris.tool_comparison import (
-    alike_segments_mm,
     check_distinct,
     compare_definitions,
     find_alike,
     largest_segment_difference_mm,
     segment_lengths_mm,
-    shared_segments_mm,
 )
 from drivers.ndi_polaris.tool_definition import (
     blank_block,
@@ -114,8 +112,9 @@ def test_the_x_frame_is_two_crossing_bars_with_distances_at_least_8_mm_apart() -
         assert np.dot(end - crossing, other - crossing) < 0  # on either side of the crossing
         sine = np.linalg.norm(np.cross(end, other)) / np.linalg.norm(end) / np.linalg.norm(other)
         assert sine < 0.01
-    assert alike_segments_mm(X_FRAME, 8.0) == ()
-    assert shared_segments_mm(X_FRAME, ROBOT_FRAME, 5.0) == ()
+    assert find_alike({"x": X_FRAME}, 8.0) == ()
+    both = find_alike({"x": X_FRAME, "M": ROBOT_FRAME}, 5.0)
+    assert [pair for pair in both if pair.first_tool != pair.second_tool] == []
 
 
 def test_driver_and_simulator_read_each_others_definitions_alike() -> None:
@@ -265,5 +264,5 @@ def test_similar_segments_of_a_tool_are_found() -> None:
         manufacturer="X",
         made_on=date(2025, 1, 1),
     )
-    assert len(alike_segments_mm(square)) == 4
+    assert len(find_alike({"square": square})) == 4
     assert segment_lengths_mm(square.markers_mm)[0] == 50.0

@@ -10,14 +10,13 @@ import sys
 import termios
 import tty
 from collections.abc import Iterator
-from pathlib import Path
 
 import pytest
 import serial
 
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
 from drivers.ndi_polaris.transport import SerialTransport, TcpTransport, Transport, open_transport
-from ronna_hw.endpoints import BadEndpoint, parse_endpoint
+from ronna_hw.endpoints import Endpoint, parse_endpoint
 
 
 class Line:
@@ -96,58 +95,40 @@ def test_a_write_to_a_dead_line_does_not_block_forever(line: Line) -> None:
         line.transport.write(bytes(50_000_000))  # nobody reads at the other end
 
 
-def test_a_serial_line_can_change_its_rate_and_send_a_break() -> None:
+@pytest.fixture
+def port() -> Iterator[tuple[Endpoint, int]]:
+    """Open a pseudo-terminal; return its endpoint and the unit's end."""
     unit, terminal = pty.openpty()
-    try:
-        transport = SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}"))
-        assert transport.baud == 9600
-        transport.set_baud(115200)
-        assert transport.baud == 115200
-        with pytest.raises(PortUnavailable):
-            transport.set_baud(-1)
-        os.write(unit, b"before the break")
-        transport.send_break()
-        assert transport.read(0.0) == b""
-        transport.close()
-    finally:
-        os.close(unit)
-        os.close(terminal)
+    yield parse_endpoint(f"serial://{os.ttyname(terminal)}"), unit
+    os.close(unit)
+    os.close(terminal)
 
 
-def test_a_break_lasts_500_ms(monkeypatch: pytest.MonkeyPatch) -> None:
-    unit, terminal = pty.openpty()
-    breaks: list[int] = []
-    monkeypatch.setattr(termios, "tcsendbreak", lambda _file, duration_ms: breaks.append(duration_ms))
-    transport = SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}"))
+def test_a_serial_line_can_change_its_rate_and_send_a_break(port: tuple[Endpoint, int]) -> None:
+    endpoint, unit = port
+    transport = SerialTransport(endpoint)
+    assert transport.baud == 9600
+    transport.set_baud(115200)
+    assert transport.baud == 115200
+    with pytest.raises(PortUnavailable):
+        transport.set_baud(-1)
+    os.write(unit, b"before the break")
     transport.send_break()
-    assert breaks == [500]
+    assert transport.read(0.0) == b""
     transport.close()
-    os.close(unit)
-    os.close(terminal)
 
 
-def test_a_usb_adapter_is_set_to_low_latency(monkeypatch: pytest.MonkeyPatch) -> None:
-    unit, terminal = pty.openpty()
+def test_an_adapter_has_low_latency_and_its_break_lasts_500_ms(
+    port: tuple[Endpoint, int], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    breaks: list[int] = []
     said: list[bool] = []
+    monkeypatch.setattr(termios, "tcsendbreak", lambda _file, duration_ms: breaks.append(duration_ms))
     monkeypatch.setattr(serial.Serial, "set_low_latency_mode", lambda _port, wanted: said.append(wanted))
-    SerialTransport(parse_endpoint(f"serial://{os.ttyname(terminal)}")).close()
-    assert said == [True]
-    os.close(unit)
-    os.close(terminal)
-
-
-@pytest.mark.hazard(34)
-def test_a_serial_port_is_exclusive_to_one_client() -> None:
-    unit, terminal = pty.openpty()
-    endpoint = parse_endpoint(f"serial://{os.ttyname(terminal)}")
-    first = SerialTransport(endpoint)
-    try:
-        with pytest.raises(PortUnavailable):
-            SerialTransport(endpoint)
-    finally:
-        first.close()
-        os.close(unit)
-        os.close(terminal)
+    transport = SerialTransport(port[0])
+    transport.send_break()
+    transport.close()
+    assert (said, breaks) == ([True], [500])
 
 
 def test_tcp_has_no_rate_and_no_break() -> None:
@@ -159,26 +140,14 @@ def test_tcp_has_no_rate_and_no_break() -> None:
         transport.close()
 
 
-def test_an_endpoint_that_cannot_be_opened_is_refused_with_the_reason(tmp_path: Path) -> None:
-    with pytest.raises(PortUnavailable, match="no such file"):
-        open_transport(parse_endpoint(f"serial://{tmp_path}/none"), 1.0)
-    with pytest.raises(PortUnavailable, match="refused"):
-        open_transport(parse_endpoint("tcp://127.0.0.1:1"), 1.0)
-    with pytest.raises(BadEndpoint):
-        open_transport(parse_endpoint("udp://127.0.0.1:1"), 1.0)
-
-
-def test_the_program_that_holds_a_serial_port_is_named() -> None:
-    unit, terminal = pty.openpty()
-    path = os.ttyname(terminal)
+def test_the_program_that_holds_a_serial_port_is_named(port: tuple[Endpoint, int]) -> None:
+    endpoint, _ = port
     hold = "import serial, sys; port = serial.Serial(sys.argv[1], exclusive=True); print(flush=True); input()"
     with subprocess.Popen(
-        [sys.executable, "-c", hold, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
+        [sys.executable, "-c", hold, endpoint.path], stdin=subprocess.PIPE, stdout=subprocess.PIPE
     ) as holder:
         assert holder.stdout is not None
         holder.stdout.readline()
         with pytest.raises(PortUnavailable, match=rf"held by another program, .* \(pid {holder.pid}\)"):
-            SerialTransport(parse_endpoint(f"serial://{path}"))
+            SerialTransport(endpoint)
         holder.communicate(b"\n")
-    os.close(unit)
-    os.close(terminal)

@@ -12,11 +12,12 @@ from math import degrees
 from typing import Any
 
 import pytest
-from driven_arm import FAR, THERE, largest_step, moving, state_of
+from driven_arm import FAR, THERE, activated, largest_step, moving
 from waiting import eventually
 
 from drivers.kuka_rsi.eki.telegrams import LONGEST_TELEGRAM
 from drivers.kuka_rsi.errors import BadEkiTelegram, ControllerLost, ControllerStopped
+from drivers.kuka_rsi.realtime.link_state import Choice
 from ronna_hw.devices import Lifecycle
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.errors import RonnaError
@@ -31,11 +32,7 @@ Happen = Callable[[Any], None]
 @pytest.fixture
 def patient_arm(make_arm: Any) -> Any:
     """Return an active arm, as patient as a controller that stands still needs."""
-    arm = make_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S)
-    arm.connect()
-    arm.configure()
-    arm.activate()
-    return arm
+    return activated(make_arm(silence_limit_s=HANG_S, heartbeat_limit_s=HANG_S))
 
 
 def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
@@ -49,16 +46,16 @@ def _stopped(arm: Any, controller: Any, happen: Happen) -> RonnaError:
     controller.silent.clear()
     mover.join(HANG_S)
     _stopped_at_once(controller.replies, before, {c.IPOC: c.choice for c in arm.recorded_cycles})
-    assert state_of(arm) is Lifecycle.FAULT
+    assert arm.state is Lifecycle.FAULT
     (error,) = caught
     assert isinstance(error, RonnaError)
     assert "flight-record-robot.master.txt" in error.attachments
     return error
 
 
-def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: dict[int, str]) -> None:
-    assert choices[replies[before - 1][0]] == "go"
-    assert choices[replies[before][0]] == "stop"
+def _stopped_at_once(replies: list[tuple[int, Any, int]], before: int, choices: dict[int, Choice]) -> None:
+    assert choices[replies[before - 1][0]] is Choice.GO
+    assert choices[replies[before][0]] is Choice.STOP
     axes = [correction for _, correction, _ in replies[before - 1 :]]
     cycles_to_rest = axes.index(axes[-1])
     assert 1 < cycles_to_rest <= LONGEST_STOP_CYCLES  # smoothly, and soon
@@ -104,7 +101,7 @@ def test_a_cut_eki_channel_stops_the_arm_and_recovery_retries_until_it_reopens(
     controller.turned_away = 2
     patient_arm.recover("Ana")
     assert controller.turned_away == 0
-    assert state_of(patient_arm) is Lifecycle.CONFIGURED
+    assert patient_arm.state is Lifecycle.CONFIGURED
     # The program that still ran was ended, not assumed to have ended with the channel.
     assert controller.facts["RSI"] == "0"
     patient_arm.activate()
@@ -158,4 +155,4 @@ def test_padding_and_text_between_eki_telegrams_are_skipped(controller: Any, pat
     controller.tell(Tool="7")
     eventually(lambda: patient_arm.connections.eki.latest.tool == 7)
     patient_arm.move_joints(THERE)
-    assert state_of(patient_arm) is Lifecycle.ACTIVE
+    assert patient_arm.state is Lifecycle.ACTIVE

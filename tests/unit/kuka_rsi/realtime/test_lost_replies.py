@@ -297,7 +297,7 @@ def test_a_delay_count_higher_than_the_gap_means_that_the_last_reply_was_not_tak
     said = []
     for ipoc, delay in ((0, 5), (4, 5), (8, 6), (12, 7), (16, 7), (28, 9), (36, 11), (52, 11), (56, 11)):
         losses.count(ipoc, delay)
-        said.append((losses.untaken, losses.standing))
+        said.append((losses.reply_lost, losses.held_cycles))
     assert said == [
         (False, 0),
         (False, 0),

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
+from contextlib import closing
+from dataclasses import replace
 
 import pytest
 
@@ -16,33 +17,25 @@ from drivers.kuka_rsi.realtime.link_state import (
     LinkSettings,
     Orders,
     Phase,
-    Record,
+    RecordedCycle,
     Result,
     StopOrder,
 )
-from drivers.kuka_rsi.realtime.mailbox import Mailbox, MailboxTorn
+from drivers.kuka_rsi.realtime.mailbox import LONGEST_SURROUNDINGS_BYTES, Mailbox, MailboxTorn
+from ronna_hw.arm.clearance.bodies import Capsule, Obstacle, Surroundings
+from ronna_hw.arm.errors import SurroundingsTooLarge
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.arm.motion.progress import PathLimits
+from ronna_hw.arm.motion.progress import MOST_STEPS, PathLimits, SpeedStep
 from ronna_hw.arm.pose import Pose
 
 SIX = (1.0, 2.0, 3.0, 4.0, 5.0, 6.0)
+STEP = SpeedStep(0.5, 0.2)
 
 
-@pytest.fixture
-def memory() -> Iterator[int]:
-    fd = os.memfd_create("test")
-    yield fd
-    os.close(fd)
-
-
-@pytest.fixture
-def mailbox(memory: int) -> Iterator[Mailbox]:
-    Mailbox.initialise(memory)
-    box = Mailbox(memory)
-    yield box
-    box.close()
+BALL = Obstacle("x" * 100, Capsule((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), 1.0))
+PLAN = MotionPlan(SIX, SIX[::-1], PathLimits(0.1, 0.2, 0.3))
 
 
 def test_a_fresh_mailbox_holds_no_state_and_no_command(mailbox: Mailbox) -> None:
@@ -52,12 +45,24 @@ def test_a_fresh_mailbox_holds_no_state_and_no_command(mailbox: Mailbox) -> None
 
 
 @pytest.mark.parametrize("target", [None, Pose.from_kuka(1, 2, 3, 40, 50, 60)])
-def test_a_command_arrives_unchanged(mailbox: Mailbox, target: Pose | None) -> None:
-    plan = MotionPlan(SIX, SIX[::-1], PathLimits(0.1, 0.2, 0.3), target, (7.0, 8.0, 9.0))
-    command = Command(5, CommandKind.MOVE, plan, 3)
-    mailbox.write_command(command)
-    assert mailbox.orders().command_number == 5
-    assert mailbox.read_command() == command
+@pytest.mark.parametrize("steps", [(), (SpeedStep(0.0, 0.5), SpeedStep(0.25, 0.1)), (STEP,) * MOST_STEPS])
+def test_a_command_arrives_unchanged_on_the_other_side(
+    mailbox: Mailbox, memory: int, target: Pose | None, steps: tuple[SpeedStep, ...]
+) -> None:
+    with closing(Mailbox(memory)) as other:
+        plan = replace(PLAN, target=target, tool_in_flange_mm=(7.0, 8.0, 9.0), speed_steps=steps)
+        command = Command(5, CommandKind.MOVE, plan, 3, Surroundings(obstacles=(BALL,) * (1 + len(steps))))
+        mailbox.write_command(command)
+        assert other.orders().command_number == 5
+        found = other.read_command()
+        assert found == command
+        assert other.read_command().surroundings is found.surroundings  # read once
+
+
+def test_surroundings_too_large_for_the_mailbox_are_refused(mailbox: Mailbox) -> None:
+    many = Surroundings(obstacles=(BALL,) * (LONGEST_SURROUNDINGS_BYTES // 100))
+    with pytest.raises(SurroundingsTooLarge, match="ARM-008"):
+        mailbox.write_command(Command(1, CommandKind.MOVE, PLAN, 0, many))
 
 
 @pytest.mark.hazard(51)
@@ -109,10 +114,10 @@ def test_a_torn_block_is_never_read_as_a_state(memory: int, mailbox: Mailbox) ->
 
 def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
     for cycle in range(1, 301):
-        mailbox.record(Record(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
+        mailbox.record(RecordedCycle(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
     kept = mailbox.records()
     assert [r.cycle for r in kept] == list(range(45, 301))
-    assert kept[-1] == Record(300, 1200, 300, 10.0, SIX, SIX, 0)
+    assert kept[-1] == RecordedCycle(300, 1200, 300, 10.0, SIX, SIX, 0)
 
 
 def test_link_settings_survive_a_json_round_trip() -> None:

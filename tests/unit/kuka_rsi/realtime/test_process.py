@@ -5,14 +5,14 @@ from __future__ import annotations
 import os
 import socket
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from types import SimpleNamespace
 
 import pytest
+from driven_arm import activated
 from mutations import mutations
 from responder_stand import LIMITS
-from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
-from rsi_mutants import answer_mutants
+from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, answer_mutants, corrections_of, telegram
 
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.connections import link_settings
@@ -25,14 +25,6 @@ from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.kuka_context import load_context
 
 MS = 1_000_000  # ns
-
-
-@pytest.fixture
-def link() -> Iterator[InProcessLink]:
-    made = InProcessLink()
-    made.open()
-    yield made
-    made.close()
 
 
 @pytest.mark.hazard(30)
@@ -72,10 +64,7 @@ def test_a_running_link_imports_no_heavy_package(
     make_arm: Callable[..., KukaRsiArm], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv("PYTHONPROFILEIMPORTTIME", "1")  # the process lists each import on standard error
-    arm = make_arm()
-    arm.connect()
-    arm.configure()
-    arm.activate()
+    arm = activated(make_arm())
     start = arm.read_state().joints_rad
     arm.move_joints((start[0] + 0.01, *start[1:]))
     stream = arm.connections.link.process.stderr

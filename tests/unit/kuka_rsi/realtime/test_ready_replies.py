@@ -2,22 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from responder_stand import FAR, LIMITS, MODEL, START
 from rsi_loop import CYCLE_MS, FIRST_IPOC, START_DEG, InProcessLink, corrections_of, telegram
 
 from drivers.kuka_rsi.realtime.link_state import Command, CommandKind, Fault, StopOrder
-from ronna_hw.arm.kr6_r900 import kr6_r900
-from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import plan_joint_move
-from ronna_hw.arm.pose import radians6
 
-MODEL = kr6_r900("kr6_r900_sixx")
-FAR = radians6(40, -60, 60, 30, 80, 90)
-MOVE = Command(0, CommandKind.MOVE, plan_joint_move(MODEL, radians6(*START_DEG), FAR, working_limits(MODEL)))
+MOVE = Command(0, CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
 
 EVENTS = st.lists(
     st.sampled_from(["", "", "", "", "reply lost", "telegram lost", "hold", "protective", "strict form"]),
@@ -61,14 +55,6 @@ class Follower:
         elif reply is not None:
             a, b, c, d, e, f = (s + v for s, v in zip(START_DEG, corrections_of(reply), strict=True))
             self.axes_deg = (a, b, c, d, e, f)
-
-
-@pytest.fixture
-def link() -> Iterator[InProcessLink]:
-    made = InProcessLink()
-    made.open()
-    yield made
-    made.close()
 
 
 @given(EVENTS)

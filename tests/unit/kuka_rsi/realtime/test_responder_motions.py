@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -15,8 +17,6 @@ from responder_stand import (
     ResponderStand,
     begun,
     moving,
-    phase_of,
-    result_of,
 )
 
 from drivers.kuka_rsi.realtime.link_state import (
@@ -44,8 +44,7 @@ def test_the_first_correction_is_zero_whatever_the_pose() -> None:
     stand = ResponderStand()
     stand.axes = (1.2345, -77.7777, 99.9999, -3.3333, 12.3456, 200.0001)
     stand.follows = False
-    for _ in range(5):
-        stand.cycle()
+    stand.cycles(5)
     assert {s for s, _ in stand.sent} == {(0.0,) * 6}
     assert stand.responder.phase is Phase.RUNNING
 
@@ -77,7 +76,7 @@ def test_a_motion_is_not_done_while_the_arm_is_off_target_by_more_than_the_toler
     for _ in range(300):
         stand.cycle()
         stand.axes = (stand.axes[0] - 0.0003, *stand.axes[1:])
-    assert result_of(stand) is Result.RUNNING
+    assert stand.responder.result is Result.RUNNING
     stand.cycle()
     stand.run(50)
     assert stand.responder.result is Result.DONE
@@ -99,11 +98,9 @@ def test_a_stop_in_any_cycle_is_smooth_and_ends_at_rest(cycles: int, kind: StopO
         else plan_joint_move(MODEL, START, FAR, LIMITS)
     )
     stand.give(CommandKind.MOVE, plan)
-    for _ in range(cycles):
-        stand.cycle()
+    stand.cycles(cycles)
     stand.stop(kind)
-    for _ in range(150):
-        stand.cycle()
+    stand.cycles(150)
     assert not stand.responder.moving
     assert stand.smooth()
     assert stand.responder.violation is None
@@ -132,9 +129,8 @@ def test_a_link_stop_ceases_replies_at_once() -> None:
 def test_ending_the_session_sends_stop_with_the_last_point() -> None:
     stand = begun()
     stand.give(CommandKind.END)
-    for _ in range(4):
-        stand.cycle()
-    assert phase_of(stand) is Phase.ENDING
+    stand.cycles(4)
+    assert stand.responder.phase is Phase.ENDING
     assert stand.sent[-1] == ((0.0,) * 6, 1)
     stand.give(CommandKind.CLOSE)
     stand.cycle()
@@ -155,44 +151,46 @@ def test_the_session_ends_only_after_its_motion() -> None:
     assert stand.sent[-1][1] == 1
 
 
-def test_a_motion_from_another_start_is_refused() -> None:
+DIRECT = plan_joint_move(MODEL, START, FAR, LIMITS)
+
+
+def stopped(kind: StopOrder, cycles: int) -> ResponderStand:
     stand = begun()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, FAR, START, LIMITS))
+    stand.stop(kind)
+    stand.cycles(cycles)
+    return stand
+
+
+@pytest.mark.parametrize(
+    ("make_stand", "plan", "result"),
+    [
+        pytest.param(begun, plan_joint_move(MODEL, FAR, START, LIMITS), Result.REFUSED_START, id="start"),
+        pytest.param(moving, DIRECT, Result.REFUSED_BUSY, id="busy"),
+        pytest.param(
+            begun, MotionPlan(START, FAR, PathLimits(1, -1, 1)), Result.REFUSED_NUMBERS, id="limits"
+        ),
+        pytest.param(
+            lambda: stopped(StopOrder.HOLD, 0),
+            DIRECT,
+            Result.REFUSED_STOP,
+            id="planned before a stop",
+            marks=pytest.mark.hazard(32),
+        ),
+        pytest.param(
+            lambda: stopped(StopOrder.PROTECTIVE, 1),
+            DIRECT,
+            Result.REFUSED_PHASE,
+            id="fault",
+            marks=pytest.mark.hazard(32),
+        ),
+    ],
+)
+def test_a_motion_that_must_not_start_is_refused(
+    make_stand: Callable[[], ResponderStand], plan: MotionPlan, result: Result
+) -> None:
+    stand = make_stand()
+    was_moving = stand.responder.moving
+    stand.give(CommandKind.MOVE, plan, stop_number=0)
     stand.cycle()
-    assert stand.responder.result is Result.REFUSED_START
-    assert not stand.responder.moving
-
-
-def test_a_motion_during_another_is_refused() -> None:
-    stand = moving()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_BUSY
-    assert stand.responder.moving
-
-
-@pytest.mark.hazard(32)
-def test_a_motion_planned_before_a_stop_is_refused() -> None:
-    stand = begun()
-    stand.stop(StopOrder.HOLD)
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS), stop_number=0)
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_STOP
-    assert not stand.responder.moving
-
-
-def test_a_motion_with_invalid_limits_is_refused() -> None:
-    stand = begun()
-    stand.give(CommandKind.MOVE, MotionPlan(START, FAR, PathLimits(1.0, -1.0, 1.0)))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_NUMBERS
-
-
-@pytest.mark.hazard(32)
-def test_a_motion_while_a_fault_is_latched_is_refused() -> None:
-    stand = begun()
-    stand.stop(StopOrder.PROTECTIVE)
-    stand.cycle()
-    stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, FAR, LIMITS))
-    stand.cycle()
-    assert stand.responder.result is Result.REFUSED_PHASE
+    assert stand.responder.result is result
+    assert stand.responder.moving is was_moving

@@ -150,7 +150,7 @@ CONTROLLER = ("127.0.0.1", 40000)
 BEGIN_NS = 1_000_000_000
 
 
-class ToldTime:
+class FakeTime:
     """Sockets and a clock in one: telegrams come when the test says so."""
 
     def __init__(self, arrivals_ns: Iterable[int]) -> None:
@@ -194,7 +194,7 @@ def arrivals_ns(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
     return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
 
 
-def served(world: ToldTime, reception: TelegramReceiver) -> int:
+def served(world: FakeTime, reception: TelegramReceiver) -> int:
     """Receive telegrams until nothing has come three times; each after a whole cycle."""
     count = nothing = 0
     while nothing < 3:
@@ -210,7 +210,7 @@ def served(world: ToldTime, reception: TelegramReceiver) -> int:
 @pytest.mark.parametrize("cycle_ns", [1_000_000, 4_000_000, 8_000_000])
 def test_each_reply_is_rehearsed_one_lead_ahead_once_the_pace_is_known(cycle_ns: int) -> None:
     due_ns = arrivals_ns(60, cycle_ns)
-    world = ToldTime(due_ns)
+    world = FakeTime(due_ns)
     assert served(world, world.reception()) == 60
     learning = STEADY_ARRIVALS + 2
     awaited_ns = [*due_ns[learning:], due_ns[-1] + cycle_ns]  # the last one never comes
@@ -219,7 +219,7 @@ def test_each_reply_is_rehearsed_one_lead_ahead_once_the_pace_is_known(cycle_ns:
 
 def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
     due_ns = arrivals_ns(60, 12_000_000)
-    world = ToldTime(due_ns)
+    world = FakeTime(due_ns)
     reception = world.reception()
     for _ in due_ns:
         while reception.next() is None:
@@ -230,7 +230,7 @@ def test_a_cycle_longer_than_the_idle_poll_is_rehearsed_too() -> None:
 
 
 def test_a_wait_without_telegrams_returns_within_twice_the_idle_time() -> None:
-    world = ToldTime(arrivals_ns(30))
+    world = FakeTime(arrivals_ns(30))
     reception = world.reception()
     served(world, reception)
     begun_ns = world.now_ns
@@ -239,7 +239,7 @@ def test_a_wait_without_telegrams_returns_within_twice_the_idle_time() -> None:
 
 
 def test_a_lead_of_zero_rehearses_nothing() -> None:
-    world = ToldTime(arrivals_ns(40))
+    world = FakeTime(arrivals_ns(40))
     assert served(world, world.reception(lead_ns=0)) == 40
     assert world.rehearsed_ns == []
 
@@ -247,7 +247,7 @@ def test_a_lead_of_zero_rehearses_nothing() -> None:
 def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
     paced = arrivals_ns(20)
     hurried = [paced[-1] + 120_000 * k for k in range(1, 100)]
-    world = ToldTime(paced + hurried)
+    world = FakeTime(paced + hurried)
     reception = world.reception()
     for _ in paced:
         reception.next()
@@ -261,7 +261,7 @@ def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
 def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it() -> None:
     before = arrivals_ns(STEADY_ARRIVALS + 2)
     after = [moment + 3_000_000_000 for moment in before]
-    world = ToldTime(before + after)
+    world = FakeTime(before + after)
     reception = world.reception()
     said = []
     while world.arrivals_ns:
@@ -275,7 +275,7 @@ def test_a_controller_that_pauses_keeps_its_pace_and_one_that_hurries_loses_it()
 def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
     due_ns = arrivals_ns(30)
     due_ns[-1] -= 700_000
-    world = ToldTime(due_ns)
+    world = FakeTime(due_ns)
     reception = world.reception()
     for _ in due_ns:
         reception.next()
@@ -286,7 +286,7 @@ def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
 
 def test_telegrams_queued_during_a_stall_are_distinguished_from_awaited_ones() -> None:
     due_ns = arrivals_ns(40)
-    world = ToldTime([*due_ns, *[due_ns[-1] + 5 * CYCLE_NS] * 5])
+    world = FakeTime([*due_ns, *[due_ns[-1] + 5 * CYCLE_NS] * 5])
     reception = world.reception()
     for _ in due_ns:
         assert reception.next() is not None
@@ -357,25 +357,20 @@ def test_a_jump_in_the_schedule_discards_the_learnt_one(jump_ns: int) -> None:
     assert pace.due_ns == 0
 
 
-def test_a_rehearsal_changes_nothing_and_sends_nothing() -> None:
-    link = InProcessLink()
-    try:
-        link.open()
-        link.receive(telegram(FIRST_IPOC))
-        link.receive(telegram(FIRST_IPOC + CYCLE_MS))
-        session = link.loop.responder
-        before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
-        sent, memory = len(link.replies.sent), link.mailbox.read_state()
-        link.loop._rehearse()
-        assert (session.state(real_time=False, locked=False), session.ready, session.cycles) == before
-        assert (len(link.replies.sent), link.mailbox.read_state()) == (sent, memory)
-        link.stop(StopOrder.PROTECTIVE)
-        link.loop._rehearse()  # an order that has come meanwhile is not taken by it
-        assert session.state(real_time=False, locked=False) == before[0]
-        link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))
-        assert session.state(real_time=False, locked=False).stop_number == 1
-    finally:
-        link.close()
+def test_a_rehearsal_changes_nothing_and_sends_nothing(link: InProcessLink) -> None:
+    link.receive(telegram(FIRST_IPOC))
+    link.receive(telegram(FIRST_IPOC + CYCLE_MS))
+    session = link.loop.responder
+    before = (session.state(real_time=False, locked=False), session.ready, session.cycles)
+    sent, memory = len(link.replies.sent), link.mailbox.read_state()
+    link.loop._rehearse()
+    assert (session.state(real_time=False, locked=False), session.ready, session.cycles) == before
+    assert (len(link.replies.sent), link.mailbox.read_state()) == (sent, memory)
+    link.stop(StopOrder.PROTECTIVE)
+    link.loop._rehearse()  # an order that has come meanwhile is not taken by it
+    assert session.state(real_time=False, locked=False) == before[0]
+    link.receive(telegram(FIRST_IPOC + 2 * CYCLE_MS))
+    assert session.state(real_time=False, locked=False).stop_number == 1
 
 
 def test_a_rehearsal_leaves_nothing_in_its_socket_even_with_foreign_datagrams() -> None:

@@ -1,0 +1,34 @@
+"""Receive loop of the driver with an open session, and a mailbox."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+
+import pytest
+from rsi_loop import InProcessLink
+
+from drivers.kuka_rsi.realtime.mailbox import Mailbox
+
+
+@pytest.fixture
+def link() -> Iterator[InProcessLink]:
+    made = InProcessLink()
+    made.open()
+    yield made
+    made.close()
+
+
+@pytest.fixture
+def memory() -> Iterator[int]:
+    fd = os.memfd_create("test")
+    Mailbox.initialise(fd)
+    yield fd
+    os.close(fd)
+
+
+@pytest.fixture
+def mailbox(memory: int) -> Iterator[Mailbox]:
+    box = Mailbox(memory)
+    yield box
+    box.close()
