@@ -119,7 +119,7 @@ def correspondence(
     from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
-    from studies.plugins.trial import select_methods
+    from studies.plugin_trial import select_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
@@ -342,7 +342,7 @@ def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     if not names:
         return ()
     from studies.plugins.contracts import MethodKind
-    from studies.plugins.trial import try_in_subprocess
+    from studies.plugin_trial import try_in_subprocess
 
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 

@@ -12,7 +12,7 @@ from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
 from studies.plugins.contracts import MethodKind
 from studies.plugins.method import find_plugin
 from studies.plugins.strategy import PluginStrategy
-from studies.plugins.trial import try_in_subprocess, try_plugin
+from studies.plugin_trial import try_in_subprocess, try_plugin
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY

@@ -16,7 +16,7 @@ from studies.errors import MethodFailed, MethodRefused, OtherStudy
 from studies.heads import NoiseReading
 from studies.plugins.contracts import MethodKind
 from studies.plugins.method import PluginMethod, find_plugin, local_modules
-from studies.plugins.trial import try_plugin
+from studies.plugin_trial import try_plugin
 from studies.registration import RegistrationStudy
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
