@@ -341,8 +341,8 @@ def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     """Own methods of a kind, each tried before the campaign."""
     if not names:
         return ()
-    from studies.plugins.contracts import MethodKind
     from studies.plugin_trial import try_in_subprocess
+    from studies.plugins.contracts import MethodKind
 
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 

@@ -35,11 +35,8 @@ DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
 NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
 SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
-PLAIN, WEIGHTED, OWN = (
-    "tre",
-    "weighted",
-    "own ",
-)  # errors at the target: ours without and with covariances, user methods
+# Errors at the target: ours without and with covariances, user methods.
+PLAIN, WEIGHTED, OWN = "tre", "weighted", "own "
 
 
 @dataclass(frozen=True)
@@ -137,62 +134,50 @@ def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Formulas against simulation, and the gain from weighting."""
-    formulas: list[Sequence[Cell]] = []
-    gains: list[Sequence[Cell]] = []
+    formulas: list[dict[str, Cell]] = []
+    gains: list[dict[str, Cell]] = []
     for condition, total in sums.items():
         kind, count = condition.split("|")
         runs = total["runs"]
         tre = _rms_mm(total, PLAIN)
-        tre_mm = tre.value
         predicted_mm = float(np.sqrt(total["predicted2"] / runs))
         if kind == ISOTROPIC:
-            fle_ratio = float(np.sqrt(total["fle2"] / runs)) / FLE_MM
-            one_space = float(np.sqrt(2.0 * total["one_space2"] / runs)) / FLE_MM
-            alarms = bounds.percent(total["alarms"], runs)
-            ratios = (fle_ratio, one_space, tre_mm, tre.text, predicted_mm, tre_mm / predicted_mm)
-            formulas.append((int(count), int(runs), *ratios, alarms.value, alarms.text))
+            formulas.append(
+                {
+                    "fiducials": int(count),
+                    "runs": int(runs),
+                    "FLE by eq. 36 / true": float(np.sqrt(total["fle2"] / runs)) / FLE_MM,
+                    "one space by eq. 37, 38 / true": float(np.sqrt(2.0 * total["one_space2"] / runs))
+                    / FLE_MM,
+                    **bounds.cells("TRE mm", tre),
+                    "eq. 39 mm": predicted_mm,
+                    "TRE / eq. 39": tre.value / predicted_mm,
+                    **bounds.cells("gate alarms %", bounds.percent(total["alarms"], runs)),
+                }
+            )
         else:
             weighted = _rms_mm(total, WEIGHTED)
-            gain = 100.0 * (1.0 - weighted.value / tre_mm)
-            errors = (tre_mm, tre.text, weighted.value, weighted.text)
-            gains.append((kind, int(runs), *errors, gain, weighted.value / predicted_mm))
+            gains.append(
+                {
+                    "errors": kind,
+                    "runs": int(runs),
+                    **bounds.cells("TRE mm, equal weights", tre, of="equal weights"),
+                    **bounds.cells("TRE mm, weighted", weighted, of="weighted"),
+                    "gain %": 100.0 * (1.0 - weighted.value / tre.value),
+                    "TRE / predicted": weighted.value / predicted_mm,
+                }
+            )
     own = [_own_table(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
     return [
-        Table(
+        Table.of(
             "Formulas of the rigid fit",
-            (
-                "fiducials",
-                "runs",
-                "FLE by eq. 36 / true",
-                "one space by eq. 37, 38 / true",
-                "TRE mm",
-                bounds.column("TRE"),
-                "eq. 39 mm",
-                "TRE / eq. 39",
-                "gate alarms %",
-                bounds.column("gate alarms"),
-            ),
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
             f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
             f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
             "spread of its squares.",
         ),
-        Table(
-            "What weighting by covariances gains",
-            (
-                "errors",
-                "runs",
-                "TRE mm, equal weights",
-                bounds.column("equal weights"),
-                "TRE mm, weighted",
-                bounds.column("weighted"),
-                "gain %",
-                "TRE / predicted",
-            ),
-            gains,
-            "Five fiducials.",
-        ),
+        Table.of("What weighting by covariances gains", gains, "Five fiducials."),
         *own,
     ]
 

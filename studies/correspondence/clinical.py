@@ -158,7 +158,7 @@ class ClinicalStudy:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate the e at which the thesis' method pairs every reading, and our success."""
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for kind, (low, high) in THESIS_RANGES_MM.items():
         against = success_against_tolerance(sums, kind)
         if not against:
@@ -167,35 +167,24 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         perfect = [e for e, share in against if share == 1.0]
         within = [share for e, share in against if low <= e <= high]
         rows.append(
-            (
-                kind,
-                runs,
-                100.0 * ours,
-                bounds.percent(ours * runs, runs).text,
-                100.0 * max(share for _, share in against),
-                min(perfect, default=None),
-                max(perfect, default=None),
-                f"{low:g}-{high:g}",
-                100.0 * min(within),
-            )
+            {
+                "scans of": kind,
+                "readings": runs,
+                "ours, success %": 100.0 * ours,
+                bounds.column("ours"): bounds.percent(ours * runs, runs).text,
+                "thesis, validated: best %": 100.0 * max(share for _, share in against),
+                "100 % from e mm": min(perfect, default=None),
+                "100 % to e mm": max(perfect, default=None),
+                "thesis: 100 % in": f"{low:g}-{high:g}",
+                "least % there, here": 100.0 * min(within),
+            }
         )
     apart_mm = np.diff(
         np.sort(np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)[np.triu_indices(4, 1)])
     )
     return [
-        Table(
+        Table.of(
             "The x-shaped frame in scans and readings",
-            (
-                "scans of",
-                "readings",
-                "ours, success %",
-                bounds.column("ours"),
-                "thesis, validated: best %",
-                "100 % from e mm",
-                "100 % to e mm",
-                "thesis: 100 % in",
-                "least % there, here",
-            ),
             rows,
             f"{len(SCANS)} scans; the thesis reports 24,055 of 24,055. The distances of this "
             f"frame differ by at least {apart_mm.min():.2f} mm, those of the thesis' frame by "

@@ -156,7 +156,7 @@ def _text(ends: Range) -> str:
 
 def _pooled(found: Mapping[Series, Shares]) -> Table:
     """Counts over 5 to 8 fiducials: single cells are too small to judge."""
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
         whole = [cell for cell in cells if cell is not None]
@@ -166,27 +166,22 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
             round(sum(getattr(cell, what) * cell.runs for cell in whole) / 100.0)
             for what in ("lost", "part", "false")
         )
-        e_mm = float(tolerance) if tolerance else None
-        shares_of = [bounds.percent(number, runs) for number in (lost + part, false, false + part)]
-        percentages = [cell for one in shares_of for cell in (one.value, one.text)]
-        rows.append([noise.value, method, e_mm, runs, lost, part, false, *percentages])
-    return Table(
+        rows.append(
+            {
+                "noise": noise.value,
+                "method": method,
+                "e mm": float(tolerance) if tolerance else None,
+                "runs": runs,
+                "lost": lost,
+                "a part": part,
+                "false": false,
+                **bounds.cells("unsuccessful %", percent(lost + part, runs)),
+                **bounds.cells("false %", percent(false, runs)),
+                **bounds.cells("false or a part %", percent(false + part, runs)),
+            }
+        )
+    return Table.of(
         "Five to eight fiducials together",
-        (
-            "noise",
-            "method",
-            "e mm",
-            "runs",
-            "lost",
-            "a part",
-            "false",
-            "unsuccessful %",
-            bounds.column("unsuccessful"),
-            "false %",
-            bounds.column("false"),
-            "false or a part %",
-            bounds.column("false or a part"),
-        ),
         rows,
         f"Goal for ours: at most {GOAL_UNSUCCESSFUL} % lost and {GOAL_FALSE} % false or a part, none false"
         f" with the planned count. The thesis gives at most {THESIS_UNSUCCESSFUL[5][1]} % unsuccessful and"

@@ -146,42 +146,31 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             method, _, outcome = key.partition("|")
             of_method = counted.setdefault((noise, markers, method), {})
             of_method.setdefault(outliers, Counter())[outcome] += round(number)
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for (noise, markers, method), conditions in counted.items():
         lost = {outliers: _percent(one, LOST, PART) for outliers, one in conditions.items()}
         pooled = sum(conditions.values(), Counter())
         false = _percent(pooled, FALSE)
         rows.append(
-            (
-                noise.value,
-                markers,
-                method,
-                pooled.total(),
-                _percent(pooled, LOST, PART),
-                bounds.percent(pooled[LOST] + pooled[PART], pooled.total()).text,
-                f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
-                false,
-                bounds.percent(pooled[FALSE], pooled.total()).text,
-                yes_or_no(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
-                yes_or_no(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
-            )
+            {
+                "noise": noise.value,
+                "markers": markers,
+                "method": method,
+                "runs": pooled.total(),
+                **bounds.cells("unsuccessful %", bounds.percent(pooled[LOST] + pooled[PART], pooled.total())),
+                "over 0 to 4 outliers": f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
+                **bounds.cells("false %", bounds.percent(pooled[FALSE], pooled.total())),
+                "as 5 to 8 in the thesis": yes_or_no(
+                    max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]
+                ),
+                "as 5 to 8 here": yes_or_no(
+                    _percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE
+                ),
+            }
         )
     return [
-        Table(
+        Table.of(
             "Markers implanted by a template",
-            (
-                "noise",
-                "markers",
-                "method",
-                "runs",
-                "unsuccessful %",
-                bounds.column("unsuccessful"),
-                "over 0 to 4 outliers",
-                "false %",
-                bounds.column("false"),
-                "as 5 to 8 in the thesis",
-                "as 5 to 8 here",
-            ),
             rows,
             f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of "
             f"their positions. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and "

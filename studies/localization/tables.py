@@ -24,21 +24,6 @@ from studies.thesis_tables import HUMAN_OPERATORS, LINE_FIT, OPERATORS, SPHERE_F
 
 SPHERES = 4  # of the frame
 IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
-COLUMNS = (
-    "family",
-    "protocol",
-    "method",
-    "spheres",
-    "found %",
-    bounds.column("found"),
-    "false",
-    bounds.column("false"),
-    "rms µm",
-    bounds.column("rms"),
-    "95th percentile µm",
-    "rms / CRB",
-    "chi² / 3n",
-)
 RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
 COVERED_RMS_UM = 40.0  # half buried
 LARGEST_UM = 150.0
@@ -64,7 +49,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     if not conditions:
         return of_frames
     protocols = list(dict.fromkeys(condition.split("|")[1] for condition in conditions))
-    together: list[Sequence[Cell]] = []
+    together: list[Mapping[str, Cell]] = []
     for protocol in protocols:
         of_protocol = [condition for condition in conditions if condition.endswith(f"|{protocol}")]
         streaked = [condition for condition in of_protocol if condition.split("|")[0] in STREAKED]
@@ -78,24 +63,16 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         for row in _rows(family, protocol, sums[condition])
     ]
     found = [
-        Table(
+        Table.of(
             "Localization, families together",
-            COLUMNS,
             together,
-            (
-                "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
-                "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
-                "in white noise. "
-            )
-            + _cut(sums, conditions)
-            + (
-                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: "
-                "Poisson, in as many scans."
-            ),
+            "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
+            "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
+            f"in white noise. {_cut(sums, conditions)} {bounds.NOTE} Spheres of one scan count as "
+            "independent. False ones: Poisson, in as many scans.",
         ),
-        Table(
+        Table.of(
             "Localization by family",
-            COLUMNS,
             single,
             "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 under a bandage.",
         ),
@@ -159,41 +136,42 @@ def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
     """Our figures and the thesis' side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
     for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
-        named = zip(
-            ("to the truth", "thesis, table 2", "between scans", "thesis, table 3"),
-            (truth_mm, table_2_mm, pair_mm, table_3_mm),
-            strict=True,
-        )
+        named = {
+            "to the truth": truth_mm,
+            "thesis, table 2": table_2_mm,
+            "between scans": pair_mm,
+            "thesis, table 3": table_3_mm,
+        }
         short = str(who).replace("thesis-", "").replace("person's picks ", "picks\n")
-        groups[short] = {name: value for name, value in named if isinstance(value, float)}
+        groups[short] = {name: value for name, value in named.items() if isinstance(value, float)}
     return groups
 
 
-def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
-    rows: list[Sequence[Cell]] = []
+def _rows(family: str, protocol: str, total: Sums) -> list[Mapping[str, Cell]]:
+    rows: list[Mapping[str, Cell]] = []
     for method in methods_of(total):
         spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
         if not spheres:
             continue
-        share, false = bounds.percent(found, spheres), bounds.number(of_method(total, method, "false"))
+        false = bounds.number(of_method(total, method, "false"))
         rms = _rms_um(total, method) if found else None
         bound_mm = sqrt(total["bound2"] / total["volumes"])
+        with_covariances = found and method in AUTOMATIC
         rows.append(
-            (
-                family,
-                protocol,
-                method,
-                int(spheres),
-                share.value,
-                share.text,
-                int(false.value),
-                false.text,
-                None if rms is None else rms.value,
-                None if rms is None else rms.text,
-                percentile_um(total, method, found),
-                None if rms is None else 1e-3 * rms.value / bound_mm,
-                of_method(total, method, "chi2") / (3.0 * found) if found and method in AUTOMATIC else None,
-            )
+            {
+                "family": family,
+                "protocol": protocol,
+                "method": method,
+                "spheres": int(spheres),
+                **bounds.cells("found %", bounds.percent(found, spheres)),
+                "false": int(false.value),
+                bounds.column("false"): false.text,
+                "rms µm": None if rms is None else rms.value,
+                bounds.column("rms"): None if rms is None else rms.text,
+                "95th percentile µm": percentile_um(total, method, found),
+                "rms / CRB": None if rms is None else 1e-3 * rms.value / bound_mm,
+                "chi² / 3n": of_method(total, method, "chi2") / (3.0 * found) if with_covariances else None,
+            }
         )
     return rows
 
@@ -236,7 +214,7 @@ def _cut(sums: Mapping[str, Sums], conditions: Sequence[str]) -> str:
 
 def _fle_table(total: Sums) -> Table:
     """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
     known = [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]
     own = [
@@ -253,19 +231,18 @@ def _fle_table(total: Sums) -> Table:
         table_2 = TABLE_2.get(HUMAN_OPERATORS if person else named)
         table_3 = TABLE_3.get(named)
         rows.append(
-            (
-                who,
-                int(runs),
-                truth_mm,
-                None if table_2 is None else table_2.printed_mm,
-                int(pairs),
-                pair_mm,
-                None if table_3 is None else table_3.printed_mm,
-            )
+            {
+                "who": who,
+                "scans": int(runs),
+                "FLE mm, truth": truth_mm,
+                "thesis, table 2": None if table_2 is None else table_2.printed_mm,
+                "pairs": int(pairs),
+                "FLE mm, pairs": pair_mm,
+                "thesis, table 3": None if table_3 is None else table_3.printed_mm,
+            }
         )
-    return Table(
+    return Table.of(
         "FLE as in tables 2 and 3 of the thesis",
-        ("who", "scans", "FLE mm, truth", "thesis, table 2", "pairs", "FLE mm, pairs", "thesis, table 3"),
         rows,
         "Four spheres of the x-shaped frame. People are simulated with the FLE of the thesis' "
         "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of "

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from procedures.registration.error_theory import fle_from_fre_mm, fle_of_one_space_mm
 from procedures.registration.rigid_fit import fit_rigid, residuals
 from studies.campaign import bounds
-from studies.campaign.study import Cell, Sums, Table
+from studies.campaign.study import Cell, Sums, Table, yes_or_no
 from studies.localization.study import AUTOMATIC, Method
 from studies.localization.tables import IN_THE_THESIS
 from studies.localization.thesis_protocol import (
@@ -40,7 +40,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _detection(sums: Mapping[str, Sums]) -> Table:
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for method in AUTOMATIC:
         for kind in (PHANTOM, PATIENT):
             of_kind = [content for condition, content in sums.items() if condition.startswith(kind)]
@@ -50,23 +50,21 @@ def _detection(sums: Mapping[str, Sums]) -> Table:
                     for what in ("found", "false", "validated")
                 )
                 spheres = sum(one["spheres"] for one in of_kind)
-                share = 100.0 * validated / (SCALE_DRAWS * len(of_kind))
-                detected = bounds.percent(found, spheres).text
-                counted = (int(spheres), int(found), detected, int(false), bounds.number(false).text)
-                rows.append((method.value, kind, len(of_kind), *counted, share))
-    return Table(
+                rows.append(
+                    {
+                        "method": method.value,
+                        "scans of": kind,
+                        "scans": len(of_kind),
+                        "spheres": int(spheres),
+                        "found": int(found),
+                        bounds.column("found %"): bounds.percent(found, spheres).text,
+                        "false": int(false),
+                        bounds.column("false"): bounds.number(false).text,
+                        "frame validated %": 100.0 * validated / (SCALE_DRAWS * len(of_kind)),
+                    }
+                )
+    return Table.of(
         "Spheres, and the configuration of the frame",
-        (
-            "method",
-            "scans of",
-            "scans",
-            "spheres",
-            "found",
-            bounds.column("found %"),
-            "false",
-            bounds.column("false"),
-            "frame validated %",
-        ),
         rows,
         f"The thesis: 116 of 116 in 20 scans, 100 %. Validated over {SCALE_DRAWS} scale errors of each "
         f"scan. {bounds.NOTE} False ones: Poisson, in as many scans.",
@@ -118,7 +116,7 @@ def _fle(
 
 
 def _errors(sums: Mapping[str, Sums]) -> Table:
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for method in AUTOMATIC:
         column = IN_THE_THESIS.get(method)
         for largest in SCALE_ERRORS:
@@ -127,29 +125,19 @@ def _errors(sums: Mapping[str, Sums]) -> Table:
                 continue
             truth_mm, fre_mm, pair_mm = found
             rows.append(
-                (
-                    method.value,
-                    100.0 * largest,
-                    truth_mm,
-                    fre_mm,
-                    None if column is None else TABLE_2[column].printed_mm,
-                    pair_mm,
-                    None if column is None else TABLE_3[column].printed_mm,
-                    _met(column, truth_mm, pair_mm),
-                )
+                {
+                    "method": method.value,
+                    "scale errors up to %": 100.0 * largest,
+                    "eq. 36, to the truth": truth_mm,
+                    "FRE to the truth": fre_mm,
+                    "thesis, table 2": None if column is None else TABLE_2[column].printed_mm,
+                    "eq. 38, between scans": pair_mm,
+                    "thesis, table 3": None if column is None else TABLE_3[column].printed_mm,
+                    f"both within {WITHIN_PERCENT:g} %": _met(column, truth_mm, pair_mm),
+                }
             )
-    return Table(
+    return Table.of(
         "FLE, mm, as in tables 2 and 3",
-        (
-            "method",
-            "scale errors up to %",
-            "eq. 36, to the truth",
-            "FRE to the truth",
-            "thesis, table 2",
-            "eq. 38, between scans",
-            "thesis, table 3",
-            f"both within {WITHIN_PERCENT:g} %",
-        ),
         rows,
         "Phantom scans; pixel size and table feed of each are wrong by up to that share, uniformly. "
         "The thesis states nothing about its scanners; the last share is chosen between its tables. "
@@ -162,9 +150,7 @@ def _met(column: str | None, truth_mm: float, pair_mm: float) -> str | None:
     if column is None:
         return None
     printed = ((truth_mm, TABLE_2[column].printed_mm), (pair_mm, TABLE_3[column].printed_mm))
-    return (
-        "yes" if all(abs(ours / theirs - 1.0) <= WITHIN_PERCENT / 100.0 for ours, theirs in printed) else "NO"
-    )
+    return yes_or_no(all(abs(ours / theirs - 1.0) <= WITHIN_PERCENT / 100.0 for ours, theirs in printed))
 
 
 def _gains(sums: Mapping[str, Sums]) -> Table:
@@ -179,9 +165,7 @@ def _gains(sums: Mapping[str, Sums]) -> Table:
             ("3", TABLE_3[AVERAGE_OPERATOR], found[2], TABLE_3),
         ):
             gain = 100.0 * (1.0 - ours_mm / people.printed_mm)
-            printed = None
-            if column is not None:
-                printed = 100.0 * (1.0 - table[column].printed_mm / people.printed_mm)
+            printed = None if column is None else 100.0 * (1.0 - table[column].printed_mm / people.printed_mm)
             rows.append((method.value, name, people.printed_mm, ours_mm, gain, printed))
     return Table(
         "Gain over people",

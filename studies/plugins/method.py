@@ -22,15 +22,8 @@ from typing import Any
 from studies.errors import MethodRefused
 from studies.plugins.contracts import CONTRACTS, MethodKind
 
-OURS = (
-    "ronna_hw",
-    "conformance",
-    "drivers",
-    "sim",
-    "procedures",
-    "studies",
-    "console",
-)  # a run records their version
+# A run records the version of these packages.
+OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 INSTALLED = ("site-packages", "dist-packages")
 SHOWN_DIGITS = 12  # of a hash
 _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this process

@@ -117,60 +117,52 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             elif key.startswith(f"{PREDICTED}|"):
                 predicted[key] += value
     return [
-        Table(
+        Table.of(
             "Arms as they are identified",
-            (
-                "strategy",
-                "spheres",
-                "trials",
-                "mean mm",
-                bounds.column("mean"),
-                f"{HIGHEST:.0f} % below",
-                "largest mm",
-                "goal mm",
-            ),
             [
-                [
-                    strategy,
-                    count,
-                    each.size,
-                    float(np.mean(each)),
-                    bounds.mean_length(each.mean(axis=1)).text,
-                    float(np.percentile(each, HIGHEST)),
-                    float(np.max(each)),
-                    GOAL_MM,
-                ]
+                {
+                    "strategy": strategy,
+                    "spheres": count,
+                    "trials": each.size,
+                    "mean mm": float(np.mean(each)),
+                    bounds.column("mean"): bounds.mean_length(each.mean(axis=1)).text,
+                    f"{HIGHEST:.0f} % below": float(np.percentile(each, HIGHEST)),
+                    "largest mm": float(np.max(each)),
+                    "goal mm": GOAL_MM,
+                }
                 for (strategy, count), each in errors.items()
             ],
             f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} "
             f"measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, from the "
             "scatter of the arms (Student).",
         ),
-        Table(
+        Table.of(
             "Predicted and actual error",
-            ("strategy", "spheres", "trials", "inside 95 % region %", "predicted rms mm", "actual rms mm"),
             [
-                [
-                    strategy,
-                    count,
-                    each.size,
-                    100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size,
-                    float(np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)),
-                    float(np.sqrt(np.mean(each**2))),
-                ]
+                {
+                    "strategy": strategy,
+                    "spheres": count,
+                    "trials": each.size,
+                    "inside 95 % region %": (
+                        100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size
+                    ),
+                    "predicted rms mm": float(
+                        np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)
+                    ),
+                    "actual rms mm": float(np.sqrt(np.mean(each**2))),
+                }
                 for (strategy, count), each in errors.items()
             ],
             "The prediction knows the covariance that the identification of each arm has left.",
         ),
-        Table(
+        Table.of(
             "What the identification leaves",
-            ("arms", "backlash deg rms", "random error mm per axis"),
             [
-                [
-                    len(arms["scatter"]),
-                    float(np.sqrt(np.mean(arms["backlash2"]))),
-                    float(np.mean(arms["scatter"])),
-                ]
+                {
+                    "arms": len(arms["scatter"]),
+                    "backlash deg rms": float(np.sqrt(np.mean(arms["backlash2"]))),
+                    "random error mm per axis": float(np.mean(arms["scatter"])),
+                }
             ],
             "Backlash of set S is 0.02 deg. The random error is estimated from the measurements themselves.",
         ),

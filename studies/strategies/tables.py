@@ -139,51 +139,36 @@ def _thesis(markers: str, strategy: str, count: int) -> StrategyRow | None:
 
 
 def _table_4(errors: Mapping[Series, Array]) -> Table:
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for series, each in errors.items():
+        markers, strategy, count = series
         arms = each.reshape(len(each), -1)
         means = arms.mean(axis=1)
         low, high = np.percentile(means, [LOW_SHARE, HIGH_SHARE])
         thesis = _thesis(*series)
         mean = float(means.mean())
         rows.append(
-            [
-                *series,
-                None if thesis is None else thesis.mean_mm,
-                mean,
-                bounds.mean_length(means).text,
-                None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
-                f"{low:.2f}-{high:.2f}",
-                None if thesis is None else thesis.sd_mm,
-                float(arms.std(axis=1, ddof=1).mean()),
-                None if thesis is None else thesis.largest_mm,
-                float(arms.max(axis=1).mean()),
-                None if thesis is None else thesis.least_mm,
-                float(arms.min(axis=1).mean()),
-                None if thesis is None else 100.0 * _share(thesis),
-                100.0 * float(np.mean(_between(each) / arms.var(axis=1, ddof=1))),
-            ]
+            {
+                "markers": markers,
+                "strategy": strategy,
+                "spheres": count,
+                "thesis mean mm": None if thesis is None else thesis.mean_mm,
+                "mean mm": mean,
+                bounds.column("mean"): bounds.mean_length(means).text,
+                "differs by %": None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
+                "5-95 % of the arms": f"{low:.2f}-{high:.2f}",
+                "thesis sd": None if thesis is None else thesis.sd_mm,
+                "sd": float(arms.std(axis=1, ddof=1).mean()),
+                "thesis max": None if thesis is None else thesis.largest_mm,
+                "max": float(arms.max(axis=1).mean()),
+                "thesis min": None if thesis is None else thesis.least_mm,
+                "min": float(arms.min(axis=1).mean()),
+                "thesis between trajectories %": None if thesis is None else 100.0 * _share(thesis),
+                "between trajectories %": 100.0 * float(np.mean(_between(each) / arms.var(axis=1, ddof=1))),
+            }
         )
-    return Table(
+    return Table.of(
         "Table 4",
-        (
-            "markers",
-            "strategy",
-            "spheres",
-            "thesis mean mm",
-            "mean mm",
-            bounds.column("mean"),
-            "differs by %",
-            "5-95 % of the arms",
-            "thesis sd",
-            "sd",
-            "thesis max",
-            "max",
-            "thesis min",
-            "min",
-            "thesis between trajectories %",
-            "between trajectories %",
-        ),
         rows,
         "Mean, sd, max and min of each arm over 8 positions and 10 targets, then the mean over the "
         "arms. Between trajectories: variance of the ten means over the whole variance. The thesis "
@@ -249,20 +234,8 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
         few, many = (TABLE_4[OF_TABLE_4[strategy], count] for count in (fewest, most))
         fall_mm = few.mean_mm - many.mean_mm
         alike = float(np.corrcoef(few.trajectories_mm, many.trajectories_mm)[0, 1])
-        rows.append(
-            [
-                "thesis",
-                strategy,
-                many.mean_mm,
-                many.sd_mm,
-                100.0 * _share(many),
-                fall_mm,
-                None,
-                None,
-                None,
-                alike,
-            ]
-        )
+        share = 100.0 * _share(many)
+        rows.append(["thesis", strategy, many.mean_mm, many.sd_mm, share, fall_mm, None, None, None, alike])
         for part, name in parts.items():
             each_few, each_many = (errors[part][Markers.FREE, strategy, count] for count in (fewest, most))
             arms = each_many.reshape(len(each_many), -1)
@@ -341,26 +314,24 @@ def _prediction(sums: Mapping[str, Sums]) -> Table:
             series = markers, strategy, int(count)
             total.setdefault((scenario, series), defaultdict(float))[what] += value
     named = [one.name for one in PREDICTED]
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
         one = total[scenario, series]
         actual, predicted = (float(np.sqrt(one[key] / one["targets"])) for key in ("actual2", "predicted2"))
         inside = bounds.percent(one["inside"] / TARGETS, one["targets"] / TARGETS)  # an arm counts once
-        share = 100.0 * one["inside"] / one["targets"]
-        rows.append([scenario, *series, int(one["targets"]), share, inside.text, predicted, actual])
-    return Table(
+        rows.append(
+            {
+                "scenario": scenario,
+                **dict(zip(("markers", "strategy", "spheres"), series, strict=True)),
+                "targets": int(one["targets"]),
+                "inside 95 % region %": 100.0 * one["inside"] / one["targets"],
+                bounds.column("inside"): inside.text,
+                "predicted rms mm": predicted,
+                "actual rms mm": actual,
+            }
+        )
+    return Table.of(
         "Predicted and actual error",
-        (
-            "scenario",
-            "markers",
-            "strategy",
-            "spheres",
-            "targets",
-            "inside 95 % region %",
-            bounds.column("inside"),
-            "predicted rms mm",
-            "actual rms mm",
-        ),
         rows,
         "Different arms from table 4: 1,000, each at one position. The prediction knows the sizes of "
         f"the errors and the poses, but nothing about the arm. {bounds.NOTE} The {TARGETS} targets of "

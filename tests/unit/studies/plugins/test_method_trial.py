@@ -9,10 +9,10 @@ import pytest
 
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
+from studies.plugin_trial import try_in_subprocess, try_plugin
 from studies.plugins.contracts import MethodKind
 from studies.plugins.method import find_plugin
 from studies.plugins.strategy import PluginStrategy
-from studies.plugin_trial import try_in_subprocess, try_plugin
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY
