@@ -13,15 +13,17 @@ from benchmarks.figures import Figure, compared, cpu_of
 from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
 from studies.campaign.study import add_up
-from studies.correspondence.study import FALSE, LOST, PART, SUCCESS, CorrespondenceStudy, Method, verdict
-from studies.heads import (
-    IMAGE_SIGMA_MM,
-    PHYSICAL_SIGMA_MM,
-    NoiseReading,
-    draw_readings,
-    per_axis_mm,
-    sites_mm,
+from studies.correspondence.study import (
+    FALSE,
+    LOST,
+    PART,
+    SUCCESS,
+    CorrespondenceStudy,
+    Method,
+    pair_points,
+    verdict,
 )
+from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, draw_readings, sites_mm
 from studies.registration import ISOTROPIC, RegistrationStudy, tables
 
 Array = NDArray[np.float64]
@@ -195,12 +197,7 @@ def _sides_apart() -> list[Figure]:
             if least_side_difference_mm(triangle) < LEAST_SIDE_DIFFERENCE_MM:
                 continue
             runs += 1
-            found = match(
-                triangle,
-                seen.physical_mm[0],
-                sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
-                sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
-            )
+            found = pair_points(triangle, seen.physical_mm[0], noise)
             right = frozenset((i, j) for i, j in seen.pairs[0].tolist())
             failed += verdict(found.status, found.pairs, right) != SUCCESS
         what = f"not found, 3 markers, sides {LEAST_SIDE_DIFFERENCE_MM:g} mm apart, {noise.value}"

@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.matching import match
 from procedures.registration.similarity_matrix import (
     THESIS_TOLERANCES_MM,
     match_many_by_similarity,
@@ -40,9 +39,9 @@ from ronna_hw.registry import make_device
 from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.study import Cell, Sums, Table, Unit, generator
-from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, verdict
+from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, pair_points, verdict
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
-from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, per_axis_mm, stated_variance_mm2
+from studies.heads import NoiseReading, stated_variance_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
 from studies.localization.study import Method as Localizer
@@ -121,13 +120,7 @@ class ClinicalStudy:
         physical_mm, rights = self._shuffled(random)
         sums: Counter[str] = Counter()
         for seen_mm, right in zip(physical_mm, rights, strict=True):
-            one = match(
-                image_mm,
-                seen_mm,
-                sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, NOISE),
-                sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, NOISE),
-                expected=len(image_mm),
-            )
+            one = pair_points(image_mm, seen_mm, NOISE, expected=len(image_mm))
             sums[outcome_key(Method.COUNT, None, verdict(one.status, one.pairs, right))] += 1
         return sums
 

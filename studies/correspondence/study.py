@@ -114,7 +114,7 @@ class CorrespondenceStudy:
         ours = [method for method in self.methods if method in OURS]
         if ours:
             for run, right in enumerate(rights):
-                solve = partial(_solve, seen.image_mm[run], seen.physical_mm[run], reading)
+                solve = partial(pair_points, seen.image_mm[run], seen.physical_mm[run], reading)
                 plain = solve()
                 for method in ours:
                     found = plain
@@ -190,13 +190,14 @@ def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
     return PART if found_pairs < right else FALSE
 
 
-def _solve(
+def pair_points(
     image_mm: Array,
     physical_mm: Array,
     noise: NoiseReading,
     expected: int | None = None,
     prior: Prior | None = None,
 ) -> Match:
+    """Pair by our method, told the errors that the thesis states."""
     return match(
         image_mm,
         physical_mm,

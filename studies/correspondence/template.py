@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import propose_template
 from procedures.registration.correspondence import Match, Prior
-from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
@@ -32,6 +31,7 @@ from studies.correspondence.study import (
     PRIOR_DISTURBED_RAD,
     condition_key,
     condition_of,
+    pair_points,
     verdict,
 )
 from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
@@ -105,33 +105,20 @@ def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
 def _solved(
     template_mm: Array, image_mm: Array, physical_mm: Array, noise: NoiseReading, prior: Prior
 ) -> dict[str, Match]:
-    image_sigma_mm, physical_sigma_mm = (
-        per_axis_mm(sigma_mm, noise) for sigma_mm in (IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM)
-    )
-
-    def directly(expected: int | None) -> Match:
-        return match(
-            image_mm,
-            physical_mm,
-            sigma_image_mm=image_sigma_mm,
-            sigma_physical_mm=physical_sigma_mm,
-            expected=expected,
-        )
-
     def by_template(known: Prior | None) -> Match:
         return match_by_template(
             template_mm,
             image_mm,
             physical_mm,
-            sigma_image_mm=image_sigma_mm,
-            sigma_physical_mm=physical_sigma_mm,
+            sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
+            sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
             sigma_template_mm=IMPLANTED_SIGMA_MM,
             prior=known,
         )
 
     return {
-        PLAIN: directly(None),
-        COUNTED: directly(len(template_mm)),
+        PLAIN: pair_points(image_mm, physical_mm, noise),
+        COUNTED: pair_points(image_mm, physical_mm, noise, expected=len(template_mm)),
         TEMPLATE: by_template(None),
         ORIENTED: by_template(prior),
     }

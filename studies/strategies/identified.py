@@ -30,8 +30,7 @@ from sim.world.true_arm import TrueArm
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
-from studies.accuracy.scene import FINE_CT_MM, Scene
-from studies.accuracy.trials import AXES, Sizes
+from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Sums, Table, Unit, blocks
@@ -252,7 +251,7 @@ def identified_arm_errors(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Error vectors (t, c, 3) mm of one arm, like `target_errors` for many; `numbers` is its own."""
+    """Error vectors (t, c, 3) mm of one arm, like `Scene.errors_mm` for many; `numbers` is its own."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])

@@ -10,8 +10,7 @@ from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import allowed, clear_of, propose_markers, sites_on
 from studies.accuracy.phantom import HALF_AXES_MM, PATIENT, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms
-from studies.accuracy.scene import Scene
-from studies.accuracy.trials import CT_FLE_MM, Sizes
+from studies.accuracy.scene import CT_FLE_MM, Scene, Sizes
 
 ARMS, BY_CHANCE, SPHERES = range(20), 6, 5
 LEAST_GAIN = 0.1  # of the rms error; by the markers' errors alone it is 0.29, by these arms 0.24

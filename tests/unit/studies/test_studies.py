@@ -265,8 +265,8 @@ def test_a_prior_leaves_answers_that_agree_with_it_unchanged() -> None:
     seen = draw_readings(sites_mm(1), 3, 2, NoiseReading.PER_AXIS, 60, np.random.default_rng(8))
     changed = 0
     for image, physical, truth in zip(seen.image_mm, seen.physical_mm, seen.rotations, strict=True):
-        plain = study_module._solve(image, physical, NoiseReading.PER_AXIS)
-        anew = study_module._solve(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
+        plain = study_module.pair_points(image, physical, NoiseReading.PER_AXIS)
+        anew = study_module.pair_points(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
         if study_module._stands(plain, truth.as_matrix()):
             assert (anew.status, anew.pairs.tolist()) == (plain.status, plain.pairs.tolist())
         else:
