@@ -11,7 +11,8 @@ import pytest
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
 
 from procedures.calibration.errors import OfAnotherTheatre, TooFewPoses
-from procedures.cli.calibrating.calibration import NOT_COMPARED, CalibrationRequest, calibrate, show
+from procedures.cli.calibrating.calibration import NOT_COMPARED, calibrate, show
+from procedures.cli.calibrating.options import CalibrationOptions
 from procedures.engine.case import Case
 from procedures.reporting.calibration_figures import Figure, RecordFigures
 from procedures.runs.calibrations import ARM, computed, conclude
@@ -84,6 +85,7 @@ def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_no
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
     ARM.write_looks(looks, tmp_path)
     theatre = tmp_path / "theatre.toml" if config else None
-    request = CalibrationRequest(None, tmp_path, theatre, None, 30, tmp_path / "out", as_json=True)
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=60, more=12), request)
+    options = CalibrationOptions(config=theatre, out=tmp_path / "out", as_json=True, recorded=tmp_path)
+    recipe = Recipe(of=Calibrated.ARM, looks=60, more=12)
+    calibrate(ARM, recipe, options, RunRequest(config=theatre))
     assert (NOT_COMPARED in capsys.readouterr().err) is not config
