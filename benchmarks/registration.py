@@ -39,7 +39,6 @@ OURS, SEARCH, SCIPY = "match", "random triples, NumPy", "SciPy align_vectors"
 
 
 def measure() -> list[Figure]:
-    """Measure both on the same random cases, and the goals on the studies' own."""
     return [*_pairing(), *_fit(), *measure_goals()]
 
 

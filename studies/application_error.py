@@ -42,7 +42,6 @@ class ApplicationErrorStudy:
     name: str = "application-error"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:

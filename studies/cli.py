@@ -338,7 +338,6 @@ def worlds(
 
 
 def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
-    """Own methods of a kind, each tried before the campaign."""
     if not names:
         return ()
     from studies.plugin_trial import try_in_subprocess
@@ -415,7 +414,6 @@ def _show(table: Table) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)
 
 

@@ -50,7 +50,6 @@ class RegistrationStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
@@ -78,7 +77,6 @@ class RegistrationStudy:
 def _one(
     points: Array, kind: str, random: np.random.Generator, own: Sequence[PluginRegistration]
 ) -> dict[str, float]:
-    """Register once and return the errors at the target."""
     truth = any_pose(random)
     covariance = _covariances(len(points), kind, random)
     in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
@@ -183,7 +181,6 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 
 def _own_table(sums: Mapping[str, Sums]) -> Table:
-    """User registrations next to ours, on the same points."""
     rows: list[Sequence[Cell]] = []
     for condition, total in sums.items():
         kind, count = condition.split("|")

@@ -94,7 +94,6 @@ class FrameCell:
         return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
 
     def looks(self, count: int, validation: int, returns: int = 2) -> FrameLooks:
-        """Readings as taken by the step."""
         head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head
@@ -170,7 +169,6 @@ GOAL_MM, GOAL_DEG = 0.15, 0.05
 
 
 def measure() -> list[Figure]:
-    """Errors over the seeds, with a calibrated arm and with an uncalibrated one."""
     return [*_figures(True), *_figures(False)]
 
 

@@ -42,7 +42,6 @@ UNREHEARSED = "driver moving, without rehearsal"
 
 
 def measure() -> list[Figure]:
-    """All measurements."""
     figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
@@ -59,7 +58,6 @@ def measure() -> list[Figure]:
 
 @contextmanager
 def _image_load() -> Iterator[None]:
-    """Another process decodes images as fast as it can."""
     with peer("image_load"):
         yield
 

@@ -323,7 +323,6 @@ def _write_pictures(folder: Path, name: str, pictures: Sequence[bytes]) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)
 
 

@@ -275,7 +275,6 @@ app.command("open")(open_plan)
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)
 
 

@@ -82,7 +82,6 @@ class Canvas:
         )
 
     def line(self, x1: float, y1: float, x2: float, y2: float, stroke: str) -> None:
-        """A thin line."""
         self._shapes.append(
             f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" stroke="{stroke}"/>'
         )

@@ -166,7 +166,6 @@ def write_report(
 
 
 def _findings(reading: RunReading) -> list[str]:
-    """Collect remarks of CT, plan and drivers that stopped nothing."""
     series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
     plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
@@ -193,7 +192,6 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 
 def _left_out(reading: RunReading) -> list[str]:
-    """Word the spheres and trajectories excluded with the operator's consent, and why."""
     sentences = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
     for stored in (stored for model in models for stored in reading.standing(model)):
@@ -218,7 +216,6 @@ def _spheres(result: StepResult) -> tuple[LeftOutSphere, ...]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """Draw the pictures, each also as a file with its data; empty without anything to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
@@ -271,7 +268,6 @@ def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
 
 
 def _moment(reading: RunReading, place: int) -> str:
-    """Host time of the first or the last line of the journal."""
     lines = reading.run.journal
     return str(lines[place].get("host_time", ""))[:19].replace("T", " ") if lines else ""
 

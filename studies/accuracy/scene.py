@@ -197,7 +197,6 @@ class Scene:
 
     @property
     def targets(self) -> int:
-        """Number of trajectories."""
         return len(self.phantom.trajectories)
 
     def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
@@ -320,7 +319,6 @@ class Scene:
 
 
 def _best(candidates: Sequence[Outcome]) -> Outcome:
-    """Choose the smallest predicted error at each target for each number of spheres."""
     predicted = [one.predicted for one in candidates]
     chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predicted]).argmin(axis=0)
     errors_mm = np.stack([one.errors_mm for one in candidates])

@@ -29,7 +29,6 @@ class Unit:
 
     @property
     def key(self) -> str:
-        """Identity within a study."""
         return f"{self.condition} #{self.block}"
 
 
@@ -126,7 +125,6 @@ def yes_or_no(met: bool) -> str:
 
 
 def format_cell(value: Cell) -> str:
-    """Format a value for a reader."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -87,7 +87,6 @@ class ClinicalStudy:
     name: str = "correspondence-xframe"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {
             "seed": self.seed,
             "readings": len(self.readings_mm),

@@ -87,7 +87,6 @@ class CorrespondenceStudy:
     refused_share: float = REFUSED_SHARE
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return omit_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
@@ -150,7 +149,6 @@ class CorrespondenceStudy:
 def _by_own(
     pairing: PluginPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
-    """Outcomes of a user's pairing."""
     sums: Counter[str] = Counter()
     for image_mm, physical_mm, right in zip(seen.image_mm, seen.physical_mm, rights, strict=True):
         found = pairing(
@@ -165,7 +163,6 @@ def _by_own(
 
 
 def condition_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
-    """A condition as text."""
     return f"{reading.value}|{patient}|{fiducials}|{outliers}"
 
 
@@ -176,12 +173,10 @@ def condition_of(key: str) -> tuple[NoiseReading, int, int, int]:
 
 
 def outcome_key(method: str, tolerance_mm: float | None, outcome: str) -> str:
-    """Key of a count."""
     return f"{method}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
-    """Classify an answer."""
     if status is not MatchStatus.UNIQUE:
         return LOST
     found_pairs = frozenset((i, j) for i, j in pairs.tolist())

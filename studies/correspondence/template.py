@@ -64,7 +64,6 @@ class TemplateStudy:
     name: str = "correspondence-template"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:

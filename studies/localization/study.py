@@ -78,7 +78,6 @@ class LocalizationStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
@@ -118,7 +117,6 @@ def localize_by(method: Method, volume: Volume) -> Localization | None:
 
 
 def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """Run a built-in method on one volume."""
     result = localize_by(method, scan.volume)
     return _counted(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan

@@ -251,7 +251,6 @@ def _fle_table(total: Sums) -> Table:
 
 
 def of_method(total: Sums, method: str, key: str) -> float:
-    """Return a method's sum; 0 if nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)
 
 

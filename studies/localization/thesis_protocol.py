@@ -46,7 +46,6 @@ class ThesisScan:
 
     @property
     def condition(self) -> str:
-        """Readable key."""
         return f"{self.kind}|{self.number}"
 
 
@@ -100,7 +99,6 @@ class ThesisLocalizationStudy:
     name: str = "localization-thesis"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {
             **asdict(self),
             "scans": len(THESIS_SCANS),

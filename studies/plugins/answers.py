@@ -177,7 +177,6 @@ def call_plugin(
 
 
 def _guarded(value: object) -> object:
-    """A read-only copy of an array; anything else unchanged."""
     if not isinstance(value, np.ndarray):
         return value
     copy = value.copy()

@@ -53,12 +53,10 @@ class PluginStrategy:
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """Return the user strategy's flag."""
         return self._says("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
-        """Return the user strategy's flag."""
         return self._says("controls_approach")
 
     def localized_along(

@@ -58,7 +58,6 @@ class IdentifiedStudy:
     name: str = "strategies-identified"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:

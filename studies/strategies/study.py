@@ -51,7 +51,6 @@ class StrategiesStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {
             **omit_empty_own(asdict(self)),
             "places": PLACES,

@@ -45,11 +45,9 @@ class WorldsStudy:
 
     @property
     def name(self) -> str:
-        """Name of the study."""
         return "worlds-quiet" if self.quiet else "worlds"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {"cases": self.cases, "seed": self.seed, "scene": self.scene, "quiet": self.quiet}
 
     def units(self) -> Sequence[Unit]:
@@ -65,11 +63,9 @@ class WorldsStudy:
         return sums if worst is None else {**sums, "error_mm": worst.error_mm, "limit_mm": worst.limit_mm}
 
     def world(self, number: int) -> World:
-        """Draw one of its worlds."""
         return draw_world(self.seed, number, self.scene, quiet=self.quiet)
 
     def place(self, number: int) -> Path:
-        """The folder of one of its worlds."""
         return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
@@ -184,7 +180,6 @@ def document(world: World, found: Judgement) -> dict[str, Any]:
 
 
 def _true_errors_mm(run: Path) -> dict[str, float]:
-    """True errors of the targets that were reached."""
     ended = finished_command(
         "ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S
     )
@@ -195,7 +190,6 @@ def _true_errors_mm(run: Path) -> dict[str, float]:
 
 
 def _predictions(run: Path) -> dict[str, dict[str, float]]:
-    """The 95 % limits of each record that predicts errors, by record and target."""
     found: dict[str, dict[str, float]] = {}
     for path in sorted((run / RECORDS_FOLDER).glob("*.json")):
         record = read_record(path)
@@ -205,7 +199,6 @@ def _predictions(run: Path) -> dict[str, dict[str, float]]:
 
 
 def _printed(output: str) -> dict[str, Any]:
-    """The object that a run printed; empty if it printed none."""
     try:
         printed: dict[str, Any] = json.loads(output)
     except ValueError:

@@ -70,7 +70,6 @@ class Target:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict on this target alone."""
         if self.ratio <= 1.0:
             return Verdict.OK
         if self.warned:
@@ -90,7 +89,6 @@ class Judgement:
 
     @property
     def worst(self) -> Target | None:
-        """The worst of its targets."""
         return worst_of(self.targets)
 
 

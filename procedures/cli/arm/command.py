@@ -90,5 +90,4 @@ def check(
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

@@ -106,7 +106,6 @@ def _measure(
     folder: Path,
     resumption: Resumption | None = None,
 ) -> None:
-    """Take the looks that are missing, and conclude within the run."""
     run_with_bar(
         request, folder, kind.activity, lambda case: conclude(kind, request, case, folder), resumption
     )

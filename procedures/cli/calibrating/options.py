@@ -64,7 +64,6 @@ class CalibrationOptions(MeasuringOptions):
 
 
 def _typed_except(context: typer.Context, names: Set[str]) -> str:
-    """Return the other options on the command line, as they are typed."""
     return ", ".join(
         one.opts[0]
         for one in context.command.params

@@ -55,7 +55,6 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
 
 
 def _read_clock(theatre: TheatreFile) -> None:
-    """Raises CLK-001."""
     clock = open_clock(theatre.clock.endpoint)
     clock.now_s()
     if isinstance(clock, SharedClock):

@@ -156,7 +156,6 @@ def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None
 
 
 def _camera(pair: Proposal, side: str) -> tuple[str, str]:
-    """Return serial number and address."""
     serial = next(str(option.value) for option in pair.options if option.key == f"{side}_serial")
     return serial, parse_endpoint(pair.endpoints[side]).host
 

@@ -133,7 +133,6 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
 
 
 def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
-    """Put the recorded set-up in the place of today's theatre file."""
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return given

@@ -109,7 +109,6 @@ def _largest(row: dict[str, Any]) -> str:
 
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
-    """Return a run as plain data, for `list` and `show`."""
     run = reading.run
     ending = run_ending(run.journal)
     running = holder_of_run(reading.folder) if ending.word == "killed" else None

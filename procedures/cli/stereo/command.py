@@ -168,5 +168,4 @@ def measure(
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

@@ -150,7 +150,6 @@ def _require_another_file(config: Path, write: Path) -> None:
 
 
 def _signed(name: str, by: str, days: int) -> dict[str, Any]:
-    """Return identity, dates and maker of a record. Raises DEV-006 without a name."""
     from ronna_hw.devices.lifecycle import require_person
 
     made = datetime.now(UTC).replace(microsecond=0)
@@ -211,5 +210,4 @@ def list_tools(config: ConfigOption, as_json: terminal.JsonOption = False) -> No
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

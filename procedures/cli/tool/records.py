@@ -123,7 +123,6 @@ def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | N
 
 
 def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
-    """Return the record's statement on its tip: which calibration, and where that has it."""
     return {
         "tip": calibrations.tool_tip.identifier,
         "tip_in_head": calibrations.tip_in_head.model_dump(mode="json"),
@@ -199,7 +198,6 @@ def left_out(config: Path, name: str, record: dict[str, Any]) -> list[str]:
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
-    """Return one row of the list."""
     return {
         "name": name,
         "identifier": record.identifier,
