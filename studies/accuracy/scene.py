@@ -124,22 +124,22 @@ class Scenario:
     known: bool = False  # the backlash, to CALIBRATED_BACKLASH_RAD
     ct_mm: float = CT_FLE_MM
 
-    def left(self, strategy: str) -> ErrorSizes:
+    def remaining_errors(self, strategy: str) -> ErrorSizes:
         """The remaining errors of the arm."""
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
             links=CALIBRATED.angle_rad / LINK_ROTATION_RAD if self.kinematics else 1.0,
-            backlash=self._backlash_left(strategy),
+            backlash=self._remaining_backlash(strategy),
         )
 
-    def _backlash_left(self, strategy: str) -> float:
+    def _remaining_backlash(self, strategy: str) -> float:
         known = self.known and strategy != ANY_APPROACH
         return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
 
-    def of(self, arms: RandomArms, strategy: str) -> RandomArms:
+    def scale(self, arms: RandomArms, strategy: str) -> RandomArms:
         """Scale the arms' errors down to the part that remains for a strategy once calibrated."""
-        arms = replace(arms, backlash_rad=arms.backlash_rad * self._backlash_left(strategy))
+        arms = replace(arms, backlash_rad=arms.backlash_rad * self._remaining_backlash(strategy))
         if self.tool:
             arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
         if not self.kinematics:
@@ -199,23 +199,23 @@ class Scene:
     def targets(self) -> int:
         return len(self.phantom.trajectories)
 
-    def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
+    def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
         """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or strategy_named(strategy)
-        return plan_postures(chosen, self.phantom, self.robot_from_ct, left)
+        return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)
 
     def predicted(
-        self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
+        self, planned: Postures, sizes: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
         """Predict the errors by number of spheres, then by target; the fit is unweighted."""
         return [
-            [self._predicted(planned, number, count, left, ct_mm) for number in range(self.targets)]
+            [self._predicted(planned, number, count, sizes, ct_mm) for number in range(self.targets)]
             for count in self.counts
         ]
 
     def _predicted(
-        self, planned: Postures, target: int, count: int, left: ErrorSizes, ct_mm: float
+        self, planned: Postures, target: int, count: int, sizes: ErrorSizes, ct_mm: float
     ) -> TargetPrediction:
         spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
         target_mm = self.robot_from_ct.apply(self.phantom.trajectories[target].target_mm)
@@ -228,7 +228,7 @@ class Scene:
             planned.targets.joints_rad[[target]], target_mm[None], planned.target_arrival[[target]]
         )
         ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
-        sources = [*arm_sources(ARM.chain, at_spheres, at_target, left), ct_errors(ct)]
+        sources = [*arm_sources(ARM.chain, at_spheres, at_target, sizes), ct_errors(ct)]
         return predict_target_error(spheres[:count], target_mm, sources)
 
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
@@ -287,11 +287,11 @@ class Scene:
         )
         found = {}
         for one in single:
-            left = scenario.left(one)
-            planned, remaining = self.planned(one, left), scenario.of(arms, one)
+            errors = scenario.remaining_errors(one)
+            planned, remaining = self.planned(one, errors), scenario.scale(arms, one)
             found[one] = Outcome(
                 self.errors_mm(remaining, planned, chance, Sizes(scenario.ct_mm), any_side=any_side),
-                self.predicted(planned, left, scenario.ct_mm),
+                self.predicted(planned, errors, scenario.ct_mm),
             )
         if BEST in strategies:
             found[BEST] = _best([found[one] for one in FROM])

@@ -118,8 +118,8 @@ class PluginLocalizer(CheckedPlugin):
         if not np.isfinite(centres_mm).all():
             raise self._wrong("numbers that are not finite")
         geometry = volume.geometry
-        beyond = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
-        outside = (beyond > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
+        from_middle = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
+        outside = (from_middle > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
         if outside.any():
             shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
             raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")

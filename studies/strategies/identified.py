@@ -89,12 +89,12 @@ class IdentifiedStudy:
             believed = BelievedArm(fit.deviations, fit.flange_from_tool)
             arm = RandomArms.draw(self.seed, [number])
             known = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
-            left = ErrorSizes(identified=known)
+            remaining = ErrorSizes(identified=known)
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
                     errors = identified_arm_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
-                    predicted = scene.predicted(poses, left, FINE_CT_MM)
+                    predicted = scene.predicted(poses, remaining, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"
                         found[f"{series}|{number}|{scene.number}|{target + 1}"] = float(length)

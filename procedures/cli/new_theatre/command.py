@@ -98,24 +98,21 @@ def new_theatre(
     from ronna_hw.registry import finders
     from ronna_hw.theatre_kind import is_simulated
 
-    taken = None if records is None else writing.read_records(records)
+    copied = writing.CopiedRecords() if records is None else writing.read_records(records)
     search = Search(
         interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
-        controllers=tuple(map(searching.controller, controller or ())),
-        stream=None if stream is None else searching.stream(stream),
+        controllers=tuple(searching.endpoint_of("--controller", text) for text in controller or ()),
+        stream=None if stream is None else searching.endpoint_of("--stream", stream),
     )
-    searching.clock(clock)
+    searching.endpoint_of("--clock", clock)
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
-    if taken is not None:
-        found = writing.with_tools(found, taken.tools)
-    found = writing.with_options(found, option or ())
-    tables = {} if taken is None else taken.tables
-    draft = writing.Draft(name or out.stem, found, clock, taken_over=tables)
-    text = writing.theatre_text(draft)
+    found = writing.with_options(writing.with_tools(found, copied.tools), option or ())
+    name = name or out.stem
+    text = writing.theatre_text(name, found, clock, copied.tables)
     if is_simulated(parse_theatre(tomllib.loads(text), (records or out).name)):
-        text = writing.theatre_text(writing.Draft(draft.name, found, clock, REHEARSAL, tables))
+        text = writing.theatre_text(name, found, clock, copied.tables, REHEARSAL)
     write_whole(out, text.encode(), exclusive=True)
     ready = _tell(out, found, check=check, as_json=as_json)
     if not ready:
