@@ -130,11 +130,8 @@ def _fit() -> list[Figure]:
     ]
 
 
-RUNS_PER_CELL = {
-    "5 to 8 markers": 200,
-    "4 markers": 1000,
-    "3 markers": 200,
-}  # a share of 1 in 2,000 needs many
+# A share of 1 in 2,000 needs many runs.
+RUNS_PER_CELL = {"5 to 8 markers": 200, "4 markers": 1000, "3 markers": 200}
 FIT_RUNS = 5_000
 WEIGHTED_BLOCKS = 2  # of 500 runs: an iterated fit takes ten times as long
 SEED = 12

@@ -151,10 +151,15 @@ class CellStereo:
         self.pairs += 1
         stamp = Stamp(self.pairs, self.pairs, self.clock.now_s())
         left, right = (
-            CameraImage(stamp, Validity.OK, serial, _pixels(camera, settings, self.pairs), _area(settings))
-            for camera, serial, settings in self._cameras
+            self._image(stamp, camera, serial, settings) for camera, serial, settings in self._cameras
         )
         return StereoReading(stamp, Validity.OK, left, right)
+
+    def _image(self, stamp: Stamp, camera: Photographer, serial: str, settings: Settings) -> CameraImage:
+        drawn = camera.triggered(settings.frame(), self.pairs)
+        pixels = np.frombuffer(drawn, np.uint8).reshape(settings.height, settings.width)
+        area = AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
+        return CameraImage(stamp, Validity.OK, serial, pixels, area)
 
 
 @dataclass(frozen=True)
@@ -273,15 +278,6 @@ def _transform(matrix: Array) -> Transform:
     return Transform.of(
         Frame.ROBOT, Frame.TOOL, translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
     )
-
-
-def _area(settings: Settings) -> AreaOfInterest:
-    return AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
-
-
-def _pixels(camera: Photographer, settings: Settings, number: int) -> NDArray[np.uint8]:
-    image = camera.triggered(settings.frame(), number)
-    return np.frombuffer(image, np.uint8).reshape(settings.height, settings.width)
 
 
 START_MM = 5.0
