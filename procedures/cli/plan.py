@@ -16,6 +16,8 @@ from procedures.cli.planning_inputs import (
     DEFAULT_STRATEGY,
     HeadOption,
     HomeOption,
+    PlanArgument,
+    PlannedSeriesOption,
     SceneOption,
     SpacingOption,
     StrategyOption,
@@ -57,11 +59,8 @@ app.command()(place)
 
 @app.command()
 def check(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")],
-    series_dir: Annotated[
-        Path,
-        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on."),
-    ],
+    plan_file: PlanArgument,
+    series_dir: PlannedSeriesOption,
     markers: Annotated[
         bool,
         typer.Option(
@@ -71,11 +70,7 @@ def check(
     ] = False,
     config: Annotated[
         Path | None,
-        typer.Option(
-            "--config",
-            metavar="FILE",
-            help="Theatre file: check every motion of its arm.",
-        ),
+        typer.Option("--config", metavar="FILE", help="Theatre file: check every motion of its arm."),
     ] = None,
     strategy: StrategyOption = DEFAULT_STRATEGY,
     robot_from_ct: HeadOption = None,

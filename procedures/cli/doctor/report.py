@@ -116,10 +116,14 @@ def examine(
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
     for number, (name, look) in enumerate(looks.items()):
-        found[name] = look(partial(_advance, progress, number, len(looks)))
+
+        def advance(share: float, before: int = number) -> None:
+            progress((before + share) / len(looks))
+
+        found[name] = look(advance)
         if config is not None and name in devices:
             found[name] = as_left(config, found[name])
-        progress((number + 1) / len(looks))
+        advance(1.0)
     of_devices = {name: found[name] for name in devices}
     judged = () if config is None else tuple(verdicts(case + calibrations, of_devices))
     return Report(computer, tuple(one for each in found.values() for one in each), calibrations, case, judged)
@@ -207,7 +211,3 @@ def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Prog
     if name != STEREO or theatre.calibration is None:
         return found
     return advise_on_serials(found, config, theatre.calibration.stereo_head)
-
-
-def _advance(progress: Progress, number: int, looks: int, share: float) -> None:
-    progress((number + share) / looks)

@@ -17,7 +17,7 @@ from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded, ReplayDiffers
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
-from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
+from procedures.engine.replay.replay import ReplayInput, Verdict, replay
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.planning.plan_file import read_plan
@@ -105,7 +105,8 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
         print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
     else:
-        print_table("Recomputed results", ("record", "verdict", "why"), [_row(one) for one in results])
+        rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
+        print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unlike = [one.record for one in results if one.verdict not in CONFIRMED]
     if unlike:
         raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
@@ -154,10 +155,6 @@ def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Pat
         raise NotRecorded(f"the calibration records: {'; '.join(describe_mistakes(error))}") from error
     theatre = read_theatre_file(theatre_file)
     return ReplayInput(order_of(recipe.steps, ()), None, theatre, records, recipe.starts)
-
-
-def _row(one: ReplayedRecord) -> tuple[str, str, str]:
-    return one.record, one.verdict, "; ".join(one.why)
 
 
 def print_bytes(

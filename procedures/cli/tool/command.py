@@ -22,6 +22,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
+WriteOption = Annotated[
+    Path,
+    typer.Option(metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."),
+]
+DaysOption = Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")]
 SixDegrees = tuple[float, float, float, float, float, float]
 GaugeFile = typer.Option(
     metavar="FILE",
@@ -38,12 +43,7 @@ def tool() -> None:
 def define(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
     config: ConfigOption,
-    write: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
-        ),
-    ],
+    write: WriteOption,
     purpose: Annotated[Purpose, typer.Option(help="What the tool is for.")],
     number: Annotated[
         int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
@@ -72,7 +72,7 @@ def define(
         float, typer.Option(help="Distance between the two heights of the gauge's dials.")
     ] = 60.0,
     gauge_mm: Annotated[Path | None, GaugeFile] = None,
-    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
+    days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
@@ -112,15 +112,10 @@ def define(
 def renew(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
     config: ConfigOption,
-    write: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
-        ),
-    ],
+    write: WriteOption,
     gauge_mm: Annotated[Path, GaugeFile],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
-    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
+    days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """After a tip calibration: renew a tool's record for the new tip and the present gauge readings.
