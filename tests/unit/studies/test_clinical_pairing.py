@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -12,7 +11,6 @@ from scipy.spatial.transform import Rotation
 
 from studies.campaign.study import Unit
 from studies.correspondence import clinical
-from studies.correspondence import clinical as clinical_pairing
 from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
 from studies.localization.study import AUTOMATIC
@@ -30,13 +28,9 @@ def found_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every method finds the frame's spheres, in another order, and one more."""
     centres = np.vstack([FRAME_MM[[2, 0, 3, 1]], [[10.0, 20.0, 120.0]]])
 
-    @contextmanager
-    def no_scan(*_: object) -> Iterator[None]:
-        yield None
-
-    monkeypatch.setattr(clinical_pairing, "phantom_scan", no_scan)
+    monkeypatch.setattr(clinical, "phantom_scan", lambda *_: nullcontext())
     found = {method: LocalizedScan(centres, 1.0) for method in AUTOMATIC}
-    monkeypatch.setattr(clinical_pairing, "localize_scan", lambda _: found)
+    monkeypatch.setattr(clinical, "localize_scan", lambda _: found)
 
 
 def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest_e() -> None:
@@ -79,12 +73,10 @@ def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refuse
     assert np.array_equal(clinical.load_or_take_readings(tmp_path, 3, 1), taken)
     with pytest.raises(OtherStudy, match="STU-001"):
         clinical.load_or_take_readings(tmp_path, 3, 2)
-    (tmp_path / clinical.READINGS_FILE).write_text('{"seed": 1, "readings_mm": 5}')
-    with pytest.raises(OtherStudy, match="STU-001"):
-        clinical.load_or_take_readings(tmp_path, 3, 1)
-    (tmp_path / clinical.READINGS_FILE).write_text("{}")
-    with pytest.raises(LedgerUnreadable, match="STU-002"):
-        clinical.load_or_take_readings(tmp_path, 3, 1)
+    for content, error in (('{"seed": 1, "readings_mm": 5}', OtherStudy), ("{}", LedgerUnreadable)):
+        (tmp_path / clinical.READINGS_FILE).write_text(content)
+        with pytest.raises(error):
+            clinical.load_or_take_readings(tmp_path, 3, 1)
 
 
 @pytest.mark.slow

@@ -21,15 +21,8 @@ def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
 def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
     condition = condition_key(NoiseReading.PER_AXIS, 1, 4, 4)
     sums = TemplateStudy(20, seed=3).run(Unit(condition, 0, 20))
-    assert sums == dict.fromkeys(
-        (
-            "distances|success",
-            "+ planned count|success",
-            "template|success",
-            "template + orientation|success",
-        ),
-        20.0,
-    )
+    methods = ("distances", "+ planned count", "template", "template + orientation")
+    assert sums == {f"{method}|success": 20.0 for method in methods}
     (said,) = tables({condition: sums})
     assert [row[3:] for row in said.rows] == [
         (20, 0.0, "at most 14", "0-0", 0.0, "at most 14", "yes", "yes")

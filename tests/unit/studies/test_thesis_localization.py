@@ -125,19 +125,6 @@ def test_the_average_operator_is_the_mean_of_the_four_fle_and_not_the_fle_of_its
     assert np.sort(rows_mm) == pytest.approx(np.sort(means_mm), abs=1.5e-4)
 
 
-@pytest.mark.parametrize(
-    ("people_mm", "fit_mm", "less"),
-    [
-        (TABLE_2[HUMAN_OPERATORS].printed_mm, TABLE_2[SPHERE_FIT].printed_mm, 49.29),
-        (TABLE_3[AVERAGE_OPERATOR].printed_mm, TABLE_3[SPHERE_FIT].printed_mm, 45.91),
-    ],
-)
-def test_the_stated_gains_over_operators_follow_from_the_tables(
-    people_mm: float, fit_mm: float, less: float
-) -> None:
-    assert round(100.0 * (1.0 - fit_mm / people_mm), 2) == less
-
-
 @pytest.mark.parametrize("row", TABLE_4)
 def test_table_4_prints_the_mean_over_its_trajectories(row: tuple[str, int]) -> None:
     mean_mm = float(np.mean(TABLE_4[row].trajectories_mm))
