@@ -18,6 +18,14 @@ DRIVERS = "what the driver advises"
 PAIRS_OWN = "what the driver advises for the pair"
 
 
+def cameras(left_serial: str) -> DeviceConfig:
+    return DeviceConfig(
+        driver="basler_stereo",
+        endpoints={"left": LEFT, "right": RIGHT},
+        options={"left_serial": left_serial, "right_serial": "4412"},
+    )
+
+
 def _advised(
     found: str | None,
     configured: str,
@@ -27,11 +35,6 @@ def _advised(
     probed: bool = True,
 ) -> str:
     """The advice for a left camera that replied with that number, or for the pair unless `probed`."""
-    device = DeviceConfig(
-        driver="basler_stereo",
-        endpoints={"left": LEFT, "right": RIGHT},
-        options={"left_serial": configured, "right_serial": "4412"},
-    )
     on_network = {RIGHT: "4412", **dict.fromkeys([ELSEWHERE] if others else [], *others)}
     findings = (
         Diagnostic("cameras on eth0", True, "the cameras there", serials=on_network),
@@ -39,7 +42,7 @@ def _advised(
         Diagnostic(f"camera {RIGHT}", True, "4412", serials={RIGHT: "4412"}),
         Diagnostic("device stereo", False, "refused", DRIVERS if pair_repeats else PAIRS_OWN),
     )
-    network, left, right, pair = advise_on_serials(findings, device, HEAD)
+    network, left, right, pair = advise_on_serials(findings, cameras(configured), HEAD)
     assert (network, right) == (findings[0], findings[2])
     assert pair.advice == (left.advice if pair_repeats and probed else pair.advice)
     return left.advice if probed else pair.advice
@@ -96,13 +99,8 @@ def test_a_pair_that_is_refused_as_a_whole_gets_the_verdict_on_its_camera() -> N
 
 
 def test_a_pair_refused_for_a_reason_of_its_own_keeps_its_advice() -> None:
-    device = DeviceConfig(
-        driver="basler_stereo",
-        endpoints={"left": LEFT, "right": RIGHT},
-        options={"left_serial": "4417", "right_serial": "4412"},
-    )
     left = Diagnostic(f"camera {LEFT}", False, "4411", DRIVERS, serials={LEFT: "4411"})
     right = Diagnostic(f"camera {RIGHT}", False, "taken", "Stop that program.", serials={RIGHT: "4412"})
     pair = Diagnostic("device stereo", False, "refused", PAIRS_OWN)
-    _, same, also = advise_on_serials((left, right, pair), device, HEAD)
+    _, same, also = advise_on_serials((left, right, pair), cameras("4417"), HEAD)
     assert (same, also) == (right, pair)
