@@ -135,8 +135,7 @@ def correspondence(
     if template:
         from studies.correspondence import template as by_template
 
-        implanted = by_template.TemplateStudy(runs, asked.seed)
-        _run(implanted, by_template.tables, None, asked)
+        _run(by_template.TemplateStudy(runs, asked.seed), by_template.tables, None, asked)
         return
     chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
@@ -154,13 +153,15 @@ def correspondence(
 def _clinical(readings: int | None, asked: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
-    from studies.correspondence.clinical import load_or_take_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        taken = load_or_take_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
-    study = clinical.ClinicalStudy(taken, asked.seed)
-    _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
+        taken = clinical.load_or_take_readings(
+            folder, readings or clinical.THESIS_READINGS, asked.seed, progress
+        )
+    _run(
+        clinical.ClinicalStudy(taken, asked.seed), clinical.tables, clinical.plots, replace(asked, out=folder)
+    )
 
 
 @app.command()
@@ -226,12 +227,9 @@ def localization(
             )
     own = _own("LOCALIZER", methods)
     if thesis:
-        from studies.localization import thesis_protocol_tables as thesis_localization_tables
-        from studies.localization.thesis_protocol import ThesisLocalizationStudy
+        from studies.localization import thesis_protocol
 
-        protocol = ThesisLocalizationStudy(asked.seed)
-        protocol_tables = thesis_localization_tables
-        _run(protocol, protocol_tables.tables, None, asked)
+        _run(thesis_protocol.ThesisLocalizationStudy(asked.seed), thesis_protocol.tables, None, asked)
         return
     study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:
@@ -266,8 +264,7 @@ def strategies(
     if identified:
         from studies.strategies import identified as by_looks
 
-        study = by_looks.IdentifiedStudy(arms, asked.seed)
-        _run(study, by_looks.tables, by_looks.plots, asked)
+        _run(by_looks.IdentifiedStudy(arms, asked.seed), by_looks.tables, by_looks.plots, asked)
         return
     from studies.strategies.study import StrategiesStudy
     from studies.strategies.tables import plots, tables

@@ -18,10 +18,11 @@ from studies.localization.thesis_protocol import (
     LocalizedScan,
     ThesisLocalizationStudy,
     draw_scale,
+    fle_mm,
     points_as_sums,
     points_of,
+    tables,
 )
-from studies.localization.thesis_protocol_tables import fle_mm, tables
 from studies.thesis_tables import (
     AVERAGE_OPERATOR,
     FIDUCIALS_OF_TABLE_3,

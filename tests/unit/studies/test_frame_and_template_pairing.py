@@ -1,4 +1,4 @@
-"""The clinical pairing protocol: readings of the frame against localized scans, for every e."""
+"""Pairing by the clinical protocol, for every e, and of markers that a template places."""
 
 from __future__ import annotations
 
@@ -10,9 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from studies.campaign.study import Unit
-from studies.correspondence import clinical
-from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
+from studies.correspondence import clinical, template
+from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
+from studies.correspondence.study import condition_key
+from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
+from studies.heads import NoiseReading
 from studies.localization.study import AUTOMATIC
 from studies.localization.thesis_protocol import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 
@@ -45,7 +48,7 @@ def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by
     conditions = {
         condition: study.run(Unit(condition, 0, 40)) for condition in (f"{PHANTOM}|1", f"{PATIENT}|1")
     }
-    (said,) = tables(conditions)
+    (said,) = clinical.tables(conditions)
     for row in said.rows:
         shown = dict(zip(said.columns, row, strict=True))
         assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)
@@ -86,3 +89,22 @@ def test_the_simulated_unit_reads_the_frame_over_its_wire() -> None:
     expected = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)
     assert np.linalg.norm(seen[:, None] - seen[None], axis=2) == pytest.approx(expected, abs=1.5)
     assert -2400.0 < seen[:, 2].mean() < -950.0
+
+
+def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
+    for patient in (1, 2, 3):
+        for count in (3, 4):
+            sites = sites_mm(patient, count, MARGIN_MM)
+            apart = np.linalg.norm(sites[:, None] - sites[None], axis=2)[np.triu_indices(count, 1)]
+            assert np.diff(np.sort(apart)).min() >= MARGIN_MM
+
+
+def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
+    condition = condition_key(NoiseReading.PER_AXIS, 1, 4, 4)
+    sums = TemplateStudy(20, seed=3).run(Unit(condition, 0, 20))
+    methods = ("distances", "+ planned count", "template", "template + orientation")
+    assert sums == {f"{method}|success": 20.0 for method in methods}
+    (said,) = template.tables({condition: sums})
+    assert [row[3:] for row in said.rows] == [
+        (20, 0.0, "at most 14", "0-0", 0.0, "at most 14", "yes", "yes")
+    ] * 4
