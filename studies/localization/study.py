@@ -218,11 +218,3 @@ def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
         centres_mm
     )
     return found_mm[nearest] if whole else None
-
-
-def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
-    """Add up several conditions."""
-    total: Counter[str] = Counter()
-    for condition in conditions:
-        total.update(sums.get(condition, {}))
-    return dict(total)

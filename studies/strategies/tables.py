@@ -45,7 +45,7 @@ SETTLED = "as in table 4"
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Table 4 next to ours, its rows, the sources, the decrease with more spheres, the prediction."""
     errors = trial_errors(sums)
-    if not any(_cells(sums, PREDICTION)):  # trials only, with user strategies
+    if not any(_entries(sums, PREDICTION)):  # trials only, with user strategies
         return [_table_4(errors), _trajectories(errors)]
     return [
         _table_4(errors),
@@ -73,10 +73,8 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, Array]:
     """Errors (arms, places, targets) mm of all trials in one part of the study."""
     found: dict[Series, dict[tuple[int, int, int], float]] = defaultdict(dict)
-    for _, (markers, number), content in _cells(sums, part):
-        for key, error_mm in content.items():
-            strategy, count, arm, target = key.split("|")
-            found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
+    for markers, number, (strategy, count, arm, target), error_mm in _entries(sums, part):
+        found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
     arrays = {}
     for series in sorted(found, key=_order):
         trials = found[series]
@@ -88,13 +86,9 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
 def paired_comparison(sums: Mapping[str, Sums]) -> Table:
     """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for condition, content in sums.items():
-        if condition.split("|")[0] != SCENARIO:
-            continue
-        for key, sum_mm in content.items():
-            scenario, strategy, spheres, what = key.split("|")
-            if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
-                totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
+    for _, _, (scenario, strategy, spheres, what), sum_mm in _entries(sums, SCENARIO):
+        if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
+            totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
     rows: list[list[Cell]] = []
     for scenario in PAIRED_SCENARIOS:
         for count in sorted({one[2] for one in totals if one[0] == scenario}):
@@ -121,11 +115,12 @@ def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
     return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
 
 
-def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[str], Sums]]:
+def _entries(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, str, list[str], float]]:
+    """Yield markers, position, parts of the key, and value of each sum in one part of the study."""
     for condition, content in sums.items():
-        part, *rest = condition.split("|")
+        part, markers, number = condition.split("|")
         if part == wanted:
-            yield part, rest, content
+            yield from ((markers, number, key.split("|"), value) for key, value in content.items())
 
 
 def _order(series: Series) -> tuple[int, int, int]:
@@ -206,12 +201,9 @@ def _trajectories(errors: Mapping[Series, Array]) -> Table:
 
 
 def _sources(sums: Mapping[str, Sums]) -> Table:
-    total: dict[Series, dict[str, float]] = {}
-    for _, (markers, _), content in _cells(sums, SOURCES):
-        for key, value in content.items():
-            strategy, count, source = key.split("|")
-            row = total.setdefault((markers, strategy, int(count)), defaultdict(float))
-            row[source] += value
+    total: dict[Series, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for markers, _, (strategy, count, source), value in _entries(sums, SOURCES):
+        total[markers, strategy, int(count)][source] += value
     rows: list[list[Cell]] = [
         [*series, *(total[series][source] / total[series][""] for source in Source)]
         for series in sorted(total, key=_order)
@@ -282,12 +274,9 @@ def _row_correlation(few: Array, many: Array) -> float:
 
 
 def _scenarios(sums: Mapping[str, Sums]) -> Table:
-    total: dict[tuple[str, str, int], dict[str, float]] = {}
-    for _, _, content in _cells(sums, SCENARIO):
-        for key, value in content.items():
-            scenario, strategy, count, what = key.split("|")
-            row = total.setdefault((scenario, strategy, int(count)), defaultdict(float))
-            row[what] += value
+    total: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for _, _, (scenario, strategy, count, what), value in _entries(sums, SCENARIO):
+        total[scenario, strategy, int(count)][what] += value
     rows: list[list[Cell]] = []
     for (scenario, strategy, spheres), one in total.items():
         bins = sorted(int(key) for key in one if not key.startswith(OF_ARM))
@@ -307,12 +296,9 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
 
 
 def _prediction(sums: Mapping[str, Sums]) -> Table:
-    total: dict[tuple[str, Series], dict[str, float]] = {}
-    for _, (markers, _), content in _cells(sums, PREDICTION):
-        for key, value in content.items():
-            scenario, strategy, count, what = key.split("|")
-            series = markers, strategy, int(count)
-            total.setdefault((scenario, series), defaultdict(float))[what] += value
+    total: dict[tuple[str, Series], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for markers, _, (scenario, strategy, count, what), value in _entries(sums, PREDICTION):
+        total[scenario, (markers, strategy, int(count))][what] += value
     named = [one.name for one in PREDICTED]
     rows: list[dict[str, Cell]] = []
     for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
