@@ -20,12 +20,10 @@ from user_commands import in_this_process, one_error
 from procedures.cli.doctor.calibrations import setting_diagnostics, tool_diagnostics
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.cli.tool.command import app
-from procedures.cli.tool.records import Purpose
 from procedures.planning.errors import ForeignTool
 from procedures.planning.tool_records import ToolRecords
 from procedures.runs.calibration_files import write_theatre
 from ronna_hw.config import parse_theatre, read_theatre_file
-from ronna_hw.tool_record import ToolPurpose
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.named_scenes import named_scene
 
@@ -56,10 +54,6 @@ def dials(tmp_path: Path) -> Path:
 def written(path: Path, *lines: str) -> Path:
     path.write_text("\n".join(lines))
     return path
-
-
-def test_the_command_line_offers_the_purposes_of_the_records() -> None:
-    assert [one.value for one in Purpose] == [one.value for one in ToolPurpose]
 
 
 def test_a_defined_tool_takes_flange_and_tip_from_the_file_and_is_listed(theatre: Path) -> None:
