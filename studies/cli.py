@@ -129,7 +129,7 @@ def correspondence(
             "their own"
         )
     if xframe:
-        _clinical(runs, asked)
+        _run_clinical(runs, asked)
         return
     runs = runs or THESIS_RUNS
     if template:
@@ -150,7 +150,7 @@ def correspondence(
     _run(study, correspondence_tables.tables, plots, asked)
 
 
-def _clinical(readings: int | None, asked: StudyOptions) -> None:
+def _run_clinical(readings: int | None, asked: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
 
@@ -175,7 +175,7 @@ def registration(
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from studies.registration import RegistrationStudy, plots, tables
 
-    own = _own("REGISTRATION", methods)
+    own = _tried_plugins("REGISTRATION", methods)
     _run(RegistrationStudy(runs, asked.seed, own=own), tables, plots, asked)
 
 
@@ -225,7 +225,7 @@ def localization(
             raise UsageMistake(
                 f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
             )
-    own = _own("LOCALIZER", methods)
+    own = _tried_plugins("LOCALIZER", methods)
     if thesis:
         from studies.localization import thesis_protocol
 
@@ -262,14 +262,19 @@ def strategies(
     if identified and methods:
         raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
     if identified:
-        from studies.strategies import identified as by_looks
+        from studies.strategies import identified as identified_arms
 
-        _run(by_looks.IdentifiedStudy(arms, asked.seed), by_looks.tables, by_looks.plots, asked)
+        _run(
+            identified_arms.IdentifiedStudy(arms, asked.seed),
+            identified_arms.tables,
+            identified_arms.plots,
+            asked,
+        )
         return
     from studies.strategies.study import StrategiesStudy
     from studies.strategies.tables import plots, tables
 
-    own = _own("STRATEGY", methods)
+    own = _tried_plugins("STRATEGY", methods)
     trials = StrategiesStudy(arms, asked.seed, "strategies-own" if own else "strategies", own)
     _run(trials, tables, plots, asked)
 
@@ -334,7 +339,7 @@ def worlds(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
+def _tried_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     if not names:
         return ()
     from studies.plugin_trial import try_in_subprocess

@@ -67,14 +67,14 @@ class RegistrationStudy:
         for run in range(unit.runs):
             sites = sites_mm(PATIENTS[run % len(PATIENTS)])
             points = sites[random.choice(len(sites), int(count), replace=False)]
-            one = _one(points, kind, random, own)
+            one = _register_once(points, kind, random, own)
             residuals_mm.append(one.pop("fre"))
             sums.update(one)
         one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
         return {key: float(value) for key, value in sums.items()} | {"one_space2": one_space2}
 
 
-def _one(
+def _register_once(
     points: Array, kind: str, random: np.random.Generator, own: Sequence[PluginRegistration]
 ) -> dict[str, float]:
     truth = any_pose(random)
@@ -85,23 +85,23 @@ def _one(
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
     right = truth.apply(target)
     plain = register(image, measured)
-    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _missed(
+    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _target_error(
         PLAIN, plain.transform, target, right
     )
     for method in own:
         fitted = method(image, measured, covariance_mm2=covariance)
-        sums |= _missed(f"{OWN}{method.name}", fitted, target, right)
+        sums |= _target_error(f"{OWN}{method.name}", fitted, target, right)
     if kind == ISOTROPIC:
         predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
         gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
         return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
     weighted = register(image, measured, covariance_mm2=covariance)
     predicted = weighted.predict_tre_mm(target)[0]
-    sums |= _missed(WEIGHTED, weighted.transform, target, right)
+    sums |= _target_error(WEIGHTED, weighted.transform, target, right)
     return sums | {"predicted2": float(predicted**2)}
 
 
-def _missed(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
+def _target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
     """Square (mm2) and fourth power (mm4) of the error at the target."""
     square = float(np.sum((fitted.apply(target) - right) ** 2))
     return {f"{who}2": square, f"{who}4": square**2}

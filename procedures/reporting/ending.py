@@ -44,11 +44,11 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
         )
         return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
     inside = closed.get("instrument_in")
-    word, sentence, code = _closed(journal, closed, last, error)
+    word, sentence, code = _closed_ending(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
 
 
-def _closed(
+def _closed_ending(
     journal: Sequence[Line], closed: Line, last: Line | None, error: RunError | None
 ) -> tuple[str, str, str]:
     """Return word, sentence and code of a closed run whose last step ended with the line `last`."""
@@ -59,7 +59,7 @@ def _closed(
         if doubts := targets_in_doubt(journal):
             why = "; ".join(dict.fromkeys(one for each in doubts.values() for one in each))
             return "in doubt", f"Every step was done, but not every target is confirmed: {why}.", ""
-        return "done", f"Every step was done{_after(journal)}.", ""
+        return "done", f"Every step was done{_incidents(journal)}.", ""
     step = "" if last is None else str(last.get("step", ""))
     during = f" during {step}" if step else ""
     if outcome == "left":
@@ -102,7 +102,7 @@ def _is_named(acknowledged: Line, said: str) -> bool:
     return f"the {acknowledged.get('device')} is in fault" in said or (code != "" and code in said)
 
 
-def _after(journal: Sequence[Line]) -> str:
+def _incidents(journal: Sequence[Line]) -> str:
     """Name the incidents of a finished case; empty if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]

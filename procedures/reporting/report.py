@@ -107,8 +107,8 @@ def write_report(
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "opened": reading.run.opened,
-        "began": _moment(reading, 0),
-        "ended": _moment(reading, -1),
+        "began": _host_time(reading, 0),
+        "ended": _host_time(reading, -1),
         "ending": run_ending(reading.run.journal, error),
         "software": list(
             dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
@@ -153,7 +153,7 @@ def write_report(
         **_figures(reading, files, rows, [health for _, health in links]),
         **_calibration(run, files),
         "after": after,
-        **_read_twice(reading, files, rows, out),
+        **_second_reading(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
         "left_out": _left_out(reading),
@@ -243,7 +243,7 @@ def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
     return {"figures": [] if found is None else list(found.table()), "looks_picture": picture}
 
 
-def _read_twice(
+def _second_reading(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
 ) -> dict[str, Any]:
     """The target figures computed a second way, and whether both agree."""
@@ -267,7 +267,7 @@ def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
     return [*changes, *(("guide", link) for link in (*retreats, *looks) if link is not None)]
 
 
-def _moment(reading: RunReading, place: int) -> str:
+def _host_time(reading: RunReading, place: int) -> str:
     lines = reading.run.journal
     return str(lines[place].get("host_time", ""))[:19].replace("T", " ") if lines else ""
 

@@ -119,13 +119,13 @@ class CorrespondenceStudy:
                     found = plain
                     if method is Method.COUNT:
                         found = solve(expected=count)
-                    elif method is Method.PRIOR and not _stands(plain, prior_matrices[run]):
+                    elif method is Method.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if any(method in OF_THE_THESIS for method in self.methods):
             sums += self._by_thesis(seen, rights, reading)
         for own in self.own:
-            sums += _by_own(PluginPairing.of(own), seen, rights, reading)
+            sums += _plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
 
     def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
@@ -146,7 +146,7 @@ class CorrespondenceStudy:
         return sums
 
 
-def _by_own(
+def _plugin_outcomes(
     pairing: PluginPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
     sums: Counter[str] = Counter()
@@ -203,7 +203,7 @@ def pair_points(
     )
 
 
-def _stands(plain: Match, prior: Array) -> bool:
+def _satisfies_prior(plain: Match, prior: Array) -> bool:
     """Whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
 
     A prior only removes hypotheses. The best of all remains the best unless it is removed itself.

@@ -53,7 +53,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         )
         for noise in dict.fromkeys(series.noise for series in found)
     ]
-    of_the_thesis = [_reached(found)] if any(series.tolerance for series in found) else []
+    of_the_thesis = [_reproducing_tolerances(found)] if any(series.tolerance for series in found) else []
     return [*made, _pooled(found), *of_the_thesis]
 
 
@@ -140,17 +140,17 @@ def _row(series: Series, one: Shares) -> list[Cell]:
         one.runs,
         one.unsuccessful,
         one.bounded(one.unsuccessful).text,
-        _text(one.unsuccessful_range),
-        _text(THESIS_UNSUCCESSFUL[series.fiducials]),
+        _range_text(one.unsuccessful_range),
+        _range_text(THESIS_UNSUCCESSFUL[series.fiducials]),
         one.false,
         one.bounded(one.false).text,
-        _text(one.false_range),
-        _text(THESIS_FALSE[series.fiducials]),
+        _range_text(one.false_range),
+        _range_text(THESIS_FALSE[series.fiducials]),
         one.part,
     ]
 
 
-def _text(ends: Range) -> str:
+def _range_text(ends: Range) -> str:
     return f"{ends[0]:.3g}-{ends[1]:.3g}"
 
 
@@ -189,7 +189,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _reached(found: Mapping[Series, Shares]) -> Table:
+def _reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
     """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
@@ -206,8 +206,8 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
                     noise.value,
                     method,
                     f"{group[0]}" if len(group) == 1 else f"{group[0]} to {group[-1]}",
-                    _held(members, tried, _unsuccessful_within),
-                    _held(members, tried, _false_within),
+                    _tolerance_spans(members, tried, _unsuccessful_within),
+                    _tolerance_spans(members, tried, _false_within),
                 ]
             )
     return Table(
@@ -220,7 +220,7 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _held(
+def _tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
     """The values of e at which all members hold, neighbouring ones as a range."""

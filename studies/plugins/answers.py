@@ -167,16 +167,18 @@ def call_plugin(
     np.random.seed(GLOBAL_SEED)  # for methods that use it
     try:
         with contextlib.redirect_stdout(sys.stderr):
-            return function(*map(_guarded, arguments), **{key: _guarded(one) for key, one in named.items()})
+            return function(
+                *map(_read_only, arguments), **{key: _read_only(one) for key, one in named.items()}
+            )
     except passed:
         raise
     except (Exception, SystemExit) as error:
         raise MethodFailed(
-            f"{name} raised {type(error).__name__}: {error}", got=_place(function, error)
+            f"{name} raised {type(error).__name__}: {error}", got=_origin_of(function, error)
         ) from error
 
 
-def _guarded(value: object) -> object:
+def _read_only(value: object) -> object:
     if not isinstance(value, np.ndarray):
         return value
     copy = value.copy()
@@ -184,7 +186,7 @@ def _guarded(value: object) -> object:
     return copy
 
 
-def _place(function: Callable[..., Any], error: BaseException) -> str:
+def _origin_of(function: Callable[..., Any], error: BaseException) -> str:
     """The last line within the method's own file, otherwise the very last one."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)

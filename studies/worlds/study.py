@@ -158,8 +158,8 @@ def run_world(world: World, folder: Path) -> Judgement:
         limits_used_mm(chain.lines, _predictions(run.parent)),
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
-        done=_printed(ended.stdout).get("outcome") in FINISHED,
-        error=_error(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
+        done=_parse_output(ended.stdout).get("outcome") in FINISHED,
+        error=_error_text(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
     )
     write_whole(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
     if RANKS[found.verdict] < KEPT:
@@ -198,7 +198,7 @@ def _predictions(run: Path) -> dict[str, dict[str, float]]:
     return found
 
 
-def _printed(output: str) -> dict[str, Any]:
+def _parse_output(output: str) -> dict[str, Any]:
     try:
         printed: dict[str, Any] = json.loads(output)
     except ValueError:
@@ -206,9 +206,9 @@ def _printed(output: str) -> dict[str, Any]:
     return printed
 
 
-def _error(output: str) -> str:
+def _error_text(output: str) -> str:
     """Code and message of the error that ended a run, empty without one."""
-    error = _printed(output).get("error") or {}
+    error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 
 

@@ -133,7 +133,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
-            yield from _matching(name, device, identity.serial, calibrations, theatre)
+            yield from _check_records(name, device, identity.serial, calibrations, theatre)
         configured = checked(f"{subject}configured", "", device.configure)
         if not configured.well:
             yield configured
@@ -141,7 +141,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
         for notice in device.notices:
             yield Diagnostic(f"{subject}notice", True, notice)
         if isinstance(device, OpticalTracker):
-            yield from _seen_by_tracker(subject, device, theatre)
+            yield from _check_visibility(subject, device, theatre)
         elif isinstance(device, StereoPair):
             head = None if calibrations is None else calibrations.stereo_head
             judged = partial(pair_diagnostics, subject, head=head)
@@ -152,7 +152,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
     return inspect
 
 
-def _matching(
+def _check_records(
     name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
     """Whether the records are of this very device, and the right tool is mounted."""
@@ -183,7 +183,7 @@ def _matching(
         yield checked(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
 
 
-def _seen_by_tracker(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
+def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Tools and spheres in sight now, after the unit has let its poses out."""
     try:
         with tracker.active():

@@ -93,7 +93,7 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
 
 
-def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
+def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Return findings at the devices with advice that fits an unfinished run there."""
     run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
     advised = list(found)

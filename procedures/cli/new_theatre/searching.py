@@ -103,38 +103,38 @@ def search_all(
 
         proposals = finder.find(search, advance)
         if finder.table == "stereo":
-            proposals = _of_cameras(proposals, cameras)
+            proposals = _with_cameras(proposals, cameras)
         connected = [one for one in proposals if not one.absent]
-        chosen = _one_of(finder.table, connected, choose)
+        chosen = _choose_proposal(finder.table, connected, choose)
         instead = proposals[0] if proposals else finder.example(search)
         found.append(Found(finder.table, chosen or instead, chosen is not None))
         advance(1.0)
     return tuple(found)
 
 
-def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
+def _with_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
     """Return pairs with these cameras by serial number or address. Raises CLI-001 for others."""
     every = pairs
     for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):
         if wanted is None:
             continue
-        before, pairs = pairs, [pair for pair in pairs if wanted in _camera(pair, side)]
+        before, pairs = pairs, [pair for pair in pairs if wanted in _camera_identity(pair, side)]
         if not pairs:
-            if cameras[0] is not None and any(wanted in _camera(pair, "left") for pair in before):
+            if cameras[0] is not None and any(wanted in _camera_identity(pair, "left") for pair in before):
                 raise UsageMistake(
                     f"--{side}: camera {wanted} is given for both sides",
                     expected="two cameras",
                     action="Give each side its own camera.",
                 )
-            if alike := next((pair for pair in every if wanted in _camera(pair, other)), None):
-                serial, _address = _camera(alike, other)
+            if alike := next((pair for pair in every if wanted in _camera_identity(pair, other)), None):
+                serial, _address = _camera_identity(alike, other)
                 raise UsageMistake(
                     f"--{side}: {wanted} is the camera named {other} ({serial})",
-                    expected=f"{_camera(alike, side)[0]}, which is named {side}",
+                    expected=f"{_camera_identity(alike, side)[0]}, which is named {side}",
                     action="Swap --left and --right; if the names are wrong, omit both options and swap the "
                     "cameras in the file.",
                 )
-            known = sorted({" at ".join(_camera(pair, side)) for pair in before})
+            known = sorted({" at ".join(_camera_identity(pair, side)) for pair in before})
             raise UsageMistake(
                 f"--{side}: no camera {wanted} replied",
                 expected=f"one of {', '.join(known)}" if known else "two cameras on the given interfaces",
@@ -142,12 +142,12 @@ def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None
     return pairs
 
 
-def _camera(pair: Proposal, side: str) -> tuple[str, str]:
+def _camera_identity(pair: Proposal, side: str) -> tuple[str, str]:
     serial = next(str(option.value) for option in pair.options if option.key == f"{side}_serial")
     return serial, parse_endpoint(pair.endpoints[side]).host
 
 
-def _one_of(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
+def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
     if len(proposals) < 2:
         return next(iter(proposals), None)
     words = [f"{one.what} at {', '.join(one.endpoints.values())}" for one in proposals]

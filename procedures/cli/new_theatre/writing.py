@@ -50,14 +50,14 @@ def theatre_text(
         lines.append(_line("flange", copied["flange"]))
     lines += ["", "[clock]", _line("endpoint", clock)]
     for one in found:
-        lines += ["", *_device(one)]
+        lines += ["", *_device_lines(one)]
     rest = {table: copied[table] for table in COPIED if table in copied}
     if "calibration" not in rest:
-        lines += ["", *_missing_records()]
+        lines += ["", *_missing_record_lines()]
     return "\n".join(lines) + "\n" + ("\n" + _toml(rest) if rest else "")
 
 
-def _device(found: Found) -> Iterator[str]:
+def _device_lines(found: Found) -> Iterator[str]:
     proposal, table = found.proposal, TABLE_NAMES.get(found.table, found.table)
     title = f"{table}: {proposal.what}" if found.there else f"{table}: {NOT_FOUND}"
     if proposal.absent:
@@ -65,11 +65,11 @@ def _device(found: Found) -> Iterator[str]:
     yield from _comment(title)
     for remark in proposal.remarks:
         yield from _comment(f"- {remark}")
-    body = list(_tables(table, proposal))
+    body = list(_table_lines(table, proposal))
     yield from body if found.there else (f"# {line}".rstrip() for line in body)
 
 
-def _tables(table: str, proposal: Proposal) -> Iterator[str]:
+def _table_lines(table: str, proposal: Proposal) -> Iterator[str]:
     endpoints, options = proposal.endpoints, proposal.options
     yield f"[{table}]"
     yield _line("driver", proposal.driver)
@@ -79,17 +79,17 @@ def _tables(table: str, proposal: Proposal) -> Iterator[str]:
         yield from ("", f"[{table}.endpoints]")
         yield from (_line(role, address) for role, address in endpoints.items())
     yield from ("", f"[{table}.options]")
-    lists = [option for option in options if option.chosen and _of_tables(option.value)]
+    lists = [option for option in options if option.chosen and _is_list_of_tables(option.value)]
     for option in options:
         if option not in lists:
-            yield from _option(option)
+            yield from _option_lines(option)
     for option in lists:
         for entry in option.value:
             yield from ("", *_comment(option.meaning), f"[[{table}.options.{option.key}]]")
             yield from (_line(key, value) for key, value in entry.items())
 
 
-def _option(option: Option) -> Iterator[str]:
+def _option_lines(option: Option) -> Iterator[str]:
     yield from _comment(option.meaning)
     if option.chosen:
         yield _line(option.key, option.value)
@@ -97,11 +97,11 @@ def _option(option: Option) -> Iterator[str]:
         yield f"# {option.key} =" if option.value is None else f"# {_line(option.key, option.value)}"
 
 
-def _of_tables(value: object) -> bool:
+def _is_list_of_tables(value: object) -> bool:
     return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, dict) for one in value)
 
 
-def _missing_records() -> Iterator[str]:
+def _missing_record_lines() -> Iterator[str]:
     """Return what must be entered by hand before the first calibration, key by key."""
     makers = ", ".join(f"[calibration.{name}] by {command}" for name, command in MADE_BY_COMMAND.items())
     yield from _comment(f"{NO_RECORDS}{makers}.")
@@ -196,7 +196,7 @@ def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tu
     """Return the tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
-    return tuple(_changed(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
+    return tuple(_with_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
@@ -215,7 +215,7 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )
-        changed[number] = _changed(changed[number], {key: _value(value)})
+        changed[number] = _with_values(changed[number], {key: _parse_value(value)})
         _require_fitting(text, changed[number])
     return tuple(changed)
 
@@ -234,7 +234,7 @@ def _require_fitting(text: str, found: Found) -> None:
             ) from error
 
 
-def _changed(found: Found, values: Mapping[str, Any]) -> Found:
+def _with_values(found: Found, values: Mapping[str, Any]) -> Found:
     options = tuple(
         replace(one, value=values[one.key], chosen=True) if one.key in values else one
         for one in found.proposal.options
@@ -242,7 +242,7 @@ def _changed(found: Found, values: Mapping[str, Any]) -> Found:
     return replace(found, proposal=replace(found.proposal, options=options))
 
 
-def _value(text: str) -> Any:
+def _parse_value(text: str) -> Any:
     """Return a value of TOML, or else the text itself."""
     try:
         return parse_toml(f"value = {text}")["value"]

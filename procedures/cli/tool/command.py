@@ -82,7 +82,7 @@ def define(
     from procedures.cli.tool.records import record_of
 
     _require_another_file(config, write)
-    signed = _signed(name, by, days)
+    signed = _identity_fields(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
     record, lost = record_of(
         config,
@@ -125,7 +125,7 @@ def renew(
     from procedures.cli.tool.records import renewed
 
     _require_another_file(config, write)
-    record, remarks = renewed(config, name, _signed(name, by, days), gauge_mm)
+    record, remarks = renewed(config, name, _identity_fields(name, by, days), gauge_mm)
     for remark in remarks:
         terminal.tell(remark)
     _write(config, write, name, record, as_json=as_json)
@@ -136,7 +136,7 @@ def _require_another_file(config: Path, write: Path) -> None:
         raise UsageMistake("--write names the file given to --config", action="Name another file.")
 
 
-def _signed(name: str, by: str, days: int) -> dict[str, Any]:
+def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
     from ronna_hw.devices.lifecycle import require_person
 
     made = datetime.now(UTC).replace(microsecond=0)

@@ -259,7 +259,7 @@ def test_a_prior_leaves_answers_that_agree_with_it_unchanged() -> None:
     for image, physical, truth in zip(seen.image_mm, seen.physical_mm, seen.rotations, strict=True):
         plain = study_module.pair_points(image, physical, NoiseReading.PER_AXIS)
         anew = study_module.pair_points(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
-        if study_module._stands(plain, truth.as_matrix()):
+        if study_module._satisfies_prior(plain, truth.as_matrix()):
             assert (anew.status, anew.pairs.tolist()) == (plain.status, plain.pairs.tolist())
         else:
             changed += 1

@@ -154,7 +154,7 @@ def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not
     assert f"ronna-procedure home {run}" in first.advice
     tool = Diagnostic("robot.master: mounted tool", False, "PRO-009", "Mount the named tool.")
     message = Diagnostic("robot.master: messages", False, "number 1 is not acknowledged", "Acknowledge it.")
-    tool, message = theatre_checks.as_left(theatre, [tool, message])
+    tool, message = theatre_checks.advise_on_unfinished_run(theatre, [tool, message])
     assert tool.advice == "Do not touch the tool: an instrument is still in T1."
     assert message.advice == f"Remove its cause; then ronna-procedure acknowledge {run} --by 'YOUR NAME'."
 
