@@ -29,15 +29,12 @@ class Figure:
     met: bool | None = None
 
     def at_least(self, limit: float) -> Self:
-        """Add a minimum as the goal."""
         return replace(self, goal=f"value ≥ {limit:,g}", met=self.value >= limit)
 
     def at_most(self, limit: float) -> Self:
-        """Add a maximum as the goal."""
         return replace(self, goal=f"value ≤ {limit:g}", met=self.value <= limit)
 
     def within(self, low: float, high: float) -> Self:
-        """Add a range of the value as the goal."""
         return replace(self, goal=f"{low:g} to {high:g}", met=low <= self.value <= high)
 
     def ratio_at_least(self, limit: float) -> Self:

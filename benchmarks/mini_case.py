@@ -21,7 +21,6 @@ COMMAND, THEATRE = "ronna-procedure run", "ronna-sim theatre, start to READY"
 
 
 def measure() -> list[Figure]:
-    """Alternating cases and bare starts of the theatre."""
     wall_s: list[float] = []
     theatre_s: list[float] = []
     cpu_s: list[float] = []

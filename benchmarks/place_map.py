@@ -49,7 +49,6 @@ class Agreement:
 
 
 def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> CartCase:
-    """A named scene with the cart so far from the head."""
     scene = named_scene(scene_name, seed=seed)
     head = scene.head
     place = Pose.from_quaternion(head.robot_from_ct.translation_mm, head.robot_from_ct.quaternion_wxyz)
@@ -73,7 +72,6 @@ def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> Ca
 def agreement(
     case: CartCase, places: int, within_mm: float, turn_deg: float = 0.0, workers: int | None = None
 ) -> Agreement:
-    """Compare the map of a case with its path check."""
     turn_rad, began_s = math.radians(turn_deg), time.perf_counter()
     with judging(case, workers) as judge:
         found = map_places(within_mm, judge, turn_rad=turn_rad)

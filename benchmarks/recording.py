@@ -23,7 +23,6 @@ KEPT, BARE = "journal, events, recorders", "without them"
 
 
 def measure() -> list[Figure]:
-    """Shares of wall time and CPU time, by pairs."""
     figures = []
     for speed, rounds in ROUNDS.items():
         pairs = [(_case("kept", speed), _case("bare", speed)) for _ in range(rounds)]

@@ -13,15 +13,17 @@ from benchmarks.figures import Figure, compared, cpu_of
 from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
 from studies.campaign.study import add_up
-from studies.correspondence.study import FALSE, LOST, PART, SUCCESS, CorrespondenceStudy, Method, verdict
-from studies.heads import (
-    IMAGE_SIGMA_MM,
-    PHYSICAL_SIGMA_MM,
-    NoiseReading,
-    draw_readings,
-    per_axis_mm,
-    sites_mm,
+from studies.correspondence.study import (
+    FALSE,
+    LOST,
+    PART,
+    SUCCESS,
+    CorrespondenceStudy,
+    Method,
+    pair_points,
+    verdict,
 )
+from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, draw_readings, sites_mm
 from studies.registration import ISOTROPIC, RegistrationStudy, tables
 
 Array = NDArray[np.float64]
@@ -37,7 +39,6 @@ OURS, SEARCH, SCIPY = "match", "random triples, NumPy", "SciPy align_vectors"
 
 
 def measure() -> list[Figure]:
-    """Measure both on the same random cases, and the goals on the studies' own."""
     return [*_pairing(), *_fit(), *measure_goals()]
 
 
@@ -129,11 +130,8 @@ def _fit() -> list[Figure]:
     ]
 
 
-RUNS_PER_CELL = {
-    "5 to 8 markers": 200,
-    "4 markers": 1000,
-    "3 markers": 200,
-}  # a share of 1 in 2,000 needs many
+# A share of 1 in 2,000 needs many runs.
+RUNS_PER_CELL = {"5 to 8 markers": 200, "4 markers": 1000, "3 markers": 200}
 FIT_RUNS = 5_000
 WEIGHTED_BLOCKS = 2  # of 500 runs: an iterated fit takes ten times as long
 SEED = 12
@@ -195,12 +193,7 @@ def _sides_apart() -> list[Figure]:
             if least_side_difference_mm(triangle) < LEAST_SIDE_DIFFERENCE_MM:
                 continue
             runs += 1
-            found = match(
-                triangle,
-                seen.physical_mm[0],
-                sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
-                sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
-            )
+            found = pair_points(triangle, seen.physical_mm[0], noise)
             right = frozenset((i, j) for i, j in seen.pairs[0].tolist())
             failed += verdict(found.status, found.pairs, right) != SUCCESS
         what = f"not found, 3 markers, sides {LEAST_SIDE_DIFFERENCE_MM:g} mm apart, {noise.value}"

@@ -38,7 +38,6 @@ class Stand:
     paced: bool = True
 
     def unit(self, name: str) -> ChildProcess:
-        """Its unit, started."""
         if self.scene is None:
             return peer("canned_unit", self.endpoint)
         world = World.create(self.scene, paced=self.paced)

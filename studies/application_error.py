@@ -42,7 +42,6 @@ class ApplicationErrorStudy:
     name: str = "application-error"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "places": list(PLACES), "targets": TARGETS}
 
     def units(self) -> Sequence[Unit]:
@@ -64,39 +63,29 @@ class ApplicationErrorStudy:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Our figures next to the paper's."""
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for (depth, markers, strategy, count), errors in _errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
         mean = float(errors.mean())
         rows.append(
-            [
-                depth,
-                markers,
-                strategy,
-                count,
-                None if published is None else published[0],
-                mean,
-                bounds.mean_length(errors.mean(axis=1)).text,
-                None if published is None else 100.0 * (mean / published[0] - 1.0),
-                None if published is None else f"{published[1]:.2f}-{published[2]:.2f}",
-                "-".join(f"{value:.2f}" for value in np.percentile(errors, QUARTILES)),
-            ]
+            {
+                "depth": depth,
+                "markers": markers,
+                "strategy": strategy,
+                "spheres": count,
+                "published mean mm": None if published is None else published[0],
+                "mean mm": mean,
+                bounds.column("mean"): bounds.mean_length(errors.mean(axis=1)).text,
+                "differs by %": None if published is None else 100.0 * (mean / published[0] - 1.0),
+                "published quartiles": None
+                if published is None
+                else f"{published[1]:.2f}-{published[2]:.2f}",
+                "quartiles": "-".join(f"{value:.2f}" for value in np.percentile(errors, QUARTILES)),
+            }
         )
     return [
-        Table(
+        Table.of(
             "Application error by depth",
-            (
-                "depth",
-                "markers",
-                "strategy",
-                "spheres",
-                "published mean mm",
-                "mean mm",
-                bounds.column("mean"),
-                "differs by %",
-                "published quartiles",
-                "quartiles",
-            ),
             rows,
             "Depth of the target below the skin, along the trajectory. Published: RONNA G3 on a "
             "phantom, one arm. Compared with the closest case here: the x-shaped frame, the thesis' "

@@ -119,7 +119,7 @@ def correspondence(
     from procedures.registration.similarity_matrix import REFUSED_SHARE, THESIS_TOLERANCES_MM
     from studies.correspondence import tables as correspondence_tables
     from studies.correspondence.study import OF_THE_THESIS, USUAL_TOLERANCES_MM, CorrespondenceStudy
-    from studies.plugins.trial import select_methods
+    from studies.plugin_trial import select_methods
 
     if xframe + sweep + template > 1:
         raise UsageMistake("--sweep, --xframe and --template are separate studies: give one of them")
@@ -129,14 +129,13 @@ def correspondence(
             "their own"
         )
     if xframe:
-        _clinical(runs, asked)
+        _run_clinical(runs, asked)
         return
     runs = runs or THESIS_RUNS
     if template:
         from studies.correspondence import template as by_template
 
-        implanted = by_template.TemplateStudy(runs, asked.seed)
-        _run(implanted, by_template.tables, None, asked)
+        _run(by_template.TemplateStudy(runs, asked.seed), by_template.tables, None, asked)
         return
     chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
@@ -151,16 +150,18 @@ def correspondence(
     _run(study, correspondence_tables.tables, plots, asked)
 
 
-def _clinical(readings: int | None, asked: StudyOptions) -> None:
+def _run_clinical(readings: int | None, asked: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
-    from studies.correspondence.clinical import load_or_take_readings
 
     folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        taken = load_or_take_readings(folder, readings or clinical.THESIS_READINGS, asked.seed, progress)
-    study = clinical.ClinicalStudy(taken, asked.seed)
-    _run(study, clinical.tables, clinical.plots, replace(asked, out=folder))
+        taken = clinical.load_or_take_readings(
+            folder, readings or clinical.THESIS_READINGS, asked.seed, progress
+        )
+    _run(
+        clinical.ClinicalStudy(taken, asked.seed), clinical.tables, clinical.plots, replace(asked, out=folder)
+    )
 
 
 @app.command()
@@ -174,7 +175,7 @@ def registration(
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from studies.registration import RegistrationStudy, plots, tables
 
-    own = _own("REGISTRATION", methods)
+    own = _tried_plugins("REGISTRATION", methods)
     _run(RegistrationStudy(runs, asked.seed, own=own), tables, plots, asked)
 
 
@@ -224,14 +225,11 @@ def localization(
             raise UsageMistake(
                 f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
             )
-    own = _own("LOCALIZER", methods)
+    own = _tried_plugins("LOCALIZER", methods)
     if thesis:
-        from studies.localization import thesis_protocol_tables as thesis_localization_tables
-        from studies.localization.thesis_protocol import ThesisLocalizationStudy
+        from studies.localization import thesis_protocol
 
-        protocol = ThesisLocalizationStudy(asked.seed)
-        protocol_tables = thesis_localization_tables
-        _run(protocol, protocol_tables.tables, None, asked)
+        _run(thesis_protocol.ThesisLocalizationStudy(asked.seed), thesis_protocol.tables, None, asked)
         return
     study = LocalizationStudy(volumes, sets, asked.seed, own=own)
     if tuning:
@@ -264,15 +262,19 @@ def strategies(
     if identified and methods:
         raise UsageMistake("--method cannot be combined with --identified, which has its own strategies")
     if identified:
-        from studies.strategies import identified as by_looks
+        from studies.strategies import identified as identified_arms
 
-        study = by_looks.IdentifiedStudy(arms, asked.seed)
-        _run(study, by_looks.tables, by_looks.plots, asked)
+        _run(
+            identified_arms.IdentifiedStudy(arms, asked.seed),
+            identified_arms.tables,
+            identified_arms.plots,
+            asked,
+        )
         return
     from studies.strategies.study import StrategiesStudy
     from studies.strategies.tables import plots, tables
 
-    own = _own("STRATEGY", methods)
+    own = _tried_plugins("STRATEGY", methods)
     trials = StrategiesStudy(arms, asked.seed, "strategies-own" if own else "strategies", own)
     _run(trials, tables, plots, asked)
 
@@ -337,12 +339,11 @@ def worlds(
         raise typer.Exit(EXIT_FAILED)
 
 
-def _own(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
-    """Own methods of a kind, each tried before the campaign."""
+def _tried_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     if not names:
         return ()
+    from studies.plugin_trial import try_in_subprocess
     from studies.plugins.contracts import MethodKind
-    from studies.plugins.trial import try_in_subprocess
 
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
@@ -415,7 +416,6 @@ def _show(table: Table) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)
 
 

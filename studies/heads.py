@@ -78,7 +78,6 @@ def stated_variance_mm2(noise: NoiseReading) -> float:
 
 
 def any_pose(random: np.random.Generator) -> RigidTransform:
-    """A random orientation, somewhere in the room."""
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))
 
 

@@ -35,11 +35,8 @@ DEPTH_RATIO = 3.0  # ratio of depth noise to lateral noise of a camera
 NOISY_RATIO = 5.0  # ratio of one bad fiducial to the others
 ISOTROPIC, DEPTH, NOISY = "equal", "1:1:3", "one 5x"
 SUMS = "squares and fourth powers"  # older campaigns lack these sums, which the bounds need
-PLAIN, WEIGHTED, OWN = (
-    "tre",
-    "weighted",
-    "own ",
-)  # errors at the target: ours without and with covariances, user methods
+# Errors at the target: ours without and with covariances, user methods.
+PLAIN, WEIGHTED, OWN = "tre", "weighted", "own "
 
 
 @dataclass(frozen=True)
@@ -53,7 +50,6 @@ class RegistrationStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
@@ -71,17 +67,16 @@ class RegistrationStudy:
         for run in range(unit.runs):
             sites = sites_mm(PATIENTS[run % len(PATIENTS)])
             points = sites[random.choice(len(sites), int(count), replace=False)]
-            one = _one(points, kind, random, own)
+            one = _register_once(points, kind, random, own)
             residuals_mm.append(one.pop("fre"))
             sums.update(one)
         one_space2 = unit.runs * fle_of_one_space_mm(residuals_mm, int(count)) ** 2
         return {key: float(value) for key, value in sums.items()} | {"one_space2": one_space2}
 
 
-def _one(
+def _register_once(
     points: Array, kind: str, random: np.random.Generator, own: Sequence[PluginRegistration]
 ) -> dict[str, float]:
-    """Register once and return the errors at the target."""
     truth = any_pose(random)
     covariance = _covariances(len(points), kind, random)
     in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
@@ -90,23 +85,23 @@ def _one(
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
     right = truth.apply(target)
     plain = register(image, measured)
-    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _missed(
+    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _target_error(
         PLAIN, plain.transform, target, right
     )
     for method in own:
         fitted = method(image, measured, covariance_mm2=covariance)
-        sums |= _missed(f"{OWN}{method.name}", fitted, target, right)
+        sums |= _target_error(f"{OWN}{method.name}", fitted, target, right)
     if kind == ISOTROPIC:
         predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
         gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
         return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
     weighted = register(image, measured, covariance_mm2=covariance)
     predicted = weighted.predict_tre_mm(target)[0]
-    sums |= _missed(WEIGHTED, weighted.transform, target, right)
+    sums |= _target_error(WEIGHTED, weighted.transform, target, right)
     return sums | {"predicted2": float(predicted**2)}
 
 
-def _missed(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
+def _target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
     """Square (mm2) and fourth power (mm4) of the error at the target."""
     square = float(np.sum((fitted.apply(target) - right) ** 2))
     return {f"{who}2": square, f"{who}4": square**2}
@@ -137,68 +132,55 @@ def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Formulas against simulation, and the gain from weighting."""
-    formulas: list[Sequence[Cell]] = []
-    gains: list[Sequence[Cell]] = []
+    formulas: list[dict[str, Cell]] = []
+    gains: list[dict[str, Cell]] = []
     for condition, total in sums.items():
         kind, count = condition.split("|")
         runs = total["runs"]
         tre = _rms_mm(total, PLAIN)
-        tre_mm = tre.value
         predicted_mm = float(np.sqrt(total["predicted2"] / runs))
         if kind == ISOTROPIC:
-            fle_ratio = float(np.sqrt(total["fle2"] / runs)) / FLE_MM
-            one_space = float(np.sqrt(2.0 * total["one_space2"] / runs)) / FLE_MM
-            alarms = bounds.percent(total["alarms"], runs)
-            ratios = (fle_ratio, one_space, tre_mm, tre.text, predicted_mm, tre_mm / predicted_mm)
-            formulas.append((int(count), int(runs), *ratios, alarms.value, alarms.text))
+            formulas.append(
+                {
+                    "fiducials": int(count),
+                    "runs": int(runs),
+                    "FLE by eq. 36 / true": float(np.sqrt(total["fle2"] / runs)) / FLE_MM,
+                    "one space by eq. 37, 38 / true": float(np.sqrt(2.0 * total["one_space2"] / runs))
+                    / FLE_MM,
+                    **bounds.cells("TRE mm", tre),
+                    "eq. 39 mm": predicted_mm,
+                    "TRE / eq. 39": tre.value / predicted_mm,
+                    **bounds.cells("gate alarms %", bounds.percent(total["alarms"], runs)),
+                }
+            )
         else:
             weighted = _rms_mm(total, WEIGHTED)
-            gain = 100.0 * (1.0 - weighted.value / tre_mm)
-            errors = (tre_mm, tre.text, weighted.value, weighted.text)
-            gains.append((kind, int(runs), *errors, gain, weighted.value / predicted_mm))
+            gains.append(
+                {
+                    "errors": kind,
+                    "runs": int(runs),
+                    **bounds.cells("TRE mm, equal weights", tre, of="equal weights"),
+                    **bounds.cells("TRE mm, weighted", weighted, of="weighted"),
+                    "gain %": 100.0 * (1.0 - weighted.value / tre.value),
+                    "TRE / predicted": weighted.value / predicted_mm,
+                }
+            )
     own = [_own_table(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
     return [
-        Table(
+        Table.of(
             "Formulas of the rigid fit",
-            (
-                "fiducials",
-                "runs",
-                "FLE by eq. 36 / true",
-                "one space by eq. 37, 38 / true",
-                "TRE mm",
-                bounds.column("TRE"),
-                "eq. 39 mm",
-                "TRE / eq. 39",
-                "gate alarms %",
-                bounds.column("gate alarms"),
-            ),
             formulas,
             f"FLE {FLE_MM} mm, half of its variance in each space, target {TARGET_BELOW_MM:g} mm below "
             f"the markers' centre. The gate is set to {100 * (1 - GATE_CONFIDENCE):.0f} % false alarms. "
             f"FRE is a residual, not an accuracy. {bounds.NOTE} Those of the TRE: Student, from the "
             "spread of its squares.",
         ),
-        Table(
-            "What weighting by covariances gains",
-            (
-                "errors",
-                "runs",
-                "TRE mm, equal weights",
-                bounds.column("equal weights"),
-                "TRE mm, weighted",
-                bounds.column("weighted"),
-                "gain %",
-                "TRE / predicted",
-            ),
-            gains,
-            "Five fiducials.",
-        ),
+        Table.of("What weighting by covariances gains", gains, "Five fiducials."),
         *own,
     ]
 
 
 def _own_table(sums: Mapping[str, Sums]) -> Table:
-    """User registrations next to ours, on the same points."""
     rows: list[Sequence[Cell]] = []
     for condition, total in sums.items():
         kind, count = condition.split("|")

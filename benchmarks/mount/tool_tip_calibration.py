@@ -150,7 +150,6 @@ GOAL_MM = 0.05
 
 
 def measure() -> list[Figure]:
-    """Errors over the seeds, with a calibrated arm and with an uncalibrated one."""
     return [*_figures(True), *_figures(False)]
 
 

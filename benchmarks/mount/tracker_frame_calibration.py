@@ -21,7 +21,6 @@ from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.calibration.frame_calibration import (
     FrameLook,
     FrameLooks,
-    FrameResult,
     Use,
     assign_uses,
     calibrate_frame,
@@ -94,7 +93,6 @@ class FrameCell:
         return matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
 
     def looks(self, count: int, validation: int, returns: int = 2) -> FrameLooks:
-        """Readings as taken by the step."""
         head = self.calibrations.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         frame = self.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
         reference = self.arm.flange_pose(self.home) @ head
@@ -144,17 +142,15 @@ class FrameCell:
         self._measurer.forget_tools()
         poses = []
         for number in range(FRAMES):
-            ((_, tracked),) = self._measurer.frame(
-                number, number, (self._port,), PYRAMID, SystemStatus(0)
-            ).tools
+            frame = self._measurer.frame(number, number, (self._port,), PYRAMID, SystemStatus(0))
+            ((_, tracked),) = frame.tools
             if tracked is not None and tracked.pose is not None:
                 poses.append(tracked.pose)
         if len(poses) < FRAMES // 2:
             return None
         mean = np.eye(4)
-        mean[:3, :3] = (
-            Rotation.from_quat([one.quaternion for one in poses], scalar_first=True).mean().as_matrix()
-        )
+        turns = Rotation.from_quat([one.quaternion for one in poses], scalar_first=True)
+        mean[:3, :3] = turns.mean().as_matrix()
         mean[:3, 3] = np.mean([one.position_mm for one in poses], axis=0)
         return _record(mean, Frame.TRACKER, Frame.MARKER)
 
@@ -170,7 +166,6 @@ GOAL_MM, GOAL_DEG = 0.15, 0.05
 
 
 def measure() -> list[Figure]:
-    """Errors over the seeds, with a calibrated arm and with an uncalibrated one."""
     return [*_figures(True), *_figures(False)]
 
 
@@ -200,14 +195,10 @@ def _errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, fl
     exact = FrameCell.of(seed, calibrated=calibrated, exact=True).looks(LOOKS, VALIDATION)
     as_arm_has_it = solve(pairs_of([one for one in exact.looks if one.use is not Use.RETURN]))
     own = apart(found, as_arm_has_it.flange_from_marker)
-    return (*own, *apart(found, cell.true_frame), _stated_mm(result))
+    return (*own, *apart(found, cell.true_frame), result.tracker_frame.stated_error_mm)
 
 
 def apart(one: Array, other: Array) -> tuple[float, float]:
     """Difference between two poses, in mm and degrees."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))
-
-
-def _stated_mm(result: FrameResult) -> float:
-    return result.tracker_frame.stated_error_mm

@@ -50,7 +50,6 @@ new MutationObserver(() => {
 
 
 def measure() -> list[Figure]:
-    """Empty without Chromium."""
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:

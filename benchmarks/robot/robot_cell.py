@@ -78,7 +78,6 @@ TELEGRAM = (
 
 
 def bare_telegram() -> bytes:
-    """A telegram of typical length."""
     return (TELEGRAM % (*START_DEG, FIRST_IPOC)).encode("ascii")
 
 
@@ -128,7 +127,6 @@ class ControllerProbe:
         return sorted(self.turnarounds_s)[int(share * len(self.turnarounds_s))]
 
     def close(self) -> None:
-        """Close the socket."""
         self._link.close()
 
     def __enter__(self) -> Self:

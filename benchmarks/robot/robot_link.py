@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack
 from dataclasses import replace
 from functools import partial
 from itertools import pairwise
@@ -42,12 +42,11 @@ UNREHEARSED = "driver moving, without rehearsal"
 
 
 def measure() -> list[Figure]:
-    """All measurements."""
     figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
     figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
-    with _image_load():
+    with peer("image_load"):  # another process decodes images as fast as it can
         name = "lock-step cycles per second under an image load"
         figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
         name = "turnaround at 1 ms under an image load"
@@ -55,13 +54,6 @@ def measure() -> list[Figure]:
         name = "turnaround at 4 ms under an image load"
         figures += _turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
     return figures
-
-
-@contextmanager
-def _image_load() -> Iterator[None]:
-    """Another process decodes images as fast as it can."""
-    with peer("image_load"):
-        yield
 
 
 def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:

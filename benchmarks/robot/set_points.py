@@ -36,7 +36,6 @@ BARE = "bare 6-axis step of ruckig"
 
 
 def measure() -> list[Figure]:
-    """CPU per cycle of the real-time process' preparation."""
     model = kr6_r900(ArmVariant.SIXX)
     limits = working_limits(model)
     here = model.forward(START)

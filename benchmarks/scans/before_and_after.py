@@ -67,7 +67,6 @@ class Outcome:
     taken: Counter[str] = field(default_factory=Counter)
 
     def add(self, where: str, found: Localization | None, painted: Painted) -> None:
-        """Compare one localization with the truth."""
         self.counts.setdefault(where, Count()).add(found, (), painted)
         centres_mm = np.empty((0, 3)) if found is None else found.centres_mm
         self.errors_mm.setdefault(where, []).extend(_least_mm(one, centres_mm) for one in painted.centres_mm)
@@ -81,14 +80,11 @@ class Outcome:
 
 
 class OtherLocalizer:
-    """The localizer of another checkout."""
-
     def __init__(self, questions: IO[str], answers: IO[str], folder: Path) -> None:
         self._questions, self._answers = questions, answers
         self._path = folder / "volume.npz"
 
     def __call__(self, volume: Volume) -> Localization | None:
-        """Localize the markers; None if there are none."""
         held = volume.geometry
         np.savez(
             self._path, voxels=volume.voxels, origin=held.origin_mm, axes=held.axes, spacing=held.spacing_mm
@@ -132,7 +128,6 @@ def _today(volume: Volume) -> Localization | None:
 
 
 def main() -> None:
-    """Print both tables."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("before", type=Path, help="checkout of the other version")
     parser.add_argument("families", nargs="+")

@@ -176,8 +176,6 @@ CASES = (
 
 @dataclass(frozen=True)
 class Scan:
-    """A series on disk and its truth."""
-
     series: Path
     centres_mm: Array
     bound_mm: float  # 3-D rms
@@ -195,7 +193,6 @@ class Spheres:
     false: int = 0
 
     def add(self, found: Localization, centres_mm: Array) -> None:
-        """Compare one localization with the truth (n, 3) mm."""
         distance = np.linalg.norm(found.centres_mm[:, None] - centres_mm[None], axis=2)
         self.there += len(centres_mm)
         self.false += int((distance.min(axis=1) > SAME_SPHERE_MM).sum())
@@ -210,12 +207,10 @@ class Spheres:
 
     @property
     def rms_mm(self) -> float:
-        """3-D error of the spheres found."""
         return math.sqrt(sum(error**2 for error in self.errors_mm) / len(self.errors_mm))
 
     @property
     def counts(self) -> dict[str, float]:
-        """Return the counts for the JSON output."""
         return {"spheres": self.there, "missed": self.missed, "false": self.false}
 
 
@@ -290,7 +285,6 @@ def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
 
 
 def _memory(case: Case, series: Path) -> Figure:
-    """Peak memory of the whole command."""
     child = subprocess.Popen(
         command("procedures.cli.ct", "localize", str(series), "--json"), stdout=subprocess.DEVNULL
     )

@@ -51,8 +51,6 @@ class Painted:
 
 @dataclass
 class Count:
-    """Outcomes for markers and objects."""
-
     volumes: int = 0
     markers: int = 0
     missed: int = 0
@@ -68,11 +66,9 @@ class Count:
 
     @property
     def rms_um(self) -> float:
-        """3-D error of the markers found."""
         return 1e3 * float(np.sqrt(self.squared_mm2 / max(len(self.chi2), 1)))
 
     def add(self, found: Localization | None, candidates: tuple[Candidate, ...], painted: Painted) -> None:
-        """Compare one localization with the truth."""
         self.volumes += 1
         self.markers += len(painted.centres_mm)
         self.objects += len(painted.objects)
@@ -128,7 +124,6 @@ def paint(scan: Scan, margins_mm: Point = MARGINS_MM) -> Painted:
 
 
 def judge(painted: Painted, count: Count) -> None:
-    """Localize without the expected count."""
     try:
         found = localize(painted.volume)
         count.add(found, found.candidates, painted)
@@ -174,7 +169,6 @@ def _nearest_kind(centre_mm: Array, painted: Painted) -> str:
 
 
 def main() -> None:
-    """Print one line per family and protocol."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     judging = [name for name, one in FAMILIES.items() if one.look_alikes and one.purpose is Purpose.JUDGING]
     parser.add_argument("families", nargs="*", default=judging)

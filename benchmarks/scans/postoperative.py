@@ -35,7 +35,6 @@ GOAL_MM, GOAL_DEG = 0.2, 0.3
 
 
 def volume_of(grid: CtGrid, slices: list[NDArray[np.uint16]], uid: str) -> Volume:
-    """Painted slices as a volume in patient coordinates."""
     voxels = (np.stack(slices).astype(np.int32) + INTERCEPT_HU).astype(np.int16)
     spacing = np.array([grid.slice_mm, grid.pixel_mm, grid.pixel_mm])
     geometry = VoxelGeometry(voxels.shape, np.array(grid.origin_mm), np.eye(3)[:, ::-1], spacing)
@@ -43,19 +42,16 @@ def volume_of(grid: CtGrid, slices: list[NDArray[np.uint16]], uid: str) -> Volum
 
 
 def before(scene: Scene) -> Volume:
-    """The scan used for planning."""
     scan = plain_scan(scene)
     planes = Planes(scan)  # without the fine patches of the spheres, which are irrelevant here
     return volume_of(scan.grid, [stored_values(planes.paint(k)) for k in range(scan.grid.slices)], "1.2.1")
 
 
 def after(scan: PostoperativeScan) -> Volume:
-    """The postoperative scan."""
     return volume_of(scan.grid, [stored_values(scan.paint(k)) for k in range(scan.grid.slices)], "1.2.2")
 
 
 def plan_of(scene: Scene) -> Plan:
-    """Its trajectories as a plan on the first scan."""
     trajectories = tuple(
         PlannedTrajectory(
             id=one.identifier, entry_mm=one.entry_ct_mm, target_mm=one.target_ct_mm, margin_mm=one.margin_mm
@@ -79,7 +75,6 @@ def plan_of(scene: Scene) -> Plan:
 
 
 def misplaced(scene: Scene, kind: Kind, seed: int) -> tuple[Instrument, ...]:
-    """Instruments that are off their plans."""
     generator = noise(seed, "misplaced", 0)
     found = []
     for target in scene.head.targets:
@@ -103,7 +98,6 @@ def errors_of(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, 
 
 
 def main() -> None:
-    """Print one line per phantom, then the distribution."""
     options = argparse.ArgumentParser()
     options.add_argument("--phantoms", type=int, default=100)
     options.add_argument("--first", type=int, default=0)

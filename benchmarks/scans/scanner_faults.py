@@ -86,8 +86,6 @@ TILTS = tuple(Case(f"gantry tilt of {tilt:g}°", ScannerFaults(tilt_deg=tilt)) f
 
 @dataclass
 class Cost:
-    """Outcomes for the markers of some volumes."""
-
     volumes: int = 0
     refused: int = 0
     markers: int = 0
@@ -134,7 +132,6 @@ class Cost:
             self.fitted_mm2 += [fit.fre_mm**2] * len(pairs)
 
     def row(self, case: Case) -> dict[str, object]:
-        """Return the row of the data file, lengths in µm."""
         said = sorted(set(self.said))
         if not self.squares_mm2:
             return {"fault": case.words, "options": _options(case), "told": " / ".join(said) or "refused"}
@@ -176,13 +173,11 @@ def _scan(case: Case, seed: int) -> Scan:
 
 
 def with_noise(scan: Scan, noise_hu: float) -> Scan:
-    """The scan with another noise than its protocol's."""
     protocol = scan.scene.ct.model_copy(update={"noise_HU": noise_hu})
     return replace(scan, scene=scan.scene.model_copy(update={"ct": protocol}))
 
 
 def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
-    """Measure every case on the same markers."""
     cost = Cost()
     slow = case.faults.beam_hardening > 0.0  # to paint: one volume
     for number in range(1 if slow else volumes):
@@ -227,7 +222,6 @@ class Quiet:
         self.shear_percent = max(self.shear_percent, 1e2 * distortion.shear)
 
     def figures(self) -> dict[str, object]:
-        """Return the figures for the data file."""
         return {
             "volumes": self.volumes,
             "measured": self.measured,
@@ -257,7 +251,6 @@ def quiet(volumes: int, seed: int) -> Quiet:
 
 
 def refused(case: Case, seed: int) -> dict[str, object]:
-    """The result of reading the series."""
     scan = replace(plain_scan(named_scene("mini", seed=seed)), faults=case.faults)
     with tempfile.TemporaryDirectory() as folder:
         try:
@@ -269,7 +262,6 @@ def refused(case: Case, seed: int) -> dict[str, object]:
 
 
 def main() -> None:
-    """Print one line per fault."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
     parser.add_argument("--volumes", type=int, default=4, help="of each fault")
     parser.add_argument("--seed", type=int, default=9000)

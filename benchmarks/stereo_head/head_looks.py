@@ -54,7 +54,6 @@ class TrueHead:
 
     @cached_property
     def record(self) -> StereoHeadCalibration:
-        """The record supplied by the theatre."""
         calibration = parse_theatre(theatre_content(self.scene, ENDPOINTS, "host:", {}, 1.0)).calibration
         assert calibration is not None
         return calibration.stereo_head
@@ -136,7 +135,6 @@ class TrueHead:
 
 
 def true_head(seed: int = 3, **noises: float) -> TrueHead:
-    """The head of a built-in scene."""
     return TrueHead(named_scene("mini", seed=seed), **noises)
 
 

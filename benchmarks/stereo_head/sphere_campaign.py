@@ -45,8 +45,6 @@ LIMB = 0.75  # brightness of the film at the rim
 
 @dataclass
 class Tally:
-    """The content of one row of the table."""
-
     images: int = 0
     trusted: int = 0
     errors_mm: list[Array] = field(default_factory=list)
@@ -56,17 +54,14 @@ class Tally:
 
     @property
     def rms_um(self) -> float:
-        """Root mean square 3-D error of the points returned."""
         return _rms_um([float(np.linalg.norm(error)) for error in self.errors_mm])
 
     @property
     def largest_um(self) -> float:
-        """Largest 3-D error."""
         return 1e3 * max((float(np.linalg.norm(error)) for error in self.errors_mm), default=float("nan"))
 
     @property
     def bound_um(self) -> float:
-        """The Cramér-Rao bound on the 3-D rms error."""
         return _rms_um(self.bounds_mm)
 
     @property
@@ -76,7 +71,6 @@ class Tally:
 
     @property
     def distrusted_share(self) -> float:
-        """Share of the images without a reliable centre."""
         return 1.0 - self.trusted / self.images
 
 
@@ -169,7 +163,6 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
 
 
 def _measured(view: View, tally: Tally) -> SphereImage | None:
-    """The outline if it is reliable."""
     tally.images += 1
     try:
         found = measure_sphere(view.picture)
@@ -230,12 +223,10 @@ class Verdicts:
 
     @property
     def pairs(self) -> int:
-        """Total number."""
         return self.right + self.second + self.wrong + self.none
 
 
 def deceive(studio: Studio, case: Case, count: int, *, seed: int = 9) -> Verdicts:
-    """Locate the sphere in `count` pairs of a case."""
     calibration = studio.calibration()
     verdicts = Verdicts()
     for pair in studio.pairs(case, count, seed):

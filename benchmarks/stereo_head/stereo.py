@@ -107,7 +107,6 @@ def _accuracy(studio: Studio) -> list[Figure]:
 
 
 def _distrust(studio: Studio) -> list[Figure]:
-    """Measure the share distrusted with more than 38 % of the rim lost."""
     figures = []
     for case in (HALF_HIDDEN, JUST_HIDDEN):
         tally = campaign(studio, case, OTHER_PAIRS)
@@ -148,7 +147,6 @@ def _servo() -> list[Figure]:
 
 
 def _pair_work(studio: Studio, pair: Pair) -> Callable[[], object]:
-    """Return the servo's work on a pair."""
     calibration = studio.calibration()
     left, right = (AreaImage(view.picture, *view.offset_px) for view in pair.views)
     return lambda: locate_sphere(left, right, calibration)

@@ -80,7 +80,6 @@ def with_ideal_arm(scene: Scene) -> Scene:
 
 
 def without_arm_errors(scene: Scene) -> Scene:
-    """Remove the arm's errors; the mount is as drawn."""
     mount = scene.mount.model_copy(update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal})
     return with_ideal_arm(scene).model_copy(update={"mount": mount})
 
@@ -99,15 +98,12 @@ class CellArm:
     motions: int = 0
 
     def read_state(self, timeout_s: float = 1.0) -> SimpleNamespace:
-        """The encoders."""
         return SimpleNamespace(joints_rad=self.joints_rad)
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> SimpleNamespace:
-        """The stereo head, always."""
         return SimpleNamespace(number=STEREO_HEAD_NUMBER)
 
     def move_joints(self, target_rad: JointVector, **_more: Any) -> SimpleNamespace:
-        """Go there."""
         ways = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
         self.flanks = [
             float(np.sign(way)) if way else flank for way, flank in zip(ways, self.flanks, strict=True)
@@ -118,7 +114,6 @@ class CellArm:
         return self.read_state()
 
     def move_linear(self, target: Transform, **_more: Any) -> SimpleNamespace:
-        """Go there in the present branch."""
         return self.move_joints(
             self.kinematics.solve_branch(
                 Pose.from_transform(target), self.kinematics.branch_of(self.joints_rad), self.joints_rad
@@ -139,31 +134,32 @@ class CellStereo:
         self.clock = HostClock()
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 2.0) -> None:
-        """Read these parts of the sensors."""
         for (_, _, settings), area in zip(self._cameras, (left, right), strict=True):
             settings.offset_x, settings.offset_y = area.offset_x, area.offset_y
             settings.width, settings.height = area.width, area.height
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 2.0) -> None:
-        """Set both cameras to the same values."""
         self._exposure_us = exposure_us
         for _, _, settings in self._cameras:
             settings.exposure_us, settings.gain_raw = round(exposure_us), gain_raw
 
     def scale_exposure(self, share: float, timeout_s: float = 2.0) -> None:
-        """Multiply the exposure that was set by `share`."""
         for _, _, settings in self._cameras:
             settings.exposure_us = round(share * self._exposure_us)
 
     def grab_pair(self, timeout_s: float = 5.0) -> StereoReading:
-        """Draw a pair."""
         self.pairs += 1
         stamp = Stamp(self.pairs, self.pairs, self.clock.now_s())
         left, right = (
-            CameraImage(stamp, Validity.OK, serial, _pixels(camera, settings, self.pairs), _area(settings))
-            for camera, serial, settings in self._cameras
+            self._image(stamp, camera, serial, settings) for camera, serial, settings in self._cameras
         )
         return StereoReading(stamp, Validity.OK, left, right)
+
+    def _image(self, stamp: Stamp, camera: Photographer, serial: str, settings: Settings) -> CameraImage:
+        drawn = camera.triggered(settings.frame(), self.pairs)
+        pixels = np.frombuffer(drawn, np.uint8).reshape(settings.height, settings.width)
+        area = AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
+        return CameraImage(stamp, Validity.OK, serial, pixels, area)
 
 
 @dataclass(frozen=True)
@@ -233,7 +229,6 @@ class StereoCell:
             return self.centre(start)
 
     def look_from(self, start: Start) -> Look:
-        """Measure once from a start, on full sensors."""
         self._go(start.expected.as_matrix())
         self._workcell.sensors.read_whole()
         return self._workcell.look()
@@ -283,15 +278,6 @@ def _transform(matrix: Array) -> Transform:
     return Transform.of(
         Frame.ROBOT, Frame.TOOL, translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
     )
-
-
-def _area(settings: Settings) -> AreaOfInterest:
-    return AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
-
-
-def _pixels(camera: Photographer, settings: Settings, number: int) -> NDArray[np.uint8]:
-    image = camera.triggered(settings.frame(), number)
-    return np.frombuffer(image, np.uint8).reshape(settings.height, settings.width)
 
 
 START_MM = 5.0

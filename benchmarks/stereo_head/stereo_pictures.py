@@ -85,14 +85,11 @@ class Pair:
 
     @property
     def views(self) -> tuple[View, View]:
-        """Left, right."""
         return self.left, self.right
 
 
 @dataclass(frozen=True)
 class Studio:
-    """A stereo head and its optics."""
-
     scene: Scene = field(default_factory=lambda: named_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:

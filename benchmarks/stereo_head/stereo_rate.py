@@ -121,7 +121,6 @@ def _sums(rounds: list[Sums]) -> Sums:
 
 
 def _drawing() -> Figure:
-    """CPU of one image drawn on a trigger, in an area as used by the servo loop."""
     from sim.basler.camera.photographer import Photographer
     from sim.basler.optics.canvas import Area
     from sim.basler.settings import Settings

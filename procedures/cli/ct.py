@@ -19,17 +19,18 @@ from ronna_hw.command_line.options import require_folder_of
 from ronna_hw.text import counted
 
 if TYPE_CHECKING:
-    from procedures.imaging import Candidate, Localization, Marker, PatientIdentity
+    from procedures.imaging import Candidate, Localization, Marker
 
 X_FRAME = "xframe"  # a layout that needs no file
 READING_SHARE = 0.4  # of the progress bar
 PICTURED_CANDIDATES = 12  # when the count is wrong: as many as a person will look at
-app = typer.Typer(
-    name="ronna-ct",
-    no_args_is_help=True,
-    add_completion=False,
-    rich_markup_mode=None,
-)
+SeriesArgument = Annotated[
+    Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
+]
+DiameterOption = Annotated[
+    float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
+]
+app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, rich_markup_mode=None)
 
 
 class Method(StrEnum):
@@ -50,12 +51,8 @@ app.command()(postoperative)
 
 @app.command()
 def localize(
-    series_dir: Annotated[
-        Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
-    ],
-    diameter_mm: Annotated[
-        float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
-    ] = 11.5,
+    series_dir: SeriesArgument,
+    diameter_mm: DiameterOption = 11.5,
     expected: Annotated[
         int | None,
         typer.Option(
@@ -65,8 +62,7 @@ def localize(
     method: Annotated[
         Method,
         typer.Option(
-            "--method",
-            help="combined is ours; the other two are the thesis methods, for comparison.",
+            "--method", help="combined is ours; the other two are the thesis methods, for comparison."
         ),
     ] = Method.COMBINED,
     layout: Annotated[
@@ -186,7 +182,15 @@ def localize(
     write_spheres(result, write or (), patient)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
-        document = _document(result, elapsed_s, patient, candidates)
+        document: dict[str, Any] = {
+            "markers": [marker.document() for marker in result.markers],
+            "series_instance_uid": result.series_instance_uid,
+            "elapsed_s": elapsed_s,
+        }
+        if patient is not None:
+            document["patient"] = patient.as_dict()
+        if candidates is not None:
+            document["candidates"] = _listed(candidates)
         if found is not None:
             document["layout"] = {"residual_rms_mm": found.residual_rms_mm, "others": len(found.others)}
         terminal.print_json(document)
@@ -202,15 +206,11 @@ def localize(
 
 @app.command()
 def view(
-    series_dir: Annotated[
-        Path, typer.Argument(metavar="SERIES_DIR", help="Folder with the DICOM files of one CT series.")
-    ],
+    series_dir: SeriesArgument,
     out: Annotated[
         Path, typer.Option("--out", metavar="FILE", help="The page to write; open it in a browser.")
     ] = Path("ct.html"),
-    diameter_mm: Annotated[
-        float, typer.Option("--diameter-mm", min=2.0, max=50.0, help="Diameter of the marker spheres in mm.")
-    ] = 11.5,
+    diameter_mm: DiameterOption = 11.5,
 ) -> None:
     """Write one HTML page of a CT: three planes to scroll, markers and candidates with reasons and odds.
 
@@ -270,24 +270,6 @@ def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     ]
 
 
-def _document(
-    result: Localization,
-    elapsed_s: float,
-    patient: PatientIdentity | None,
-    candidates: list[Candidate] | None,
-) -> dict[str, Any]:
-    document: dict[str, Any] = {
-        "markers": [marker.document() for marker in result.markers],
-        "series_instance_uid": result.series_instance_uid,
-        "elapsed_s": elapsed_s,
-    }
-    if patient is not None:
-        document["patient"] = patient.as_dict()
-    if candidates is not None:
-        document["candidates"] = _listed(candidates)
-    return document
-
-
 def _print_markers(result: Localization) -> None:
     rows = []
     for number, marker in enumerate(result.markers, start=1):
@@ -296,7 +278,7 @@ def _print_markers(result: Localization) -> None:
         sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
         rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
     terminal.print_table(
-        f"{len(rows)} marker{'s' if len(rows) != 1 else ''}, LPS in mm",
+        f"{counted(len(rows), 'marker')}, LPS in mm",
         ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"],
         rows,
     )
@@ -310,7 +292,7 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         odds = f"{one.odds:.2f}"
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
     terminal.print_table(
-        f"{len(rows)} candidate{'s' if len(rows) != 1 else ''}, LPS in mm",
+        f"{counted(len(rows), 'candidate')}, LPS in mm",
         ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"],
         rows,
     )
@@ -323,7 +305,6 @@ def _write_pictures(folder: Path, name: str, pictures: Sequence[bytes]) -> None:
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)
 
 

@@ -10,7 +10,14 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from procedures.cli.planning_inputs import HomeOption, SixNumbers, read_ct, theatre_of
+from procedures.cli.planning_inputs import (
+    HomeOption,
+    PlanArgument,
+    PlannedSeriesOption,
+    SixNumbers,
+    read_ct,
+    theatre_of,
+)
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -23,11 +30,8 @@ CHOSEN_BY_PLACE = "best"
 
 
 def place(
-    plan_file: Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")],
-    series_dir: Annotated[
-        Path,
-        typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on."),
-    ],
+    plan_file: PlanArgument,
+    series_dir: PlannedSeriesOption,
     config: Annotated[
         Path, typer.Option("--config", metavar="FILE", help="Theatre file: its arm and surroundings.")
     ],
@@ -58,10 +62,7 @@ def place(
     turned: Annotated[
         float,
         typer.Option(
-            metavar="DEG",
-            min=-180.0,
-            max=180.0,
-            help="Rotation of the cart, counter-clockwise from above.",
+            metavar="DEG", min=-180.0, max=180.0, help="Rotation of the cart, counter-clockwise from above."
         ),
     ] = 0.0,
     home: HomeOption = None,

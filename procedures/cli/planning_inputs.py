@@ -27,6 +27,10 @@ DEFAULT_STRATEGY = "ocs"
 NEAREST_CT_MM = 10.0  # from base to CT frame, unless they are one; any theatre in metres would be closer
 SixNumbers = tuple[float, float, float, float, float, float]
 
+PlanArgument = Annotated[Path, typer.Argument(metavar="PLAN", help="The plan.toml.")]
+PlannedSeriesOption = Annotated[
+    Path, typer.Option("--ct", metavar="SERIES_DIR", help="Folder of the CT series it was planned on.")
+]
 StrategyOption = Annotated[
     str,
     typer.Option(

@@ -132,7 +132,6 @@ app.command("new-theatre")(new_theatre)
 
 
 def main() -> None:
-    """Entry point of the console script."""
     run(app)
 
 

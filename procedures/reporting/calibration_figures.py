@@ -116,20 +116,16 @@ class HeadFigures(RecordFigures):
         )
 
     def quality(self) -> Iterator[Figure]:
-        """Yield the tool centre with its standard error, and the residuals of cameras and arm."""
         used = [value for value, is_used in self.looks_px if is_used]
         rms_px = math.sqrt(sum(value**2 for value in used) / max(len(used), 1))
         yield Figure("cameras", f"{self.serials[0]} left, {self.serials[1]} right")
         yield Figure("measurements", f"{len(used)} used, {len(self.outliers)} left out")
         for number, axis in enumerate(AXES):
-            sigma_mm = math.sqrt(self.tool_covariance_mm2[number][number])
-            value_mm = self.flange_from_tool.translation_mm[number]
-            yield Figure(
-                f"tool centre on the flange, {axis}, mm", millimetres(value_mm), millimetres(sigma_mm)
-            )
-        yield Figure(
-            "shift of the tool centre, mm", millimetres(self.tool_shift_mm), millimetres(self.tool_error_mm)
-        )
+            sigma = millimetres(math.sqrt(self.tool_covariance_mm2[number][number]))
+            value = millimetres(self.flange_from_tool.translation_mm[number])
+            yield Figure(f"tool centre on the flange, {axis}, mm", value, sigma)
+        shift, error = millimetres(self.tool_shift_mm), millimetres(self.tool_error_mm)
+        yield Figure("shift of the tool centre, mm", shift, error)
         slip = "not compared" if self.smallest_slip_mm is None else millimetres(self.smallest_slip_mm)
         yield Figure("smallest slip on the mount that would show, mm", slip)
         yield Figure("error of a point in the tool frame, mm", "", millimetres(self.stated_error_mm))
@@ -140,7 +136,6 @@ class HeadFigures(RecordFigures):
         yield Figure("arm error, random part, mm", millimetres(self.arm_scatter_mm))
 
     def warnings(self) -> Iterator[str]:
-        """Yield warnings of a head that moved or may have slipped, and of an arm worse than it repeats."""
         if self.head_moved:
             yield (
                 f"the tool centre is {self.tool_shift_mm:.2f} mm from where the previous calibration had it, "
@@ -185,11 +180,9 @@ class HeadCheckFigures(Figures):
     signs: tuple[SignFigures, ...]
 
     def table(self) -> Iterator[Figure]:
-        """The signs of a change, and where the ball is now."""
         yield Figure("calibration", self.calibration)
-        yield Figure(
-            "measurements", str(self.looks), f"arm: {micrometres(self.repeatability_mm)} µm per axis"
-        )
+        repeatability = f"arm: {micrometres(self.repeatability_mm)} µm per axis"
+        yield Figure("measurements", str(self.looks), repeatability)
         for sign in self.signs:
             yield Figure(
                 f"{sign.name}, {sign.unit}",
@@ -224,7 +217,6 @@ class ArmFigures(RecordFigures):
     parameters: dict[str, ParameterFigures]
 
     def quality(self) -> Iterator[Figure]:
-        """Errors at held-out measurements, and the parameters that the others did not determine."""
         yield Figure("measurements", f"{self.looks - self.outliers} used, {self.outliers} left out")
         yield Figure("measurements held out for validation", str(self.validation_looks))
         yield Figure("error at these, nominal arm, mm rms", millimetres(self.before_mm))
@@ -248,7 +240,6 @@ class ArmCheckFigures(Figures):
     limit: float
 
     def table(self) -> Iterator[Figure]:
-        """The error of the arm, and whether it has changed."""
         yield Figure("measurements", str(self.looks))
         yield Figure(
             "error, mm rms",
@@ -281,29 +272,22 @@ class FrameFigures(RecordFigures):
     change_rad: float
 
     def quality(self) -> Iterator[Figure]:
-        """Errors at held-out poses, the frame's position, and the contributions to its error."""
         yield Figure("frame", self.frame)
         yield Figure("poses", f"{self.poses - self.outliers} used, {self.outliers} left out")
         yield Figure("poses held out for validation", str(self.validation_poses))
         yield Figure("error at these, mm rms", expected_mm(self.validation_mm, self.predicted_mm))
-        yield Figure(
-            "error at these, degrees rms",
-            f"{degrees(self.validation_rad)}, expected {degrees(self.predicted_rad)}",
-        )
+        turned = f"{degrees(self.validation_rad)}, expected {degrees(self.predicted_rad)}"
+        yield Figure("error at these, degrees rms", turned)
         for axis, value_mm in zip(AXES, self.tool_from_marker.translation_mm, strict=True):
             yield Figure(f"frame in the tool frame, {axis}, mm", millimetres(value_mm))
         yield Figure("found on this arm, mm", "", millimetres(self.error_mm))
         yield Figure("found on this arm, degrees", "", degrees(self.error_rad))
         yield Figure("contribution of the arm, mm", "", millimetres(self.arm_error_mm))
         yield Figure("stated error, mm", "", millimetres(self.stated_error_mm))
-        yield Figure(
-            "arm and tracker, scatter per axis",
-            f"{millimetres(self.scatter_mm)} mm, {degrees(self.scatter_rad)} degrees",
-        )
-        yield Figure(
-            "change from the former record",
-            f"{millimetres(self.change_mm)} mm, {degrees(self.change_rad)} degrees",
-        )
+        scatter = f"{millimetres(self.scatter_mm)} mm, {degrees(self.scatter_rad)} degrees"
+        yield Figure("arm and tracker, scatter per axis", scatter)
+        change = f"{millimetres(self.change_mm)} mm, {degrees(self.change_rad)} degrees"
+        yield Figure("change from the former record", change)
 
 
 class TipFigures(RecordFigures):
@@ -325,7 +309,6 @@ class TipFigures(RecordFigures):
     change_mm: float
 
     def quality(self) -> Iterator[Figure]:
-        """Errors at held-out readings, the tip's position, and the contributions to its error."""
         yield Figure("tool", str(self.tool_number))
         yield Figure("readings", str(self.readings))
         yield Figure("readings held out for validation", str(self.validation_readings))
@@ -335,11 +318,8 @@ class TipFigures(RecordFigures):
         yield Figure("from these readings, mm", "", millimetres(self.error_mm))
         yield Figure("stated error, including the stand, mm", "", millimetres(self.stated_error_mm))
         yield Figure("scatter of a reading per axis, mm", millimetres(self.reading_scatter_mm))
-        yield Figure(
-            "offset of the divot from the ball by pivoting, mm",
-            millimetres(math.hypot(*self.gap_mm)),
-            millimetres(self.gap_error_mm),
-        )
+        gap, error = millimetres(math.hypot(*self.gap_mm)), millimetres(self.gap_error_mm)
+        yield Figure("offset of the divot from the ball by pivoting, mm", gap, error)
         yield Figure("change from the former record, mm", millimetres(self.change_mm))
 
 
@@ -366,12 +346,9 @@ class BallFigures(Figures):
     right: OutlineFigures
 
     def table(self) -> Iterator[Figure]:
-        """The ball in the tool frame."""
         for number, axis in enumerate(AXES):
-            sigma_mm = math.sqrt(self.covariance_mm2[number][number])
-            yield Figure(
-                f"ball in the tool frame, {axis}, mm", f"{self.position_mm[number]:.4f}", f"{sigma_mm:.4f}"
-            )
+            sigma = f"{math.sqrt(self.covariance_mm2[number][number]):.4f}"
+            yield Figure(f"ball in the tool frame, {axis}, mm", f"{self.position_mm[number]:.4f}", sigma)
         yield Figure("gap of the lines of sight, µm", micrometres(self.ray_gap_mm))
         yield Figure("radius, mm", millimetres(self.radius_mm))
 

@@ -83,7 +83,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     """
     reading = read_for_report(folder, every_file=every_file)
     coarse, tracked = reading.find(Correspondence), reading.find(GlobalLocalization)
-    registered = _still_true(reading, RegisteredRobot)
+    registered = _currently_valid(reading, RegisteredRobot)
     poses = {name: one.robot_from_ct.transform for one in registered for name in one.trajectories}
     latest = registered[-1].robot_from_ct.transform if registered else None
     pose = latest or (coarse.robot_from_ct.transform if coarse else None)
@@ -112,7 +112,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
     )
 
 
-def _still_true(reading: RunReading, model: type[R]) -> list[R]:
+def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
     """Return valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
@@ -130,7 +130,7 @@ def _spheres(reading: RunReading, pose: Transform | None) -> tuple[SphereFigure,
     partner = {pair[0]: pair[1] for pair in coarse.pairs} if coarse else {}
     stereo = {
         fiducial: _point(place)
-        for result in _still_true(reading, Relocalization)
+        for result in _currently_valid(reading, Relocalization)
         for fiducial, place in zip(result.fiducials, result.points_mm, strict=True)
     }
     return tuple(

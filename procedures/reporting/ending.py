@@ -36,7 +36,7 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
     closed = ended if ended is not None and ended["entry"] == Entry.CLOSED else None
     last = next((line for line in reversed(journal) if line["entry"] in ENDS_A_STEP), None)
     if opened is None:
-        return _with_error("not begun", "The run ended before its theatre was open.", error)
+        return Ending("not begun", *_with_error("The run ended before its theatre was open.", error))
     if closed is None:
         running = next((line for line in reversed(journal) if line["entry"] == Entry.INTENT), None)
         where = (
@@ -44,37 +44,44 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
         )
         return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
     inside = closed.get("instrument_in")
-    instrument_in = inside if isinstance(inside, str) else None
+    word, sentence, code = _closed_ending(journal, closed, last, error)
+    return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
+
+
+def _closed_ending(
+    journal: Sequence[Line], closed: Line, last: Line | None, error: RunError | None
+) -> tuple[str, str, str]:
+    """Return word, sentence and code of a closed run whose last step ended with the line `last`."""
     outcome = closed.get("outcome")
     if outcome == "done" and error is not None:  # computed after the steps
-        return Ending("failed", f"Every step was done, but {error.what}", error.code, instrument_in)
+        return "failed", f"Every step was done, but {error.what}", error.code
     if outcome == "done":
-        doubts = targets_in_doubt(journal)
-        sentence = f"Every step was done{_after(journal)}."
-        if doubts:
+        if doubts := targets_in_doubt(journal):
             why = "; ".join(dict.fromkeys(one for each in doubts.values() for one in each))
-            sentence = f"Every step was done, but not every target is confirmed: {why}."
-        return Ending("in doubt" if doubts else "done", sentence, instrument_in=instrument_in)
+            return "in doubt", f"Every step was done, but not every target is confirmed: {why}.", ""
+        return "done", f"Every step was done{_incidents(journal)}.", ""
     step = "" if last is None else str(last.get("step", ""))
+    during = f" during {step}" if step else ""
     if outcome == "left":
-        after = f" after {step}" if step else " before its first step"
-        return Ending("left", f"The operator left the case{after}.", instrument_in=instrument_in)
+        return (
+            "left",
+            f"The operator left the case{f' after {step}' if step else ' before its first step'}.",
+            "",
+        )
     if outcome == "interrupted":
-        return Ending("interrupted", f"It was interrupted{_during(step)}.", instrument_in=instrument_in)
+        return "interrupted", f"It was interrupted{during}.", ""
     if last is not None and last["entry"] == Entry.INTERRUPTED:
-        return Ending("aborted", f"The operator ended it{_during(step)}.", instrument_in=instrument_in)
+        return "aborted", f"The operator ended it{during}.", ""
     if last is not None and last["entry"] == Entry.REFUSED:
         unmet = last.get("unmet")
         reasons = "; ".join(map(str, unmet)) if isinstance(unmet, list) else ""
-        over = _acknowledged_since(journal, last)
-        return Ending("refused", f"{step} was refused: {reasons}.{over}", instrument_in=instrument_in)
+        return "refused", f"{step} was refused: {reasons}.{_acknowledged_since(journal, last)}", ""
     if last is not None and last["entry"] == Entry.FAILED:
-        code = str(last.get("code", ""))
         over = _acknowledged_since(journal, last)
-        return Ending("failed", f"{step} failed. {last.get('what', '')}{over}", code, instrument_in)
+        return "failed", f"{step} failed. {last.get('what', '')}{over}", str(last.get("code", ""))
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
-    return _with_error("failed", f"It failed after {step}." if step else "It failed.", error, instrument_in)
+    return "failed", *_with_error(f"It failed after {step}." if step else "It failed.", error)
 
 
 def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
@@ -95,7 +102,7 @@ def _is_named(acknowledged: Line, said: str) -> bool:
     return f"the {acknowledged.get('device')} is in fault" in said or (code != "" and code in said)
 
 
-def _after(journal: Sequence[Line]) -> str:
+def _incidents(journal: Sequence[Line]) -> str:
     """Name the incidents of a finished case; empty if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
@@ -136,11 +143,5 @@ def _is_stop(line: Line) -> bool:
     return any("emergency stop" in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
 
 
-def _during(step: str) -> str:
-    return f" during {step}" if step else ""
-
-
-def _with_error(word: str, sentence: str, error: RunError | None, instrument_in: str | None = None) -> Ending:
-    if error is None:
-        return Ending(word, sentence, instrument_in=instrument_in)
-    return Ending(word, f"{sentence} {error.what}", error.code, instrument_in)
+def _with_error(sentence: str, error: RunError | None) -> tuple[str, str]:
+    return (sentence, "") if error is None else (f"{sentence} {error.what}", error.code)

@@ -7,7 +7,7 @@ import contextlib
 import csv
 import io
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import astuple, dataclass, field, fields
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 
 from procedures.postoperative.summary import PostoperativeCheck
@@ -74,63 +74,54 @@ class ReportFiles:
     def targets(self, rows: Sequence[TargetRow]) -> None:
         """Error, prediction and its budget at each target, one column per source."""
         sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
-        head = ("target", "depth_mm", "predicted_rms_mm", "predicted_limit_mm", "confidence")
-        truth = ("error_mm", "lateral_mm", "axial_mm")
-        lines: list[tuple[object, ...]] = []
+        lines: list[dict[str, object]] = []
         for row in rows:
-            prediction = row.predicted
-            shares = {share.source: share.rms_mm for share in prediction.budget}
+            shares = {share.source: share.rms_mm for share in row.predicted.budget}
             lines.append(
-                (
-                    *(
-                        row.target,
-                        row.depth_mm,
-                        prediction.rms_mm,
-                        prediction.limit_mm,
-                        prediction.confidence,
-                    ),
-                    *(row.error_mm, row.lateral_mm, row.axial_mm),
-                    *(shares.get(source) for source in sources),
-                )
+                {
+                    "target": row.target,
+                    "depth_mm": row.depth_mm,
+                    "predicted_rms_mm": row.predicted.rms_mm,
+                    "predicted_limit_mm": row.predicted.limit_mm,
+                    "confidence": row.predicted.confidence,
+                    "error_mm": row.error_mm,
+                    "lateral_mm": row.lateral_mm,
+                    "axial_mm": row.axial_mm,
+                    **{f"{source.replace(' ', '_')}_rms_mm": shares.get(source) for source in sources},
+                }
             )
-        names = [f"{source.replace(' ', '_')}_rms_mm" for source in sources]
-        self.text("targets.csv", _csv((*head, *truth, *names), lines))
+        self.text("targets.csv", _csv(lines))
 
     def looks(self, looks_px: Sequence[tuple[float, bool]]) -> None:
         """Rms residual of each view of a calibration."""
-        rows = [(number, *one) for number, one in enumerate(looks_px, start=1)]
-        self.text("looks.csv", _csv(("look", "rms_px", "used"), rows))
+        rows = [
+            {"look": number, "rms_px": rms_px, "used": used}
+            for number, (rms_px, used) in enumerate(looks_px, start=1)
+        ]
+        self.text("looks.csv", _csv(rows))
 
     def timeline(self, spans: Sequence[Span]) -> None:
         """Every step, motion and pause with its theatre time."""
-        self.text("timeline.csv", _csv([one.name for one in fields(Span)], map(astuple, spans)))
+        self.text("timeline.csv", _csv(list(map(asdict, spans))))
 
     def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
         """Clearance of each checked motion, to the head and to anything else."""
-        head = ("start", "end", "kind", "head_mm", "first", "second", "distance_mm", "at")
-        nothing = (None,) * 4
         rows = [
-            (
-                *(one.start, one.end, one.kind, one.head_mm),
-                *(
-                    nothing
-                    if (near := one.closest) is None
-                    else (near.first, near.second, near.distance_mm, near.at)
-                ),
-            )
+            {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
+            | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}
             for one in motions
         ]
-        self.text(f"clearance-{trajectory}.csv", _csv(head, rows))
+        self.text(f"clearance-{trajectory}.csv", _csv(rows))
 
     def link(self, bins: Iterable[tuple[float, float, int, int]]) -> None:
         """Write both histograms of the robot link."""
-        self.text("robot_link.csv", _csv(LINK_COLUMNS, bins))
+        self.text("robot_link.csv", _csv([dict(zip(LINK_COLUMNS, one, strict=True)) for one in bins]))
 
 
-def _csv(head: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
+def _csv(rows: Sequence[Mapping[str, object]]) -> str:
     text = io.StringIO()
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(head)
+    writer = csv.DictWriter(text, list(rows[0]), lineterminator="\n")
+    writer.writeheader()
     writer.writerows(rows)
     return text.getvalue()
 

@@ -82,7 +82,6 @@ class Canvas:
         )
 
     def line(self, x1: float, y1: float, x2: float, y2: float, stroke: str) -> None:
-        """A thin line."""
         self._shapes.append(
             f'<line x1="{x1:.2f}" y1="{y1:.2f}" x2="{x2:.2f}" y2="{y2:.2f}" stroke="{stroke}"/>'
         )
@@ -129,7 +128,7 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
     for number, one in enumerate(motions):
         top = MOTION_ROW * number
         pair = "" if one.closest is None else f"  ({one.closest.first} – {one.closest.second})"
-        canvas.text(0, top + 11, _way(one) + pair)
+        canvas.text(0, top + 11, _motion_name(one) + pair)
         bars = [(one.head_mm, HEAD), (None if one.closest is None else one.closest.distance_mm, OTHER)]
         for place, (value_mm, colour) in enumerate(bars):
             if value_mm is not None:
@@ -139,14 +138,14 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
     return canvas.svg
 
 
-def _way(one: MotionRow) -> str:
+def _motion_name(one: MotionRow) -> str:
     """Name a motion for a reader; spheres count from 1."""
     if one.start == one.end:
-        return f"{_place(one.end)}, along the axis"
-    return f"{_place(one.start)} → {_place(one.end)}"
+        return f"{_place_name(one.end)}, along the axis"
+    return f"{_place_name(one.start)} → {_place_name(one.end)}"
 
 
-def _place(name: str) -> str:
+def _place_name(name: str) -> str:
     *_, last = name.split("/")
     kind, _, number = last.partition(" ")
     return f"sphere {int(number) + 1}" if kind == "fiducial" and number.isdigit() else last

@@ -107,8 +107,8 @@ def write_report(
         "run": run.name,
         "made": f"{datetime.now(UTC):%Y-%m-%d %H:%M} UTC",
         "opened": reading.run.opened,
-        "began": _moment(reading, 0),
-        "ended": _moment(reading, -1),
+        "began": _host_time(reading, 0),
+        "ended": _host_time(reading, -1),
         "ending": run_ending(reading.run.journal, error),
         "software": list(
             dict.fromkeys(str(one) for line in reading.run.journal if (one := line.get("software")))
@@ -153,7 +153,7 @@ def write_report(
         **_figures(reading, files, rows, [health for _, health in links]),
         **_calibration(run, files),
         "after": after,
-        **_read_twice(reading, files, rows, out),
+        **_second_reading(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
         "left_out": _left_out(reading),
@@ -166,7 +166,6 @@ def write_report(
 
 
 def _findings(reading: RunReading) -> list[str]:
-    """Collect remarks of CT, plan and drivers that stopped nothing."""
     series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
     plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
     observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
@@ -193,7 +192,6 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
 
 
 def _left_out(reading: RunReading) -> list[str]:
-    """Word the spheres and trajectories excluded with the operator's consent, and why."""
     sentences = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
     for stored in (stored for model in models for stored in reading.standing(model)):
@@ -218,7 +216,6 @@ def _spheres(result: StepResult) -> tuple[LeftOutSphere, ...]:
 def _figures(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], links: Sequence[LinkHealth]
 ) -> dict[str, Any]:
-    """Draw the pictures, each also as a file with its data; empty without anything to draw."""
     made = {"target_picture": "", "timeline_picture": "", "link_picture": ""}
     if rows:
         made["target_picture"] = target_figure(rows, bool(reading.run.opened.get("banner")))
@@ -246,7 +243,7 @@ def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
     return {"figures": [] if found is None else list(found.table()), "looks_picture": picture}
 
 
-def _read_twice(
+def _second_reading(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
 ) -> dict[str, Any]:
     """The target figures computed a second way, and whether both agree."""
@@ -270,8 +267,7 @@ def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
     return [*changes, *(("guide", link) for link in (*retreats, *looks) if link is not None)]
 
 
-def _moment(reading: RunReading, place: int) -> str:
-    """Host time of the first or the last line of the journal."""
+def _host_time(reading: RunReading, place: int) -> str:
     lines = reading.run.journal
     return str(lines[place].get("host_time", ""))[:19].replace("T", " ") if lines else ""
 

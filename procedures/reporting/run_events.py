@@ -61,9 +61,9 @@ def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 
     Findings that every program opening a run makes about the previous one are reported once.
     """
-    found = {_restarted(line) for line in journal if line["entry"] == Entry.RESTARTED}
+    found = {_restart_text(line) for line in journal if line["entry"] == Entry.RESTARTED}
     first: dict[str, RunEvent] = {}
-    for number, one in enumerate(_of_kinds(journal, _SENTENCES)):
+    for number, one in enumerate(_events_of_kinds(journal, _SENTENCES)):
         first.setdefault(one.text if one.text in found else str(number), one)
     return tuple(first.values())
 
@@ -71,7 +71,7 @@ def notable_events(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
 def advisories(journal: Sequence[Line]) -> tuple[RunEvent, ...]:
     """Return the findings and seat changes that stopped nothing; identical texts once."""
     first: dict[str, RunEvent] = {}
-    for one in _of_kinds(journal, _NOTICES):
+    for one in _events_of_kinds(journal, _NOTICES):
         first.setdefault(one.text, one)
     return tuple(first.values())
 
@@ -84,7 +84,7 @@ def clock_time(line: Line) -> str:
         return NOT_KNOWN
 
 
-def _of_kinds(
+def _events_of_kinds(
     journal: Sequence[Line], sentences: Mapping[str, tuple[str, Callable[[Line], str]]]
 ) -> Iterator[RunEvent]:
     step = ""
@@ -97,19 +97,19 @@ def _of_kinds(
             yield RunEvent(clock_time(line), theatre_time_s(line), sentences[entry][0], where, text)
 
 
-def _superseded(line: Line) -> str:
+def _repetition_text(line: Line) -> str:
     gone = _words(line.get("supersedes"))
     return f"Repeated; these results are no longer valid: {gone}" if gone else ""
 
 
-def _acknowledged(line: Line) -> str:
+def _acknowledgement_text(line: Line) -> str:
     who, device, fault = (str(line.get(field, "")) for field in ("by", "device", "fault"))
     code, words, _ = fault.partition(": ")
     what = code if words and code.isupper() else fault  # an error has been told when it came
     return f"{who} acknowledged the fault of the {device}: {what}"
 
 
-def _restarted(line: Line) -> str:
+def _restart_text(line: Line) -> str:
     """Word what a resuming program found of the previous one."""
     begun, torn = line.get("begun"), line.get("torn_bytes")
     first = f"The program ended before {begun} was complete" if begun else ""
@@ -117,7 +117,7 @@ def _restarted(line: Line) -> str:
 
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
-    Entry.RESULT: ("repetition", _superseded),
+    Entry.RESULT: ("repetition", _repetition_text),
     Entry.REFUSED: ("refusal", lambda line: _words(line.get("unmet"))),
     Entry.FAILED: ("fault", lambda line: str(line.get("what", line.get("code", "")))),
     Entry.RESTED: ("rest", lambda line: str(line.get("reason", ""))),
@@ -128,12 +128,12 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
             f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
         ),
     ),
-    Entry.ACKNOWLEDGED: ("fault", _acknowledged),
+    Entry.ACKNOWLEDGED: ("fault", _acknowledgement_text),
     Entry.DOUBTED: (
         "fault",
         lambda line: f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}",
     ),
-    Entry.RESTARTED: ("fault", _restarted),
+    Entry.RESTARTED: ("fault", _restart_text),
     Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
     Entry.MISREAD: ("repetition", lambda line: f"A wrong value was read back: {line.get('subject', '')}"),
 }

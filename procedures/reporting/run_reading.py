@@ -40,7 +40,6 @@ class RunReading:
 
     @property
     def folder(self) -> Path:
-        """The run's folder."""
         return self.run.path
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:

@@ -185,7 +185,6 @@ class _Totals:
     connection: dict[str, int | float] = field(default_factory=dict)  # its counters at the end before
 
     def add(self, line: Mapping[str, Any]) -> None:
-        """Add the counters of one active period."""
         link = line.get(LINK)
         going_on = dict(_counters(link, "")) if isinstance(link, Mapping) else {}
         counts = list(_counters(line, ""))

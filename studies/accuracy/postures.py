@@ -54,20 +54,22 @@ def plan_postures(
     arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
     served = strategy.localizes_per_trajectory
-    turned = [_turned(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]
+    turned = [_best_turn(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]
     if served:
         targets = turned
     else:  # with the free angle of the localizations, as closely as the arm allows
         targets = [
-            _reached(one, turned[0].free_angle_rad, robot_from_ct, arm) for one in phantom.trajectories
+            _nearest_turn(one, turned[0].free_angle_rad, robot_from_ct, arm) for one in phantom.trajectories
         ]
     looks = [
         pose
         for one in turned
         for pose in strategy.localization_poses(one, phantom.spheres_mm, robot_from_ct, arm)
     ]
-    joints, arrival = _entered(looks, arm)
-    target_joints, target_arrival = _entered([target_pose(one, robot_from_ct) for one in targets], arm)
+    joints, arrival = _approach_joints(looks, arm)
+    target_joints, target_arrival = _approach_joints(
+        [target_pose(one, robot_from_ct) for one in targets], arm
+    )
     if strategy.controls_approach:
         arrival = np.repeat(target_arrival, len(phantom.spheres_mm), axis=0)
     return Postures(
@@ -79,14 +81,14 @@ def plan_postures(
     )
 
 
-def _entered(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
+def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
     """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
     joints = [arm.guide_at(pose) for pose in poses]
     signs = [arrival_signs(ARM, pose, at, TOOL) for pose, at in zip(poses, joints, strict=True)]
     return np.array(joints), np.array(signs, dtype=float)
 
 
-def _turned(
+def _best_turn(
     strategy: Strategy,
     along: Trajectory,
     phantom: Phantom,
@@ -110,7 +112,7 @@ def _turned(
     raise PhantomOutOfReach(f"{strategy.name} does not reach all spheres for {along.identifier}")
 
 
-def _reached(
+def _nearest_turn(
     trajectory: Trajectory, free_angle_rad: float, robot_from_ct: Transform, arm: ArmInBranch
 ) -> Trajectory:
     """The trajectory at the free angle nearest to the wanted one with the target in reach."""

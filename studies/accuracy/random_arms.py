@@ -109,15 +109,15 @@ class RandomArms:
         x, y, z = (np.broadcast_to(part[:, None], shape) for part in tool.T)
         point: Components = (x, y, z)
         last = len(self.chain.joints) - 1
-        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._beyond(last, point))
+        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._displaced(last, point))
         for number in reversed(range(last + 1)):
             joint = self.chain.joints[number]
             if number < last:
-                point = self._beyond(number, point)
+                point = self._displaced(number, point)
             point = rotate_about_joint(joint, angles[..., number], translate(point, joint.to_next_mm))
         return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
-    def _beyond(self, link: int, point: Components) -> Components:
+    def _displaced(self, link: int, point: Components) -> Components:
         """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
         return translate(
             multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]

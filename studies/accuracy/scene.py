@@ -1,7 +1,14 @@
-"""The phantom in one position: strategies run there on random arms, in scenarios of calibration and CT."""
+"""The phantom in one position: strategies run there on random arms, in scenarios of calibration and CT.
+
+A trial localizes, registers and goes to the target. Every random number belongs to the seed, the markers, the
+arm and the position, so an error does not depend on which arms are run together. The CT of an arm's phantom
+is scanned once and used in all positions, as in the thesis; the orientation at the target is the planned one,
+since the finer transform turns it by less than a degree.
+"""
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
@@ -10,7 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
+from procedures.calibration.arm_sources import SERVO_MM, ArmPoses, arm_sources, ct_errors
+from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from procedures.strategies.strategy import Strategy
@@ -26,8 +34,7 @@ from sim.world.scene.as_built import (
 from sim.world.scene.model import ArmResidual
 from studies.accuracy.phantom import Markers, Phantom, counts_of, phantom_pose
 from studies.accuracy.postures import ARM, Postures, plan_postures
-from studies.accuracy.random_arms import RandomArms
-from studies.accuracy.trials import AXES, CT_FLE_MM, Chance, Sizes, target_errors
+from studies.accuracy.random_arms import RandomArms, Source, centre_on_spheres, reach_positions
 from studies.campaign.study import Sums
 
 CALIBRATED = ArmResidual()
@@ -39,33 +46,68 @@ Array = NDArray[np.float64]
 DIGITS = 6  # of an error in mm
 BEST = "best"  # per target and number of spheres, the strategy with the smallest predicted error
 FROM = tuple(one.name for one in CANDIDATES)
+CT_FLE_MM = 0.38  # parameter set S: 3-D rms of a sphere in the CT, including reseating
+AXES = 3
+CT_KEY, LOOKS_KEY = 7, 8  # of the random numbers
 
 
-def predict_targets(
-    planned: Postures,
-    phantom: Phantom,
-    robot_from_ct: Transform,
-    count: int,
-    left: ErrorSizes = UNCALIBRATED,
-    ct_mm: float = CT_FLE_MM,
-) -> list[TargetPrediction]:
-    """Predict the error at each target with the first `count` spheres; the fit is unweighted."""
-    spheres = robot_from_ct.apply(phantom.spheres_mm)
-    found = []
-    for number, trajectory in enumerate(phantom.trajectories):
-        first = planned.set_of(number) * len(spheres)
-        looks = slice(first, first + count)
-        target = robot_from_ct.apply(trajectory.target_mm)
-        at_spheres = ArmPoses(
-            planned.localizations.joints_rad[looks], spheres[:count], planned.arrival[looks]
+@dataclass(frozen=True)
+class Chance:
+    """Random draws for `a` arms besides the arms themselves; unit standard deviation per axis."""
+
+    ct: Array  # (a, n, 3)
+    servo: Array  # (a, s, n, 3) of every localization
+    rest: Array  # (a, s, n, 3) the same, for the arm at rest
+    sides: Array  # (a, s, n, 6) -1 or 1: side on which the servo's last step may leave each joint
+    target_rest: Array  # (a, t, 3) for the arm at rest at the target
+
+    @classmethod
+    def draw(
+        cls,
+        seed: int,
+        markers: Markers,
+        arms: Sequence[int],
+        place: int,
+        shape: tuple[int, int],
+        *,
+        scan_again: bool = False,
+    ) -> Self:
+        """Draw for arms with these numbers at a position; `shape` is targets, spheres.
+
+        Strategies share the draws, so they are compared on equal terms. `scan_again` scans the
+        CT at every position.
+        """
+        kind = zlib.crc32(markers.encode())
+        targets, spheres = shape
+        rows = []
+        for number in arms:
+            scan = [CT_KEY, number, place] if scan_again else [CT_KEY, number]
+            ct = np.random.default_rng(np.random.SeedSequence([seed, kind, *scan]))
+            looks = np.random.default_rng(np.random.SeedSequence([seed, kind, LOOKS_KEY, number, place]))
+            rows.append(
+                (
+                    ct.normal(size=(spheres, AXES)),
+                    looks.normal(size=(targets, spheres, AXES)),
+                    looks.normal(size=(targets, spheres, AXES)),
+                    looks.choice((-1.0, 1.0), size=(targets, spheres, 6)),
+                    looks.normal(size=(targets, AXES)),
+                )
+            )
+        return cls(*(np.array(column) for column in zip(*rows, strict=True)))
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """Errors outside the arm, 3-D rms in mm."""
+
+    ct_mm: float = CT_FLE_MM
+    servo_mm: float = SERVO_MM
+
+    def only(self, source: Source) -> Sizes:
+        """Keep one source only."""
+        return Sizes(
+            self.ct_mm if source is Source.CT else 0.0, self.servo_mm if source is Source.REST else 0.0
         )
-        at_target = ArmPoses(
-            planned.targets.joints_rad[[number]], target[None], planned.target_arrival[[number]]
-        )
-        ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
-        sources = [*arm_sources(ARM.chain, at_spheres, at_target, left), ct_errors(ct)]
-        found.append(predict_target_error(spheres[:count], target, sources))
-    return found
 
 
 @dataclass(frozen=True)
@@ -82,27 +124,22 @@ class Scenario:
     known: bool = False  # the backlash, to CALIBRATED_BACKLASH_RAD
     ct_mm: float = CT_FLE_MM
 
-    @property
-    def sizes(self) -> Sizes:
-        """The errors outside the arm."""
-        return Sizes(ct_mm=self.ct_mm)
-
-    def left(self, strategy: str) -> ErrorSizes:
+    def remaining_errors(self, strategy: str) -> ErrorSizes:
         """The remaining errors of the arm."""
         return replace(
             UNCALIBRATED,
             tool_mm=CALIBRATED.tool_mm if self.tool else TOOL_ERROR_MM,
             links=CALIBRATED.angle_rad / LINK_ROTATION_RAD if self.kinematics else 1.0,
-            backlash=self._backlash_left(strategy),
+            backlash=self._remaining_backlash(strategy),
         )
 
-    def _backlash_left(self, strategy: str) -> float:
+    def _remaining_backlash(self, strategy: str) -> float:
         known = self.known and strategy != ANY_APPROACH
         return CALIBRATED_BACKLASH_RAD / BACKLASH_RAD if known else 1.0
 
-    def of(self, arms: RandomArms, strategy: str) -> RandomArms:
+    def scale(self, arms: RandomArms, strategy: str) -> RandomArms:
         """Scale the arms' errors down to the part that remains for a strategy once calibrated."""
-        arms = replace(arms, backlash_rad=arms.backlash_rad * self._backlash_left(strategy))
+        arms = replace(arms, backlash_rad=arms.backlash_rad * self._remaining_backlash(strategy))
         if self.tool:
             arms = replace(arms, tool_error_mm=arms.tool_error_mm * CALIBRATED.tool_mm / TOOL_ERROR_MM)
         if not self.kinematics:
@@ -158,33 +195,82 @@ class Scene:
         """Build with every number of spheres these markers allow, and user strategies besides ours."""
         return cls(seed, markers, number, phantom, phantom_pose(number), counts_of(markers), own)
 
-    def planned(self, strategy: str, left: ErrorSizes = UNCALIBRATED) -> Postures:
+    @property
+    def targets(self) -> int:
+        return len(self.phantom.trajectories)
+
+    def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
         """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
         chosen = own.get(strategy) or strategy_named(strategy)
-        return plan_postures(chosen, self.phantom, self.robot_from_ct, left)
+        return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)
 
     def predicted(
-        self, planned: Postures, left: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
+        self, planned: Postures, sizes: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
-        """Predict the errors by number of spheres, then by target."""
+        """Predict the errors by number of spheres, then by target; the fit is unweighted."""
         return [
-            predict_targets(planned, self.phantom, self.robot_from_ct, count, left, ct_mm)
+            [self._predicted(planned, number, count, sizes, ct_mm) for number in range(self.targets)]
             for count in self.counts
         ]
 
+    def _predicted(
+        self, planned: Postures, target: int, count: int, sizes: ErrorSizes, ct_mm: float
+    ) -> TargetPrediction:
+        spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
+        target_mm = self.robot_from_ct.apply(self.phantom.trajectories[target].target_mm)
+        first = planned.set_of(target) * len(spheres)
+        looks = slice(first, first + count)
+        at_spheres = ArmPoses(
+            planned.localizations.joints_rad[looks], spheres[:count], planned.arrival[looks]
+        )
+        at_target = ArmPoses(
+            planned.targets.joints_rad[[target]], target_mm[None], planned.target_arrival[[target]]
+        )
+        ct = np.tile(np.eye(AXES) * ct_mm**2 / AXES, (count, 1, 1))
+        sources = [*arm_sources(ARM.chain, at_spheres, at_target, sizes), ct_errors(ct)]
+        return predict_target_error(spheres[:count], target_mm, sources)
+
     def chance(self, arms: Sequence[int], *, scan_again: bool = False) -> Chance:
         """The random draws for arms with these numbers."""
-        shape = len(self.phantom.trajectories), len(self.phantom.spheres_mm)
+        shape = self.targets, len(self.phantom.spheres_mm)
         return Chance.draw(self.seed, self.markers, arms, self.number, shape, scan_again=scan_again)
 
     def errors_mm(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, *, any_side: bool = False
     ) -> Array:
-        """Error vectors (a, t, c, 3) of all arms, targets and numbers of spheres."""
-        return target_errors(
-            arms, planned, self.phantom, self.robot_from_ct, chance, self.counts, sizes, any_side=any_side
-        )
+        """Error vectors (a, t, c, 3) mm, robot frame: tip minus target, for each number of spheres.
+
+        With `any_side`, the servo's last step leaves each joint on either side of its backlash at the
+        spheres; without it, the line of approach to a sphere decides, or a strategy that controls it.
+        """
+        targets_ct = np.array([one.target_mm for one in self.phantom.trajectories])
+        recorded = self._localized(arms, planned, chance, sizes, any_side)
+        image = self.phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct
+        serving = [planned.set_of(target) for target in range(self.targets)]
+        flanks = np.broadcast_to(planned.target_arrival, (len(arms), *planned.target_arrival.shape))
+        true_targets = self.robot_from_ct.apply(targets_ct)
+        found = []
+        for count in self.counts:
+            fit = fit_rigid(image[:, None, :count], recorded[:, :, :count])
+            places = np.einsum("atij,tj->ati", fit.rotation[:, serving], targets_ct)
+            joints = reach_positions(arms, planned.targets, places + fit.translation_mm[:, serving])
+            tips = arms.tool_points_mm(joints, flanks) + arms.repeatability_mm * chance.target_rest
+            found.append(tips - true_targets)
+        return np.stack(found, axis=2)
+
+    def _localized(
+        self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, any_side: bool
+    ) -> Array:
+        """Believed positions of the spheres, (a, s, n, 3) mm."""
+        spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
+        count, sets = len(spheres), planned.sets
+        sides = np.broadcast_to(planned.arrival, (len(arms), *planned.arrival.shape))
+        if any_side:
+            sides = chance.sides[:, :sets].reshape(sides.shape)
+        _, believed = centre_on_spheres(arms, planned.localizations, np.tile(spheres, (sets, 1)), sides)
+        noise = sizes.servo_mm / np.sqrt(AXES) * chance.servo + arms.repeatability_mm * chance.rest
+        return np.asarray(believed.reshape(len(arms), sets, count, AXES) + noise[:, :sets])
 
     def outcomes(
         self,
@@ -201,11 +287,11 @@ class Scene:
         )
         found = {}
         for one in single:
-            left = scenario.left(one)
-            planned, remaining = self.planned(one, left), scenario.of(arms, one)
+            errors = scenario.remaining_errors(one)
+            planned, remaining = self.planned(one, errors), scenario.scale(arms, one)
             found[one] = Outcome(
-                self.errors_mm(remaining, planned, chance, scenario.sizes, any_side=any_side),
-                self.predicted(planned, left, scenario.ct_mm),
+                self.errors_mm(remaining, planned, chance, Sizes(scenario.ct_mm), any_side=any_side),
+                self.predicted(planned, errors, scenario.ct_mm),
             )
         if BEST in strategies:
             found[BEST] = _best([found[one] for one in FROM])
@@ -233,7 +319,6 @@ class Scene:
 
 
 def _best(candidates: Sequence[Outcome]) -> Outcome:
-    """Choose the smallest predicted error at each target for each number of spheres."""
     predicted = [one.predicted for one in candidates]
     chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predicted]).argmin(axis=0)
     errors_mm = np.stack([one.errors_mm for one in candidates])

@@ -39,6 +39,11 @@ def column(of: str) -> str:
     return f"{of}, {CAPTION}"
 
 
+def cells(name: str, estimate: Bounded, of: str = "") -> dict[str, float | str]:
+    """Return the cells of an estimate and of its bounds, which are those `of` the name without its unit."""
+    return {name: estimate.value, column(of or name.rpartition(" ")[0] or name): estimate.text}
+
+
 def percent(count: float, of: float) -> Bounded:
     """Share of independent runs, per cent. With no runs: 0 without bounds."""
     number, runs = round(count), round(of)

@@ -141,7 +141,6 @@ def _are_sums(found: Any) -> TypeGuard[Sums]:
 
 
 def _difference(there: Any, head: Mapping[str, Any]) -> str:
-    """Name the difference to another study: its name or its settings."""
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
     # as in the file: a list for a tuple, a name for an enum member

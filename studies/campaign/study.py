@@ -11,7 +11,7 @@ import zlib
 from collections import Counter
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
@@ -29,7 +29,6 @@ class Unit:
 
     @property
     def key(self) -> str:
-        """Identity within a study."""
         return f"{self.condition} #{self.block}"
 
 
@@ -89,6 +88,12 @@ class Table:
     rows: Sequence[Sequence[Cell]]
     note: str = ""
 
+    @classmethod
+    def of(cls, title: str, rows: Iterable[Mapping[str, Cell]], note: str = "") -> Self:
+        """Build from rows that all map the same columns to their cells."""
+        listed = list(rows)
+        return cls(title, list(listed[0]) if listed else (), [tuple(row.values()) for row in listed], note)
+
     def markdown(self) -> str:
         """Return the table as Markdown."""
         lines = [f"## {self.title}", ""]
@@ -120,7 +125,6 @@ def yes_or_no(met: bool) -> str:
 
 
 def format_cell(value: Cell) -> str:
-    """Format a value for a reader."""
     if value is None:
         return ""
     if isinstance(value, float):

@@ -93,19 +93,21 @@ def _runner(
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:
-            for file in dict.fromkeys(one.source for one in _own(study)):
+            for file in dict.fromkeys(one.source for one in _plugins_of(study)):
                 if file is not None:
                     client.upload_file(str(file))
             yield _on_dask(client, study, units)
-    elif workers == 1 and not _own(study):
+    elif workers == 1 and not _plugins_of(study):
         yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
     else:
         count = workers or len(os.sched_getaffinity(0))
         with processes_single_threaded(), fresh_processes(count) as pool:
-            yield _on_pool(pool, study, units, count, SilenceWatch([one.name for one in _own(study)], tell))
+            yield _on_pool(
+                pool, study, units, count, SilenceWatch([one.name for one in _plugins_of(study)], tell)
+            )
 
 
-def _own(study: Study) -> tuple[PluginMethod, ...]:
+def _plugins_of(study: Study) -> tuple[PluginMethod, ...]:
     """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
@@ -124,13 +126,13 @@ def _on_pool(
             else:
                 yield unit, _result(unit, future.result)
     if lost:
-        raise _ended(study, [unit.key for unit in units if unit.key in lost][:count])
+        raise _worker_lost(study, [unit.key for unit in units if unit.key in lost][:count])
 
 
-def _ended(study: Study, keys: list[str]) -> RonnaError:
+def _worker_lost(study: Study, keys: list[str]) -> RonnaError:
     """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
     among = f", in {' or '.join(keys)}"
-    if own := _own(study):
+    if own := _plugins_of(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
     return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
 

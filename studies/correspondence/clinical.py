@@ -22,7 +22,6 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.matching import match
 from procedures.registration.similarity_matrix import (
     THESIS_TOLERANCES_MM,
     match_many_by_similarity,
@@ -40,9 +39,9 @@ from ronna_hw.registry import make_device
 from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.study import Cell, Sums, Table, Unit, generator
-from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, verdict
+from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, pair_points, verdict
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
-from studies.heads import IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM, NoiseReading, per_axis_mm, stated_variance_mm2
+from studies.heads import NoiseReading, stated_variance_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
 from studies.localization.study import Method as Localizer
@@ -88,7 +87,6 @@ class ClinicalStudy:
     name: str = "correspondence-xframe"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {
             "seed": self.seed,
             "readings": len(self.readings_mm),
@@ -121,13 +119,7 @@ class ClinicalStudy:
         physical_mm, rights = self._shuffled(random)
         sums: Counter[str] = Counter()
         for seen_mm, right in zip(physical_mm, rights, strict=True):
-            one = match(
-                image_mm,
-                seen_mm,
-                sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, NOISE),
-                sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, NOISE),
-                expected=len(image_mm),
-            )
+            one = pair_points(image_mm, seen_mm, NOISE, expected=len(image_mm))
             sums[outcome_key(Method.COUNT, None, verdict(one.status, one.pairs, right))] += 1
         return sums
 
@@ -158,7 +150,7 @@ class ClinicalStudy:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate the e at which the thesis' method pairs every reading, and our success."""
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for kind, (low, high) in THESIS_RANGES_MM.items():
         against = success_against_tolerance(sums, kind)
         if not against:
@@ -167,35 +159,24 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         perfect = [e for e, share in against if share == 1.0]
         within = [share for e, share in against if low <= e <= high]
         rows.append(
-            (
-                kind,
-                runs,
-                100.0 * ours,
-                bounds.percent(ours * runs, runs).text,
-                100.0 * max(share for _, share in against),
-                min(perfect, default=None),
-                max(perfect, default=None),
-                f"{low:g}-{high:g}",
-                100.0 * min(within),
-            )
+            {
+                "scans of": kind,
+                "readings": runs,
+                "ours, success %": 100.0 * ours,
+                bounds.column("ours"): bounds.percent(ours * runs, runs).text,
+                "thesis, validated: best %": 100.0 * max(share for _, share in against),
+                "100 % from e mm": min(perfect, default=None),
+                "100 % to e mm": max(perfect, default=None),
+                "thesis: 100 % in": f"{low:g}-{high:g}",
+                "least % there, here": 100.0 * min(within),
+            }
         )
     apart_mm = np.diff(
         np.sort(np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)[np.triu_indices(4, 1)])
     )
     return [
-        Table(
+        Table.of(
             "The x-shaped frame in scans and readings",
-            (
-                "scans of",
-                "readings",
-                "ours, success %",
-                bounds.column("ours"),
-                "thesis, validated: best %",
-                "100 % from e mm",
-                "100 % to e mm",
-                "thesis: 100 % in",
-                "least % there, here",
-            ),
             rows,
             f"{len(SCANS)} scans; the thesis reports 24,055 of 24,055. The distances of this "
             f"frame differ by at least {apart_mm.min():.2f} mm, those of the thesis' frame by "

@@ -87,7 +87,6 @@ class CorrespondenceStudy:
     refused_share: float = REFUSED_SHARE
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return omit_empty_own(asdict(self))
 
     def units(self) -> Sequence[Unit]:
@@ -114,19 +113,19 @@ class CorrespondenceStudy:
         ours = [method for method in self.methods if method in OURS]
         if ours:
             for run, right in enumerate(rights):
-                solve = partial(_solve, seen.image_mm[run], seen.physical_mm[run], reading)
+                solve = partial(pair_points, seen.image_mm[run], seen.physical_mm[run], reading)
                 plain = solve()
                 for method in ours:
                     found = plain
                     if method is Method.COUNT:
                         found = solve(expected=count)
-                    elif method is Method.PRIOR and not _stands(plain, prior_matrices[run]):
+                    elif method is Method.PRIOR and not _satisfies_prior(plain, prior_matrices[run]):
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if any(method in OF_THE_THESIS for method in self.methods):
             sums += self._by_thesis(seen, rights, reading)
         for own in self.own:
-            sums += _by_own(PluginPairing.of(own), seen, rights, reading)
+            sums += _plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
 
     def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
@@ -147,10 +146,9 @@ class CorrespondenceStudy:
         return sums
 
 
-def _by_own(
+def _plugin_outcomes(
     pairing: PluginPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
-    """Outcomes of a user's pairing."""
     sums: Counter[str] = Counter()
     for image_mm, physical_mm, right in zip(seen.image_mm, seen.physical_mm, rights, strict=True):
         found = pairing(
@@ -165,7 +163,6 @@ def _by_own(
 
 
 def condition_key(reading: NoiseReading, patient: int, fiducials: int, outliers: int) -> str:
-    """A condition as text."""
     return f"{reading.value}|{patient}|{fiducials}|{outliers}"
 
 
@@ -176,12 +173,10 @@ def condition_of(key: str) -> tuple[NoiseReading, int, int, int]:
 
 
 def outcome_key(method: str, tolerance_mm: float | None, outcome: str) -> str:
-    """Key of a count."""
     return f"{method}|{'' if tolerance_mm is None else tolerance_mm}|{outcome}"
 
 
 def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
-    """Classify an answer."""
     if status is not MatchStatus.UNIQUE:
         return LOST
     found_pairs = frozenset((i, j) for i, j in pairs.tolist())
@@ -190,13 +185,14 @@ def verdict(status: MatchStatus, pairs: NDArray[np.intp], right: Pairs) -> str:
     return PART if found_pairs < right else FALSE
 
 
-def _solve(
+def pair_points(
     image_mm: Array,
     physical_mm: Array,
     noise: NoiseReading,
     expected: int | None = None,
     prior: Prior | None = None,
 ) -> Match:
+    """Pair by our method, told the errors that the thesis states."""
     return match(
         image_mm,
         physical_mm,
@@ -207,7 +203,7 @@ def _solve(
     )
 
 
-def _stands(plain: Match, prior: Array) -> bool:
+def _satisfies_prior(plain: Match, prior: Array) -> bool:
     """Whether a prior (3, 3) leaves the solution without it unchanged, so that no second search is needed.
 
     A prior only removes hypotheses. The best of all remains the best unless it is removed itself.

@@ -53,7 +53,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         )
         for noise in dict.fromkeys(series.noise for series in found)
     ]
-    of_the_thesis = [_reached(found)] if any(series.tolerance for series in found) else []
+    of_the_thesis = [_reproducing_tolerances(found)] if any(series.tolerance for series in found) else []
     return [*made, _pooled(found), *of_the_thesis]
 
 
@@ -140,23 +140,23 @@ def _row(series: Series, one: Shares) -> list[Cell]:
         one.runs,
         one.unsuccessful,
         one.bounded(one.unsuccessful).text,
-        _text(one.unsuccessful_range),
-        _text(THESIS_UNSUCCESSFUL[series.fiducials]),
+        _range_text(one.unsuccessful_range),
+        _range_text(THESIS_UNSUCCESSFUL[series.fiducials]),
         one.false,
         one.bounded(one.false).text,
-        _text(one.false_range),
-        _text(THESIS_FALSE[series.fiducials]),
+        _range_text(one.false_range),
+        _range_text(THESIS_FALSE[series.fiducials]),
         one.part,
     ]
 
 
-def _text(ends: Range) -> str:
+def _range_text(ends: Range) -> str:
     return f"{ends[0]:.3g}-{ends[1]:.3g}"
 
 
 def _pooled(found: Mapping[Series, Shares]) -> Table:
     """Counts over 5 to 8 fiducials: single cells are too small to judge."""
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
         cells = [found.get(Series(noise, method, tolerance, fiducials)) for fiducials in POOLED]
         whole = [cell for cell in cells if cell is not None]
@@ -166,27 +166,22 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
             round(sum(getattr(cell, what) * cell.runs for cell in whole) / 100.0)
             for what in ("lost", "part", "false")
         )
-        e_mm = float(tolerance) if tolerance else None
-        shares_of = [bounds.percent(number, runs) for number in (lost + part, false, false + part)]
-        percentages = [cell for one in shares_of for cell in (one.value, one.text)]
-        rows.append([noise.value, method, e_mm, runs, lost, part, false, *percentages])
-    return Table(
+        rows.append(
+            {
+                "noise": noise.value,
+                "method": method,
+                "e mm": float(tolerance) if tolerance else None,
+                "runs": runs,
+                "lost": lost,
+                "a part": part,
+                "false": false,
+                **bounds.cells("unsuccessful %", percent(lost + part, runs)),
+                **bounds.cells("false %", percent(false, runs)),
+                **bounds.cells("false or a part %", percent(false + part, runs)),
+            }
+        )
+    return Table.of(
         "Five to eight fiducials together",
-        (
-            "noise",
-            "method",
-            "e mm",
-            "runs",
-            "lost",
-            "a part",
-            "false",
-            "unsuccessful %",
-            bounds.column("unsuccessful"),
-            "false %",
-            bounds.column("false"),
-            "false or a part %",
-            bounds.column("false or a part"),
-        ),
         rows,
         f"Goal for ours: at most {GOAL_UNSUCCESSFUL} % lost and {GOAL_FALSE} % false or a part, none false"
         f" with the planned count. The thesis gives at most {THESIS_UNSUCCESSFUL[5][1]} % unsuccessful and"
@@ -194,7 +189,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _reached(found: Mapping[Series, Shares]) -> Table:
+def _reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
     """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
@@ -211,8 +206,8 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
                     noise.value,
                     method,
                     f"{group[0]}" if len(group) == 1 else f"{group[0]} to {group[-1]}",
-                    _held(members, tried, _unsuccessful_within),
-                    _held(members, tried, _false_within),
+                    _tolerance_spans(members, tried, _unsuccessful_within),
+                    _tolerance_spans(members, tried, _false_within),
                 ]
             )
     return Table(
@@ -225,7 +220,7 @@ def _reached(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _held(
+def _tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
     """The values of e at which all members hold, neighbouring ones as a range."""

@@ -18,7 +18,6 @@ from scipy.spatial.transform import Rotation
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.marker_sites import propose_template
 from procedures.registration.correspondence import Match, Prior
-from procedures.registration.matching import match
 from procedures.registration.template import match_by_template
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
 from studies.campaign import bounds
@@ -32,6 +31,7 @@ from studies.correspondence.study import (
     PRIOR_DISTURBED_RAD,
     condition_key,
     condition_of,
+    pair_points,
     verdict,
 )
 from studies.correspondence.tables import GOAL_FALSE, GOAL_UNSUCCESSFUL, THESIS_FALSE, THESIS_UNSUCCESSFUL
@@ -64,7 +64,6 @@ class TemplateStudy:
     name: str = "correspondence-template"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "implanted_mm": IMPLANTED_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -105,33 +104,20 @@ def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
 def _solved(
     template_mm: Array, image_mm: Array, physical_mm: Array, noise: NoiseReading, prior: Prior
 ) -> dict[str, Match]:
-    image_sigma_mm, physical_sigma_mm = (
-        per_axis_mm(sigma_mm, noise) for sigma_mm in (IMAGE_SIGMA_MM, PHYSICAL_SIGMA_MM)
-    )
-
-    def directly(expected: int | None) -> Match:
-        return match(
-            image_mm,
-            physical_mm,
-            sigma_image_mm=image_sigma_mm,
-            sigma_physical_mm=physical_sigma_mm,
-            expected=expected,
-        )
-
     def by_template(known: Prior | None) -> Match:
         return match_by_template(
             template_mm,
             image_mm,
             physical_mm,
-            sigma_image_mm=image_sigma_mm,
-            sigma_physical_mm=physical_sigma_mm,
+            sigma_image_mm=per_axis_mm(IMAGE_SIGMA_MM, noise),
+            sigma_physical_mm=per_axis_mm(PHYSICAL_SIGMA_MM, noise),
             sigma_template_mm=IMPLANTED_SIGMA_MM,
             prior=known,
         )
 
     return {
-        PLAIN: directly(None),
-        COUNTED: directly(len(template_mm)),
+        PLAIN: pair_points(image_mm, physical_mm, noise),
+        COUNTED: pair_points(image_mm, physical_mm, noise, expected=len(template_mm)),
         TEMPLATE: by_template(None),
         ORIENTED: by_template(prior),
     }
@@ -146,42 +132,31 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             method, _, outcome = key.partition("|")
             of_method = counted.setdefault((noise, markers, method), {})
             of_method.setdefault(outliers, Counter())[outcome] += round(number)
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for (noise, markers, method), conditions in counted.items():
         lost = {outliers: _percent(one, LOST, PART) for outliers, one in conditions.items()}
         pooled = sum(conditions.values(), Counter())
         false = _percent(pooled, FALSE)
         rows.append(
-            (
-                noise.value,
-                markers,
-                method,
-                pooled.total(),
-                _percent(pooled, LOST, PART),
-                bounds.percent(pooled[LOST] + pooled[PART], pooled.total()).text,
-                f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
-                false,
-                bounds.percent(pooled[FALSE], pooled.total()).text,
-                yes_or_no(max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]),
-                yes_or_no(_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE),
-            )
+            {
+                "noise": noise.value,
+                "markers": markers,
+                "method": method,
+                "runs": pooled.total(),
+                **bounds.cells("unsuccessful %", bounds.percent(pooled[LOST] + pooled[PART], pooled.total())),
+                "over 0 to 4 outliers": f"{min(lost.values()):.3g}-{max(lost.values()):.3g}",
+                **bounds.cells("false %", bounds.percent(pooled[FALSE], pooled.total())),
+                "as 5 to 8 in the thesis": yes_or_no(
+                    max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]
+                ),
+                "as 5 to 8 here": yes_or_no(
+                    _percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE
+                ),
+            }
         )
     return [
-        Table(
+        Table.of(
             "Markers implanted by a template",
-            (
-                "noise",
-                "markers",
-                "method",
-                "runs",
-                "unsuccessful %",
-                bounds.column("unsuccessful"),
-                "over 0 to 4 outliers",
-                "false %",
-                bounds.column("false"),
-                "as 5 to 8 in the thesis",
-                "as 5 to 8 here",
-            ),
             rows,
             f"Three heads; distances differ by {MARGIN_MM:g} mm, spheres within {IMPLANTED_MM:g} mm of "
             f"their positions. Thesis: at most {THESIS_UNSUCCESSFUL[5][1]} % in any cell and "

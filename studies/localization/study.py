@@ -78,7 +78,6 @@ class LocalizationStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**omit_empty_own(asdict(self)), "sums": SUMS}
 
     def units(self) -> Sequence[Unit]:
@@ -101,9 +100,9 @@ class LocalizationStudy:
                     raise NotForJudging(f"family {family} is for {scan.purpose}")
                 sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
                 for method in AUTOMATIC:
-                    sums.update(_judged(method, scan))
+                    sums.update(_localization_sums(method, scan))
                 for localizer in own:
-                    sums.update(_counted(localizer.name, localizer(scan.volume), (), scan))
+                    sums.update(_outcome_sums(localizer.name, localizer(scan.volume), (), scan))
         return {key: float(value) for key, value in sums.items()}
 
 
@@ -117,15 +116,14 @@ def localize_by(method: Method, volume: Volume) -> Localization | None:
         return None
 
 
-def _judged(method: Method, scan: PhantomScan) -> dict[str, float]:
-    """Run a built-in method on one volume."""
+def _localization_sums(method: Method, scan: PhantomScan) -> dict[str, float]:
     result = localize_by(method, scan.volume)
-    return _counted(
+    return _outcome_sums(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
     )
 
 
-def _counted(
+def _outcome_sums(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
     """Count hits, misses and errors in a volume, with covariances if there are markers.
@@ -182,7 +180,7 @@ def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ())
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
                 points.setdefault(f"{Method.PERSON} {number}", []).append(picks[-1])
-            ordered = _refined(scan, picks[0])
+            ordered = _refined_picks(scan, picks[0])
             if ordered is not None:
                 points.setdefault(Method.REFINED.value, []).append(ordered)
     return fle_sums(points)
@@ -202,7 +200,7 @@ def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
     return {key: float(value) for key, value in sums.items()}
 
 
-def _refined(scan: PhantomScan, picks_mm: Array) -> Array | None:
+def _refined_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
     try:
         result = localize_picks(scan.volume, picks_mm)
     except PickRefused:
@@ -220,11 +218,3 @@ def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
         centres_mm
     )
     return found_mm[nearest] if whole else None
-
-
-def pooled(sums: Mapping[str, Sums], conditions: Sequence[str]) -> Sums:
-    """Add up several conditions."""
-    total: Counter[str] = Counter()
-    for condition in conditions:
-        total.update(sums.get(condition, {}))
-    return dict(total)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from math import sqrt
 
@@ -18,27 +19,11 @@ from studies.localization.study import (
     STREAKED,
     TAIL,
     Method,
-    pooled,
 )
 from studies.thesis_tables import HUMAN_OPERATORS, LINE_FIT, OPERATORS, SPHERE_FIT, TABLE_2, TABLE_3
 
 SPHERES = 4  # of the frame
 IN_THE_THESIS: dict[str, str] = {Method.THESIS_LINE: LINE_FIT, Method.THESIS_SPHERE: SPHERE_FIT}
-COLUMNS = (
-    "family",
-    "protocol",
-    "method",
-    "spheres",
-    "found %",
-    bounds.column("found"),
-    "false",
-    bounds.column("false"),
-    "rms µm",
-    bounds.column("rms"),
-    "95th percentile µm",
-    "rms / CRB",
-    "chi² / 3n",
-)
 RMS_UM = {"good": (10.0, 35.0), "poor": (20.0, 50.0)}  # without and with streaks on posts
 COVERED_RMS_UM = 40.0  # half buried
 LARGEST_UM = 150.0
@@ -56,46 +41,32 @@ def tables_and_goals(sums: Mapping[str, Sums]) -> list[Table]:
     return [*tables(sums), held] if held is not None else tables(sums)
 
 
+Condition = tuple[str, str]  # family and protocol
+
+
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Pooled, by family, and the thesis' tables 2 and 3."""
-    frames = pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)])
+    scans, frames = _scans(sums)
     of_frames = [_fle_table(frames)] if frames else []
-    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
-    if not conditions:
+    if not scans:
         return of_frames
-    protocols = list(dict.fromkeys(condition.split("|")[1] for condition in conditions))
-    together: list[Sequence[Cell]] = []
-    for protocol in protocols:
-        of_protocol = [condition for condition in conditions if condition.endswith(f"|{protocol}")]
-        streaked = [condition for condition in of_protocol if condition.split("|")[0] in STREAKED]
-        others = [condition for condition in of_protocol if condition not in streaked]
-        together += _rows("without streaks on posts", protocol, pooled(sums, others))
-        together += _rows("with streaks on posts", protocol, pooled(sums, streaked))
-    single = [
-        row
-        for condition in conditions
-        for family, protocol in [condition.split("|")]
-        for row in _rows(family, protocol, sums[condition])
-    ]
+    together: list[Mapping[str, Cell]] = []
+    for protocol in _protocols(scans):
+        for words, streaked in (("without", False), ("with", True)):
+            total = _pooled(scans, protocol=protocol, streaked=streaked)
+            together += _rows(f"{words} streaks on posts", protocol, total)
+    single = [row for (family, protocol), total in scans.items() for row in _rows(family, protocol, total)]
     found = [
-        Table(
+        Table.of(
             "Localization, families together",
-            COLUMNS,
             together,
-            (
-                "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
-                "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
-                "in white noise. "
-            )
-            + _cut(sums, conditions)
-            + (
-                f" {bounds.NOTE} Spheres of one scan count as independent. False ones: "
-                "Poisson, in as many scans."
-            ),
+            "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
+            "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
+            f"in white noise. {_cut(_pooled(scans))} {bounds.NOTE} Spheres of one scan count as independent. "
+            "False ones: Poisson, in as many scans.",
         ),
-        Table(
+        Table.of(
             "Localization by family",
-            COLUMNS,
             single,
             "Goals: 10 µm good, 20 poor; 35 and 50 with streaks; 40 under a bandage.",
         ),
@@ -106,94 +77,123 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Rms per family and method, one plot per protocol."""
     pictures = {}
-    conditions = [condition for condition in sums if not condition.startswith(FRAMES)]
-    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
+    scans, frames = _scans(sums)
+    for protocol in _protocols(scans):
         groups = {
-            condition.split("|")[0]: {
-                method: _rms_um(sums[condition], method)
-                for method in methods_of(sums[condition])
-                if of_method(sums[condition], method, "found")
+            family: {
+                method: _rms_um(total, method)
+                for method in methods_of(total)
+                if of_method(total, method, "found")
             }
-            for condition in conditions
-            if condition.endswith(f"|{protocol}")
+            for (family, of_scan), total in scans.items()
+            if of_scan == protocol
         }
         pictures[f"error-{protocol}.png"] = bars(
             f"3-D error, {protocol} protocol", "rms, µm", groups, x_label="family of scans"
         )
-    if frames := pooled(sums, [condition for condition in sums if condition.startswith(FRAMES)]):
+    if frames:
         pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
     return pictures
 
 
 def goals(sums: Mapping[str, Sums]) -> Table | None:
     """Ours against the goals, on families not used for tuning; None without them."""
-    conditions = [condition for condition in sums if condition.split("|")[0] in JUDGING]
-    if not conditions:
+    scans = {condition: total for condition, total in _scans(sums)[0].items() if condition[0] in JUDGING}
+    if not scans:
         return None
     rows: list[Sequence[Cell]] = []
-    for protocol in dict.fromkeys(condition.split("|")[1] for condition in conditions):
+    for protocol in _protocols(scans):
         for streaked in (False, True):
-            chosen = [
-                condition
-                for condition in conditions
-                if condition.endswith(f"|{protocol}") and (condition.split("|")[0] in STREAKED) == streaked
-            ]
-            total = pooled(sums, chosen)
-            found = of_method(total, Method.OURS, "found")
-            if found:
+            total = _pooled(scans, protocol=protocol, streaked=streaked)
+            if found := of_method(total, Method.OURS, "found"):
                 rows += _accuracy(total, protocol, streaked, found)
-        rows += _families(sums, [condition for condition in conditions if condition.endswith(f"|{protocol}")])
-    for family in dict.fromkeys(condition.split("|")[0] for condition in conditions):
-        of_family = [condition for condition in conditions if condition.startswith(f"{family}|")]
-        rows += _covariances(pooled(sums, of_family), family)
-    rows.append(_tail(pooled(sums, conditions), "all families"))
+        for (family, of_scan), total in scans.items():
+            if of_scan == protocol:
+                rows += _single(total, family, protocol)
+    for family in dict.fromkeys(family for family, _ in scans):
+        rows += _covariances(_pooled(scans, family=family), family)
+    everything = _pooled(scans)
+    rows.append(_tail(everything, "all families"))
     return Table(
         "Goals",
         ("figure", "value", "goal", "met"),
-        [*rows, *_detection(pooled(sums, conditions))],
+        [*rows, *_detection(everything)],
         "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
     )
+
+
+def _scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
+    """Return the sums of the scans by condition, and those of all sets of the frame."""
+    scans: dict[Condition, Sums] = {}
+    frames: Counter[str] = Counter()
+    for condition, content in sums.items():
+        family, protocol = condition.split("|")
+        if family == FRAMES:
+            frames.update(content)
+        else:
+            scans[family, protocol] = content
+    return scans, dict(frames)
+
+
+def _protocols(scans: Mapping[Condition, Sums]) -> list[str]:
+    return list(dict.fromkeys(protocol for _, protocol in scans))
+
+
+def _pooled(
+    scans: Mapping[Condition, Sums],
+    *,
+    family: str | None = None,
+    protocol: str | None = None,
+    streaked: bool | None = None,
+) -> Sums:
+    total: Counter[str] = Counter()
+    for (of_family, of_protocol), content in scans.items():
+        wanted = family in (None, of_family) and protocol in (None, of_protocol)
+        if wanted and streaked in (None, of_family in STREAKED):
+            total.update(content)
+    return dict(total)
 
 
 def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
     """Our figures and the thesis' side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
     for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
-        named = zip(
-            ("to the truth", "thesis, table 2", "between scans", "thesis, table 3"),
-            (truth_mm, table_2_mm, pair_mm, table_3_mm),
-            strict=True,
-        )
+        named = {
+            "to the truth": truth_mm,
+            "thesis, table 2": table_2_mm,
+            "between scans": pair_mm,
+            "thesis, table 3": table_3_mm,
+        }
         short = str(who).replace("thesis-", "").replace("person's picks ", "picks\n")
-        groups[short] = {name: value for name, value in named if isinstance(value, float)}
+        groups[short] = {name: value for name, value in named.items() if isinstance(value, float)}
     return groups
 
 
-def _rows(family: str, protocol: str, total: Sums) -> list[Sequence[Cell]]:
-    rows: list[Sequence[Cell]] = []
+def _rows(family: str, protocol: str, total: Sums) -> list[Mapping[str, Cell]]:
+    rows: list[Mapping[str, Cell]] = []
     for method in methods_of(total):
         spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
         if not spheres:
             continue
-        share, false = bounds.percent(found, spheres), bounds.number(of_method(total, method, "false"))
+        false = bounds.number(of_method(total, method, "false"))
         rms = _rms_um(total, method) if found else None
         bound_mm = sqrt(total["bound2"] / total["volumes"])
+        with_covariances = found and method in AUTOMATIC
         rows.append(
-            (
-                family,
-                protocol,
-                method,
-                int(spheres),
-                share.value,
-                share.text,
-                int(false.value),
-                false.text,
-                None if rms is None else rms.value,
-                None if rms is None else rms.text,
-                percentile_um(total, method, found),
-                None if rms is None else 1e-3 * rms.value / bound_mm,
-                of_method(total, method, "chi2") / (3.0 * found) if found and method in AUTOMATIC else None,
-            )
+            {
+                "family": family,
+                "protocol": protocol,
+                "method": method,
+                "spheres": int(spheres),
+                **bounds.cells("found %", bounds.percent(found, spheres)),
+                "false": int(false.value),
+                bounds.column("false"): false.text,
+                "rms µm": None if rms is None else rms.value,
+                bounds.column("rms"): None if rms is None else rms.text,
+                "95th percentile µm": percentile_um(total, method, found),
+                "rms / CRB": None if rms is None else 1e-3 * rms.value / bound_mm,
+                "chi² / 3n": of_method(total, method, "chi2") / (3.0 * found) if with_covariances else None,
+            }
         )
     return rows
 
@@ -222,12 +222,10 @@ def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -
     return None
 
 
-def _cut(sums: Mapping[str, Sums], conditions: Sequence[str]) -> str:
-    total = pooled(sums, conditions)
-    cut = int(of_method(total, Method.OURS, "cut"))
-    found = int(of_method(total, Method.OURS, "cut found"))
-    large = int(of_method(total, Method.OURS, "large"))
-    flagged = int(of_method(total, Method.OURS, "large flagged"))
+def _cut(total: Sums) -> str:
+    cut, found, large, flagged = (
+        int(of_method(total, Method.OURS, key)) for key in ("cut", "cut found", "large", "large flagged")
+    )
     return (
         f"Of {cut} further spheres cut by the field of view, ours finds {found}. Of {large} of our errors"
         f" above 0.1 mm, {flagged} are flagged."
@@ -236,7 +234,7 @@ def _cut(sums: Mapping[str, Sums], conditions: Sequence[str]) -> str:
 
 def _fle_table(total: Sums) -> Table:
     """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
-    rows: list[Sequence[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
     known = [*(method.value for method in AUTOMATIC), Method.REFINED.value, *people]
     own = [
@@ -253,19 +251,18 @@ def _fle_table(total: Sums) -> Table:
         table_2 = TABLE_2.get(HUMAN_OPERATORS if person else named)
         table_3 = TABLE_3.get(named)
         rows.append(
-            (
-                who,
-                int(runs),
-                truth_mm,
-                None if table_2 is None else table_2.printed_mm,
-                int(pairs),
-                pair_mm,
-                None if table_3 is None else table_3.printed_mm,
-            )
+            {
+                "who": who,
+                "scans": int(runs),
+                "FLE mm, truth": truth_mm,
+                "thesis, table 2": None if table_2 is None else table_2.printed_mm,
+                "pairs": int(pairs),
+                "FLE mm, pairs": pair_mm,
+                "thesis, table 3": None if table_3 is None else table_3.printed_mm,
+            }
         )
-    return Table(
+    return Table.of(
         "FLE as in tables 2 and 3 of the thesis",
-        ("who", "scans", "FLE mm, truth", "thesis, table 2", "pairs", "FLE mm, pairs", "thesis, table 3"),
         rows,
         "Four spheres of the x-shaped frame. People are simulated with the FLE of the thesis' "
         "operators: their rows check eq. 36 and 38, not people. Real scanners add errors of "
@@ -274,7 +271,6 @@ def _fle_table(total: Sums) -> Table:
 
 
 def of_method(total: Sums, method: str, key: str) -> float:
-    """Return a method's sum; 0 if nothing was counted."""
     return total.get(f"{method}|{key}", 0.0)
 
 
@@ -290,20 +286,18 @@ def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[
     return rows
 
 
-def _families(sums: Mapping[str, Sums], conditions: Sequence[str]) -> list[Sequence[Cell]]:
-    """Check each family of a protocol alone: pooled, a bad one would hide behind a good one."""
+def _single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell]]:
+    """Check a family of a protocol alone: pooled, a bad one would hide behind a good one."""
+    found = of_method(total, Method.OURS, "found")
+    if not found:
+        return []
     rows: list[Sequence[Cell]] = []
-    for condition in conditions:
-        total, where = sums[condition], ", ".join(condition.split("|")[::-1])
-        found = of_method(total, Method.OURS, "found")
-        if not found:
-            continue
-        if condition.split("|")[0] in COVERED:
-            rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
-            rows.append(_at_most(f"rms µm, {where}", rms_um, COVERED_RMS_UM))
-        largest_um = percentile_um(total, Method.OURS, found, 1.0)
-        if largest_um is not None:
-            rows.append(_at_most(f"largest error µm, {where}", largest_um, LARGEST_UM))
+    if family in COVERED:
+        rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
+        rows.append(_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
+    largest_um = percentile_um(total, Method.OURS, found, 1.0)
+    if largest_um is not None:
+        rows.append(_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
     return rows
 
 

@@ -45,6 +45,18 @@ class CheckedPlugin:
         """Load into this process. Raises STU-012."""
         return cls(method.name, method.function())
 
+    def _numbers(self, answer: object) -> Array:
+        """Convert an answer to an array. Raises STU-014 unless it holds real numbers."""
+        try:
+            given = np.asarray(answer)
+        except (TypeError, ValueError, OverflowError):  # such as rows of unequal length
+            raise self._wrong(type(answer).__name__) from None
+        if given.size == 0:
+            return np.empty(given.shape)
+        if given.dtype.kind not in REAL:
+            raise self._wrong(IN_WORDS.get(given.dtype.kind, type(answer).__name__))
+        return given.astype(float)
+
     def _wrong(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name} did not return {self.result}", expected=self.form, got=got)
 
@@ -98,10 +110,7 @@ class PluginLocalizer(CheckedPlugin):
             answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
         except MarkerCountWrong:  # how our localizer says that there are none
             return np.empty((0, 3))
-        try:
-            centres_mm = real_numbers(answer)
-        except ValueError as error:
-            raise self._wrong(str(error)) from None
+        centres_mm = self._numbers(answer)
         if centres_mm.size == 0:
             return np.empty((0, 3))
         if centres_mm.ndim != 2 or centres_mm.shape[1] != 3:
@@ -109,8 +118,8 @@ class PluginLocalizer(CheckedPlugin):
         if not np.isfinite(centres_mm).all():
             raise self._wrong("numbers that are not finite")
         geometry = volume.geometry
-        beyond = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
-        outside = (beyond > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
+        from_middle = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
+        outside = (from_middle > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
         if outside.any():
             shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
             raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")
@@ -128,10 +137,7 @@ class PluginRegistration(CheckedPlugin):
         answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
-        try:
-            matrix = real_numbers(answer)
-        except ValueError as error:
-            raise self._wrong(str(error)) from None
+        matrix = self._numbers(answer)
         if matrix.shape != (4, 4):
             raise self._wrong(f"shape {matrix.shape}")
         if not np.isfinite(matrix).all():
@@ -161,17 +167,18 @@ def call_plugin(
     np.random.seed(GLOBAL_SEED)  # for methods that use it
     try:
         with contextlib.redirect_stdout(sys.stderr):
-            return function(*map(_guarded, arguments), **{key: _guarded(one) for key, one in named.items()})
+            return function(
+                *map(_read_only, arguments), **{key: _read_only(one) for key, one in named.items()}
+            )
     except passed:
         raise
     except (Exception, SystemExit) as error:
         raise MethodFailed(
-            f"{name} raised {type(error).__name__}: {error}", got=_place(function, error)
+            f"{name} raised {type(error).__name__}: {error}", got=_origin_of(function, error)
         ) from error
 
 
-def _guarded(value: object) -> object:
-    """A read-only copy of an array; anything else unchanged."""
+def _read_only(value: object) -> object:
     if not isinstance(value, np.ndarray):
         return value
     copy = value.copy()
@@ -179,22 +186,9 @@ def _guarded(value: object) -> object:
     return copy
 
 
-def _place(function: Callable[..., Any], error: BaseException) -> str:
+def _origin_of(function: Callable[..., Any], error: BaseException) -> str:
     """The last line within the method's own file, otherwise the very last one."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)
     last = next((one for one in reversed(frames) if one.filename == own_file), frames[-1])
     return f"{last.filename}, line {last.lineno}"
-
-
-def real_numbers(answer: object) -> Array:
-    """Convert an answer to an array. Raises ValueError with its kind unless it holds real numbers."""
-    try:
-        given = np.asarray(answer)
-    except (TypeError, ValueError, OverflowError):  # such as rows of unequal length
-        raise ValueError(type(answer).__name__) from None
-    if given.size == 0:
-        return np.empty(given.shape)
-    if given.dtype.kind not in REAL:
-        raise ValueError(IN_WORDS.get(given.dtype.kind, type(answer).__name__))
-    return given.astype(float)

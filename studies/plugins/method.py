@@ -22,15 +22,8 @@ from typing import Any
 from studies.errors import MethodRefused
 from studies.plugins.contracts import CONTRACTS, MethodKind
 
-OURS = (
-    "ronna_hw",
-    "conformance",
-    "drivers",
-    "sim",
-    "procedures",
-    "studies",
-    "console",
-)  # a run records their version
+# A run records the version of these packages.
+OURS = ("ronna_hw", "conformance", "drivers", "sim", "procedures", "studies", "console")
 INSTALLED = ("site-packages", "dist-packages")
 SHOWN_DIGITS = 12  # of a hash
 _loaded: dict[str, str] = {}  # module -> hash of the files loaded by this process
@@ -47,7 +40,7 @@ class PluginMethod:
 
     def function(self) -> Callable[..., Any]:
         """The function, in this process; raises STU-012 if the file is missing or has changed."""
-        found, module = _imported(self.reference, self.kind)
+        found, module = _import_method(self.reference, self.kind)
         if hash_of(module) != self.sha256:
             raise MethodRefused(
                 f"{self.reference} is a different version here from where the campaign was started",
@@ -76,7 +69,7 @@ def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
     if here not in sys.path:
         sys.path.append(here)
     reference = text if ":" in text else _by_entry_point(kind, text)
-    function, module = _imported(reference, kind)
+    function, module = _import_method(reference, kind)
     _require_signature(kind, reference, function)
     return PluginMethod(kind, text, reference, hash_of(module))
 
@@ -106,7 +99,7 @@ def local_modules(module: ModuleType) -> Mapping[str, Path]:
         return {}
     file = Path(module.__file__).resolve()
     depth = module.__name__.count(".") + (file.stem == "__init__")
-    finder = _Beside(
+    finder = _LocalModuleFinder(
         file.parents[depth], module.__name__.partition(".")[0] if is_in_site_packages(file) else None
     )
     finder.import_hook(module.__name__)
@@ -124,7 +117,7 @@ def hash_of(module: ModuleType) -> str:
     return hashlib.sha256(lines.encode()).hexdigest()
 
 
-class _Beside(ModuleFinder):
+class _LocalModuleFinder(ModuleFinder):
     def __init__(self, folder: Path, only: str | None) -> None:
         """Search `folder`, and within it the package `only` if given."""
         super().__init__(path=[str(folder)])
@@ -149,7 +142,7 @@ def _by_entry_point(kind: MethodKind, name: str) -> str:
     raise MethodRefused(f"there is no {kind} {name!r}", expected=f"module:function{known}")
 
 
-def _imported(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], ModuleType]:
+def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], ModuleType]:
     where, _, name = reference.partition(":")
     if not (name.isidentifier() and all(part.isidentifier() for part in where.split("."))):
         raise MethodRefused(f"{reference!r} does not name a {kind}", expected="module:function")

@@ -41,31 +41,31 @@ class PluginStrategy:
         made = call_plugin(method.name, method.function())
         for flag in FLAGS:
             if not isinstance(value := call_plugin(f"{method.name}.{flag}", getattr, made, flag, None), bool):
-                raise _lacks(method.name, f"{flag}, True or False", f"{value!r}")
+                raise _missing_member(method.name, f"{flag}, True or False", f"{value!r}")
         for call in CALLS:
             given = call_plugin(f"{method.name}.{call}", getattr, made, call, None)
             wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
                 inspect.signature(given).bind(*wanted)  # None is also refused
             except (TypeError, ValueError) as error:
-                raise _lacks(method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}") from error
+                raise _missing_member(
+                    method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}"
+                ) from error
         return cls(method.name, made)
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        """Return the user strategy's flag."""
-        return self._says("localizes_per_trajectory")
+        return self._flag("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
-        """Return the user strategy's flag."""
-        return self._says("controls_approach")
+        return self._flag("controls_approach")
 
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
         """Return one axis for each set of localizations."""
-        axes = self._asked("localized_along", trajectories, fiducials_mm, robot_from_ct)
+        axes = self._call("localized_along", trajectories, fiducials_mm, robot_from_ct)
         wanted = len(trajectories) if self.localizes_per_trajectory else 1
         if len(axes) != wanted or not all(isinstance(one, Trajectory) for one in axes):
             raise self._wrong("localized_along", f"{wanted} Trajectory", _shown(axes))
@@ -75,7 +75,7 @@ class PluginStrategy:
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
         """Return one pose ROBOT <- TOOL for each fiducial, tool origin at the fiducial."""
-        poses = self._asked("localization_poses", along, fiducials_mm, robot_from_ct, arm)
+        poses = self._call("localization_poses", along, fiducials_mm, robot_from_ct, arm)
         places = robot_from_ct.apply(np.reshape(fiducials_mm, (-1, 3)))
         framed = all(
             isinstance(one, Transform) and (one.target, one.source) == (Frame.ROBOT, Frame.TOOL)
@@ -96,7 +96,7 @@ class PluginStrategy:
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
         """Turns about the axis, best first."""
-        turns = self._asked("turns_rad", along, fiducials_mm, robot_from_ct, arm)
+        turns = self._call("turns_rad", along, fiducials_mm, robot_from_ct, arm)
         if not turns or not all(isinstance(one, int | float) for one in turns):
             raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
         for turn in turns:
@@ -105,14 +105,14 @@ class PluginStrategy:
                 raise self._wrong("turns_rad", "angles within ±2π rad", shown)
         return turns
 
-    def _says(self, flag: str) -> bool:
+    def _flag(self, flag: str) -> bool:
         """A property may be recomputed, and differ, on each access."""
         value = call_plugin(f"{self.name}.{flag}", getattr, self.asked, flag)
         if not isinstance(value, bool):
             raise self._wrong(flag, "True or False", f"{value!r}")
         return value
 
-    def _asked(self, call: str, *arguments: object) -> tuple[Any, ...]:
+    def _call(self, call: str, *arguments: object) -> tuple[Any, ...]:
         answer = call_plugin(
             f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH
         )
@@ -124,7 +124,7 @@ class PluginStrategy:
         return MethodAnswerWrong(f"{self.name}.{call} returned a wrong result", expected=expected, got=got)
 
 
-def _lacks(name: str, expected: str, got: str) -> MethodRefused:
+def _missing_member(name: str, expected: str, got: str) -> MethodRefused:
     return MethodRefused(f"{name} does not make a strategy", expected=expected, got=got)
 
 

@@ -30,8 +30,7 @@ from sim.world.true_arm import TrueArm
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import ARM, TOOL, TOOL_MM, Postures
 from studies.accuracy.random_arms import RandomArms, draw_numbered_arm, solve_joints
-from studies.accuracy.scene import FINE_CT_MM, Scene
-from studies.accuracy.trials import AXES, Sizes
+from studies.accuracy.scene import AXES, FINE_CT_MM, Scene, Sizes
 from studies.campaign import bounds
 from studies.campaign.plots import boxes
 from studies.campaign.study import Sums, Table, Unit, blocks
@@ -59,7 +58,6 @@ class IdentifiedStudy:
     name: str = "strategies-identified"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {**asdict(self), "places": PLACES, "targets": TARGETS, "looks": LOOKS, "ct_mm": FINE_CT_MM}
 
     def units(self) -> Sequence[Unit]:
@@ -91,12 +89,12 @@ class IdentifiedStudy:
             believed = BelievedArm(fit.deviations, fit.flange_from_tool)
             arm = RandomArms.draw(self.seed, [number])
             known = IdentifiedArm(fit.remaining, fit.deviations.backlash_rad, fit.scatter_mm)
-            left = ErrorSizes(identified=known)
+            remaining = ErrorSizes(identified=known)
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
                     errors = identified_arm_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
-                    predicted = scene.predicted(poses, left, FINE_CT_MM)
+                    predicted = scene.predicted(poses, remaining, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"
                         found[f"{series}|{number}|{scene.number}|{target + 1}"] = float(length)
@@ -117,60 +115,52 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             elif key.startswith(f"{PREDICTED}|"):
                 predicted[key] += value
     return [
-        Table(
+        Table.of(
             "Arms as they are identified",
-            (
-                "strategy",
-                "spheres",
-                "trials",
-                "mean mm",
-                bounds.column("mean"),
-                f"{HIGHEST:.0f} % below",
-                "largest mm",
-                "goal mm",
-            ),
             [
-                [
-                    strategy,
-                    count,
-                    each.size,
-                    float(np.mean(each)),
-                    bounds.mean_length(each.mean(axis=1)).text,
-                    float(np.percentile(each, HIGHEST)),
-                    float(np.max(each)),
-                    GOAL_MM,
-                ]
+                {
+                    "strategy": strategy,
+                    "spheres": count,
+                    "trials": each.size,
+                    "mean mm": float(np.mean(each)),
+                    bounds.column("mean"): bounds.mean_length(each.mean(axis=1)).text,
+                    f"{HIGHEST:.0f} % below": float(np.percentile(each, HIGHEST)),
+                    "largest mm": float(np.max(each)),
+                    "goal mm": GOAL_MM,
+                }
                 for (strategy, count), each in errors.items()
             ],
             f"Set S, free spheres, CT {FINE_CT_MM} mm. Each arm identified from {LOOKS} "
             f"measurements of the phantom's spheres. {bounds.CAPTION}: of the mean, from the "
             "scatter of the arms (Student).",
         ),
-        Table(
+        Table.of(
             "Predicted and actual error",
-            ("strategy", "spheres", "trials", "inside 95 % region %", "predicted rms mm", "actual rms mm"),
             [
-                [
-                    strategy,
-                    count,
-                    each.size,
-                    100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size,
-                    float(np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)),
-                    float(np.sqrt(np.mean(each**2))),
-                ]
+                {
+                    "strategy": strategy,
+                    "spheres": count,
+                    "trials": each.size,
+                    "inside 95 % region %": (
+                        100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size
+                    ),
+                    "predicted rms mm": float(
+                        np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)
+                    ),
+                    "actual rms mm": float(np.sqrt(np.mean(each**2))),
+                }
                 for (strategy, count), each in errors.items()
             ],
             "The prediction knows the covariance that the identification of each arm has left.",
         ),
-        Table(
+        Table.of(
             "What the identification leaves",
-            ("arms", "backlash deg rms", "random error mm per axis"),
             [
-                [
-                    len(arms["scatter"]),
-                    float(np.sqrt(np.mean(arms["backlash2"]))),
-                    float(np.mean(arms["scatter"])),
-                ]
+                {
+                    "arms": len(arms["scatter"]),
+                    "backlash deg rms": float(np.sqrt(np.mean(arms["backlash2"]))),
+                    "random error mm per axis": float(np.mean(arms["scatter"])),
+                }
             ],
             "Backlash of set S is 0.02 deg. The random error is estimated from the measurements themselves.",
         ),
@@ -260,7 +250,7 @@ def identified_arm_errors(
     numbers: Sequence[int],
     sizes: Sizes,
 ) -> Array:
-    """Error vectors (t, c, 3) mm of one arm, like `target_errors` for many; `numbers` is its own."""
+    """Error vectors (t, c, 3) mm of one arm, like `Scene.errors_mm` for many; `numbers` is its own."""
     phantom, robot_from_ct, chance = scene.phantom, scene.robot_from_ct, scene.chance(numbers)
     spheres, sets = robot_from_ct.apply(phantom.spheres_mm), planned.sets
     targets_ct = np.array([one.target_mm for one in phantom.trajectories])

@@ -16,8 +16,7 @@ import numpy as np
 
 from studies.accuracy.phantom import ALIKE, USUAL_TILTS, Markers, draw_phantom
 from studies.accuracy.random_arms import RandomArms, Source
-from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene
-from studies.accuracy.trials import Sizes
+from studies.accuracy.scene import DIGITS, SCENARIOS, SET_S, Scenario, Scene, Sizes
 from studies.campaign.study import Sums, Unit, blocks, omit_empty_own
 from studies.plugins.method import PluginMethod
 from studies.plugins.strategy import PluginStrategy
@@ -52,7 +51,6 @@ class StrategiesStudy:
     own: tuple[PluginMethod, ...] = ()
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {
             **omit_empty_own(asdict(self)),
             "places": PLACES,

@@ -45,7 +45,7 @@ SETTLED = "as in table 4"
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Table 4 next to ours, its rows, the sources, the decrease with more spheres, the prediction."""
     errors = trial_errors(sums)
-    if not any(_cells(sums, PREDICTION)):  # trials only, with user strategies
+    if not any(_entries(sums, PREDICTION)):  # trials only, with user strategies
         return [_table_4(errors), _trajectories(errors)]
     return [
         _table_4(errors),
@@ -73,10 +73,8 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, Array]:
     """Errors (arms, places, targets) mm of all trials in one part of the study."""
     found: dict[Series, dict[tuple[int, int, int], float]] = defaultdict(dict)
-    for _, (markers, number), content in _cells(sums, part):
-        for key, error_mm in content.items():
-            strategy, count, arm, target = key.split("|")
-            found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
+    for markers, number, (strategy, count, arm, target), error_mm in _entries(sums, part):
+        found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
     arrays = {}
     for series in sorted(found, key=_order):
         trials = found[series]
@@ -88,13 +86,9 @@ def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, A
 def paired_comparison(sums: Mapping[str, Sums]) -> Table:
     """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for condition, content in sums.items():
-        if condition.split("|")[0] != SCENARIO:
-            continue
-        for key, sum_mm in content.items():
-            scenario, strategy, spheres, what = key.split("|")
-            if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
-                totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
+    for _, _, (scenario, strategy, spheres, what), sum_mm in _entries(sums, SCENARIO):
+        if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
+            totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
     rows: list[list[Cell]] = []
     for scenario in PAIRED_SCENARIOS:
         for count in sorted({one[2] for one in totals if one[0] == scenario}):
@@ -121,11 +115,12 @@ def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
     return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
 
 
-def _cells(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, list[str], Sums]]:
+def _entries(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, str, list[str], float]]:
+    """Yield markers, position, parts of the key, and value of each sum in one part of the study."""
     for condition, content in sums.items():
-        part, *rest = condition.split("|")
+        part, markers, number = condition.split("|")
         if part == wanted:
-            yield part, rest, content
+            yield from ((markers, number, key.split("|"), value) for key, value in content.items())
 
 
 def _order(series: Series) -> tuple[int, int, int]:
@@ -139,51 +134,36 @@ def _thesis(markers: str, strategy: str, count: int) -> StrategyRow | None:
 
 
 def _table_4(errors: Mapping[Series, Array]) -> Table:
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for series, each in errors.items():
+        markers, strategy, count = series
         arms = each.reshape(len(each), -1)
         means = arms.mean(axis=1)
         low, high = np.percentile(means, [LOW_SHARE, HIGH_SHARE])
         thesis = _thesis(*series)
         mean = float(means.mean())
         rows.append(
-            [
-                *series,
-                None if thesis is None else thesis.mean_mm,
-                mean,
-                bounds.mean_length(means).text,
-                None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
-                f"{low:.2f}-{high:.2f}",
-                None if thesis is None else thesis.sd_mm,
-                float(arms.std(axis=1, ddof=1).mean()),
-                None if thesis is None else thesis.largest_mm,
-                float(arms.max(axis=1).mean()),
-                None if thesis is None else thesis.least_mm,
-                float(arms.min(axis=1).mean()),
-                None if thesis is None else 100.0 * _share(thesis),
-                100.0 * float(np.mean(_between(each) / arms.var(axis=1, ddof=1))),
-            ]
+            {
+                "markers": markers,
+                "strategy": strategy,
+                "spheres": count,
+                "thesis mean mm": None if thesis is None else thesis.mean_mm,
+                "mean mm": mean,
+                bounds.column("mean"): bounds.mean_length(means).text,
+                "differs by %": None if thesis is None else 100.0 * (mean / thesis.mean_mm - 1.0),
+                "5-95 % of the arms": f"{low:.2f}-{high:.2f}",
+                "thesis sd": None if thesis is None else thesis.sd_mm,
+                "sd": float(arms.std(axis=1, ddof=1).mean()),
+                "thesis max": None if thesis is None else thesis.largest_mm,
+                "max": float(arms.max(axis=1).mean()),
+                "thesis min": None if thesis is None else thesis.least_mm,
+                "min": float(arms.min(axis=1).mean()),
+                "thesis between trajectories %": None if thesis is None else 100.0 * _share(thesis),
+                "between trajectories %": 100.0 * float(np.mean(_between(each) / arms.var(axis=1, ddof=1))),
+            }
         )
-    return Table(
+    return Table.of(
         "Table 4",
-        (
-            "markers",
-            "strategy",
-            "spheres",
-            "thesis mean mm",
-            "mean mm",
-            bounds.column("mean"),
-            "differs by %",
-            "5-95 % of the arms",
-            "thesis sd",
-            "sd",
-            "thesis max",
-            "max",
-            "thesis min",
-            "min",
-            "thesis between trajectories %",
-            "between trajectories %",
-        ),
         rows,
         "Mean, sd, max and min of each arm over 8 positions and 10 targets, then the mean over the "
         "arms. Between trajectories: variance of the ten means over the whole variance. The thesis "
@@ -221,12 +201,9 @@ def _trajectories(errors: Mapping[Series, Array]) -> Table:
 
 
 def _sources(sums: Mapping[str, Sums]) -> Table:
-    total: dict[Series, dict[str, float]] = {}
-    for _, (markers, _), content in _cells(sums, SOURCES):
-        for key, value in content.items():
-            strategy, count, source = key.split("|")
-            row = total.setdefault((markers, strategy, int(count)), defaultdict(float))
-            row[source] += value
+    total: dict[Series, dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for markers, _, (strategy, count, source), value in _entries(sums, SOURCES):
+        total[markers, strategy, int(count)][source] += value
     rows: list[list[Cell]] = [
         [*series, *(total[series][source] / total[series][""] for source in Source)]
         for series in sorted(total, key=_order)
@@ -249,20 +226,8 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
         few, many = (TABLE_4[OF_TABLE_4[strategy], count] for count in (fewest, most))
         fall_mm = few.mean_mm - many.mean_mm
         alike = float(np.corrcoef(few.trajectories_mm, many.trajectories_mm)[0, 1])
-        rows.append(
-            [
-                "thesis",
-                strategy,
-                many.mean_mm,
-                many.sd_mm,
-                100.0 * _share(many),
-                fall_mm,
-                None,
-                None,
-                None,
-                alike,
-            ]
-        )
+        share = 100.0 * _share(many)
+        rows.append(["thesis", strategy, many.mean_mm, many.sd_mm, share, fall_mm, None, None, None, alike])
         for part, name in parts.items():
             each_few, each_many = (errors[part][Markers.FREE, strategy, count] for count in (fewest, most))
             arms = each_many.reshape(len(each_many), -1)
@@ -309,12 +274,9 @@ def _row_correlation(few: Array, many: Array) -> float:
 
 
 def _scenarios(sums: Mapping[str, Sums]) -> Table:
-    total: dict[tuple[str, str, int], dict[str, float]] = {}
-    for _, _, content in _cells(sums, SCENARIO):
-        for key, value in content.items():
-            scenario, strategy, count, what = key.split("|")
-            row = total.setdefault((scenario, strategy, int(count)), defaultdict(float))
-            row[what] += value
+    total: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for _, _, (scenario, strategy, count, what), value in _entries(sums, SCENARIO):
+        total[scenario, strategy, int(count)][what] += value
     rows: list[list[Cell]] = []
     for (scenario, strategy, spheres), one in total.items():
         bins = sorted(int(key) for key in one if not key.startswith(OF_ARM))
@@ -334,33 +296,28 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
 
 
 def _prediction(sums: Mapping[str, Sums]) -> Table:
-    total: dict[tuple[str, Series], dict[str, float]] = {}
-    for _, (markers, _), content in _cells(sums, PREDICTION):
-        for key, value in content.items():
-            scenario, strategy, count, what = key.split("|")
-            series = markers, strategy, int(count)
-            total.setdefault((scenario, series), defaultdict(float))[what] += value
+    total: dict[tuple[str, Series], dict[str, float]] = defaultdict(lambda: defaultdict(float))
+    for markers, _, (scenario, strategy, count, what), value in _entries(sums, PREDICTION):
+        total[scenario, (markers, strategy, int(count))][what] += value
     named = [one.name for one in PREDICTED]
-    rows: list[list[Cell]] = []
+    rows: list[dict[str, Cell]] = []
     for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
         one = total[scenario, series]
         actual, predicted = (float(np.sqrt(one[key] / one["targets"])) for key in ("actual2", "predicted2"))
         inside = bounds.percent(one["inside"] / TARGETS, one["targets"] / TARGETS)  # an arm counts once
-        share = 100.0 * one["inside"] / one["targets"]
-        rows.append([scenario, *series, int(one["targets"]), share, inside.text, predicted, actual])
-    return Table(
+        rows.append(
+            {
+                "scenario": scenario,
+                **dict(zip(("markers", "strategy", "spheres"), series, strict=True)),
+                "targets": int(one["targets"]),
+                "inside 95 % region %": 100.0 * one["inside"] / one["targets"],
+                bounds.column("inside"): inside.text,
+                "predicted rms mm": predicted,
+                "actual rms mm": actual,
+            }
+        )
+    return Table.of(
         "Predicted and actual error",
-        (
-            "scenario",
-            "markers",
-            "strategy",
-            "spheres",
-            "targets",
-            "inside 95 % region %",
-            bounds.column("inside"),
-            "predicted rms mm",
-            "actual rms mm",
-        ),
         rows,
         "Different arms from table 4: 1,000, each at one position. The prediction knows the sizes of "
         f"the errors and the poses, but nothing about the arm. {bounds.NOTE} The {TARGETS} targets of "

@@ -45,11 +45,9 @@ class WorldsStudy:
 
     @property
     def name(self) -> str:
-        """Name of the study."""
         return "worlds-quiet" if self.quiet else "worlds"
 
     def settings(self) -> dict[str, object]:
-        """Return all inputs of the results."""
         return {"cases": self.cases, "seed": self.seed, "scene": self.scene, "quiet": self.quiet}
 
     def units(self) -> Sequence[Unit]:
@@ -65,11 +63,9 @@ class WorldsStudy:
         return sums if worst is None else {**sums, "error_mm": worst.error_mm, "limit_mm": worst.limit_mm}
 
     def world(self, number: int) -> World:
-        """Draw one of its worlds."""
         return draw_world(self.seed, number, self.scene, quiet=self.quiet)
 
     def place(self, number: int) -> Path:
-        """The folder of one of its worlds."""
         return self.folder / "cases" / f"{number:04d}"
 
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
@@ -162,8 +158,8 @@ def run_world(world: World, folder: Path) -> Judgement:
         limits_used_mm(chain.lines, _predictions(run.parent)),
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
-        done=_printed(ended.stdout).get("outcome") in FINISHED,
-        error=_error(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
+        done=_parse_output(ended.stdout).get("outcome") in FINISHED,
+        error=_error_text(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
     )
     write_whole(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
     if RANKS[found.verdict] < KEPT:
@@ -184,7 +180,6 @@ def document(world: World, found: Judgement) -> dict[str, Any]:
 
 
 def _true_errors_mm(run: Path) -> dict[str, float]:
-    """True errors of the targets that were reached."""
     ended = finished_command(
         "ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S
     )
@@ -195,7 +190,6 @@ def _true_errors_mm(run: Path) -> dict[str, float]:
 
 
 def _predictions(run: Path) -> dict[str, dict[str, float]]:
-    """The 95 % limits of each record that predicts errors, by record and target."""
     found: dict[str, dict[str, float]] = {}
     for path in sorted((run / RECORDS_FOLDER).glob("*.json")):
         record = read_record(path)
@@ -204,8 +198,7 @@ def _predictions(run: Path) -> dict[str, dict[str, float]]:
     return found
 
 
-def _printed(output: str) -> dict[str, Any]:
-    """The object that a run printed; empty if it printed none."""
+def _parse_output(output: str) -> dict[str, Any]:
     try:
         printed: dict[str, Any] = json.loads(output)
     except ValueError:
@@ -213,9 +206,9 @@ def _printed(output: str) -> dict[str, Any]:
     return printed
 
 
-def _error(output: str) -> str:
+def _error_text(output: str) -> str:
     """Code and message of the error that ended a run, empty without one."""
-    error = _printed(output).get("error") or {}
+    error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 
 

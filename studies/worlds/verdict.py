@@ -70,7 +70,6 @@ class Target:
 
     @property
     def verdict(self) -> Verdict:
-        """The verdict on this target alone."""
         if self.ratio <= 1.0:
             return Verdict.OK
         if self.warned:
@@ -90,7 +89,6 @@ class Judgement:
 
     @property
     def worst(self) -> Target | None:
-        """The worst of its targets."""
         return worst_of(self.targets)
 
 
@@ -127,10 +125,10 @@ def judge(
     `errors_mm` are the true errors of the targets that were reached, `error` is what ended a case that is
     not `done`.
     """
-    since_s = _localized_s(lines) if change is None else _happened_s(lines, *change)
+    since_s = _localization_time_s(lines) if change is None else _change_time_s(lines, *change)
     ended_s = theatre_time_s(lines[-1]) if lines else 0.0
     happened = change is not None and since_s <= ended_s
-    touched, said = _warnings(lines, _localized_s(lines) if not happened else since_s, trajectories)
+    touched, said = _warnings(lines, _localization_time_s(lines) if not happened else since_s, trajectories)
     targets = tuple(
         Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
     )
@@ -155,13 +153,13 @@ def _warnings(
         if theatre_time_s(line) < since_s:
             continue
         is_finding = line["entry"] == Entry.FINDING and "targets" not in line
-        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_words(line))):
-            named = _named(line, trajectories)
+        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_warning_text(line))):
+            named = _named_trajectories(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
                 named = {of_step} if of_step else set(trajectories)
             touched |= named
-            said.append(_words(line))
+            said.append(_warning_text(line))
         elif line["entry"] == Entry.CONFIRMATION:
             topic = str(line.get("topic")).partition(":")[0]
             if topic in UNUSUAL_TOPICS:
@@ -169,19 +167,19 @@ def _warnings(
     return frozenset(touched), tuple(said)
 
 
-def _named(line: Line, trajectories: Sequence[str]) -> set[str]:
+def _named_trajectories(line: Line, trajectories: Sequence[str]) -> set[str]:
     text = json.dumps(dict(line))
     return {
         one for one in trajectories if re.search(rf"(?<![A-Za-z0-9]){re.escape(one)}(?![A-Za-z0-9])", text)
     }
 
 
-def _words(line: Line) -> str:
+def _warning_text(line: Line) -> str:
     words = line.get("text") or line.get("what") or line.get("error") or line.get("code") or ""
     return f"{line['entry']}: {words}"
 
 
-def _localized_s(lines: Iterable[Line]) -> float:
+def _localization_time_s(lines: Iterable[Line]) -> float:
     """Return the time of the last re-localization; infinite without one."""
     done = [
         theatre_time_s(line)
@@ -191,6 +189,6 @@ def _localized_s(lines: Iterable[Line]) -> float:
     return max(done, default=math.inf)
 
 
-def _happened_s(lines: Iterable[Line], step: str, after_s: float) -> float:
+def _change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
     begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
     return next(begun, math.inf) + after_s

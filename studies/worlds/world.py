@@ -94,7 +94,7 @@ def _draw_change(generator: np.random.Generator, markers: int, targets: int) -> 
     name = list(STEPS_S)[int(generator.integers(len(STEPS_S)))]
     after_s = round(float(generator.uniform(0.0, STEPS_S[name])), 3)
     step = name if name in OF_ALL else f"{name}:T{int(generator.integers(1, targets + 1))}"
-    lines = _changed(generator, what)
+    lines = _change_lines(generator, what)
     hidden = ""
     if generator.uniform() < HIDDEN_SHARE:
         whole = generator.uniform() < ALL_HIDDEN_SHARE
@@ -108,9 +108,9 @@ def _draw_change(generator: np.random.Generator, markers: int, targets: int) -> 
     return Change(what, step, after_s, tuple(lines), hidden)
 
 
-def _changed(generator: np.random.Generator, what: What) -> list[str]:
+def _change_lines(generator: np.random.Generator, what: What) -> list[str]:
     if what is What.TIP:
-        x, y = _in_plane(generator, MOST_BENT_MM)
+        x, y = _draw_plane_vector(generator, MOST_BENT_MM)
         return [f"room bent tip {x:+.3f} {y:+.3f} 0 mm"]
     if what is What.SEAT:
         off_mm = generator.uniform(-MOST_SEAT_MM, MOST_SEAT_MM)
@@ -119,20 +119,20 @@ def _changed(generator: np.random.Generator, what: What) -> list[str]:
     if what is What.CAMERA:
         side = ("left", "right")[int(generator.integers(2))]
         return [f"camera twist {side} {generator.uniform(-MOST_CAMERA_DEG, MOST_CAMERA_DEG):+.4f} deg"]
-    shift = " ".join(f"{value:+.3f}" for value in _in_space(generator, MOST_MM))
+    shift = " ".join(f"{value:+.3f}" for value in _draw_vector(generator, MOST_MM))
     lines = [f"room shift {what.value} {shift} mm"]
     if what is not What.TRACKER:
-        turn = " ".join(f"{value:+.3f}" for value in _in_space(generator, MOST_DEG))
+        turn = " ".join(f"{value:+.3f}" for value in _draw_vector(generator, MOST_DEG))
         lines.append(f"room turn {what.value} {turn} deg")
     return lines
 
 
-def _in_space(generator: np.random.Generator, most: float) -> list[float]:
+def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
     """Draw a vector of a random length in a random direction."""
     way = generator.standard_normal(3)
     return [float(value) for value in way * (generator.uniform(0.0, most) / np.linalg.norm(way))]
 
 
-def _in_plane(generator: np.random.Generator, most: float) -> tuple[float, float]:
+def _draw_plane_vector(generator: np.random.Generator, most: float) -> tuple[float, float]:
     length, angle = generator.uniform(0.0, most), generator.uniform(0.0, 2.0 * math.pi)
     return float(length * math.cos(angle)), float(length * math.sin(angle))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING, Annotated
 
@@ -45,12 +46,12 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    request = asked.request(context)
+    theatre = asked.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import ARM
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), request)
+    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), asked, theatre)
 
 
 @app.command()
@@ -65,42 +66,28 @@ def check(
     others as in `calibrate`.
     """
     from procedures.calibration.arm_check import check_arm
-    from procedures.cli.calibrating.calibration import run_with_bar
-    from procedures.reporting.calibration_figures import ArmCheckFigures, write_figures
+    from procedures.cli.calibrating.calibration import check_calibration
+    from procedures.reporting.calibration_figures import ArmCheckFigures
     from procedures.runs.calibrations import ARM
-    from procedures.runs.finishing import finalize_run
-    from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    found: list[ArmCheckFigures] = []
-
-    def conclude(case: Case) -> None:
+    def judge(case: Case) -> tuple[ArmCheckFigures, Callable[[], None]]:
         for remark in ARM.remarks(case):
             terminal.tell(remark)
         result = check_arm(ARM.observed(case))
-        figures = ArmCheckFigures.model_validate(result)
-        write_figures(figures, folder)
-        found.append(figures)
-        result.require()
+        return ArmCheckFigures.model_validate(result), result.require
+
+    def show(figures: ArmCheckFigures) -> None:
+        rows = [[one.name, one.value, one.verdict] for one in figures.table()]
+        terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
 
     theatre = replace(asked, calibrated=True).theatre()
     recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
     measurement = Measurement(steps=recipe.steps, title="Check of the arm", recipe=recipe)
     request = replace(theatre, procedure=measurement)
-    folder = new_run_folder(request, asked.out, "check")
-    try:
-        with finalize_run(folder, with_truth=False):
-            run_with_bar(request, folder, ARM.activity, conclude)
-    finally:
-        for figures in found:
-            if asked.as_json:
-                terminal.print_json(figures.as_json())
-            else:
-                rows = [[one.name, one.value, one.verdict] for one in figures.table()]
-                terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
+    check_calibration(request, asked.out, ARM.activity, judge, show, as_json=asked.as_json)
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, TypeVar
 
 from procedures.cli.case.case_view import EventFollower
 from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
 from procedures.engine.events import Event, Progress
-from procedures.reporting.calibration_figures import RecordFigures
+from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
 from procedures.runs.calibration_files import finished_figures, require_same_folder
 from procedures.runs.calibrations import (
     CalibrationKind,
@@ -35,31 +35,24 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.messages import ProgressBar
 
 if TYPE_CHECKING:
+    from procedures.cli.calibrating.options import CalibrationOptions
     from procedures.engine.case import Case
     from procedures.engine.engine import Engine
 
+F = TypeVar("F", bound=Figures)
 NOT_COMPARED = (
     "warning: without --config nothing was compared with the records in force: whether the measurements were "
     "made with these was not judged"
 )
 
 
-@dataclass(frozen=True)
-class CalibrationRequest:
-    """Options of every calibration: measure in a theatre, or recompute from recorded looks."""
+def calibrate(
+    kind: CalibrationKind[Looks, Result], recipe: Recipe, asked: CalibrationOptions, theatre: RunRequest
+) -> None:
+    """Measure in the theatre or read, compute, leave the files and show the figures.
 
-    theatre: RunRequest | None
-    recorded: Path | None
-    config: Path | None
-    write: Path | None
-    days: int
-    out: Path
-    as_json: bool
-
-
-def calibrate(kind: CalibrationKind[Looks, Result], recipe: Recipe, asked: CalibrationRequest) -> None:
-    """Measure or read, compute, leave the files and show the figures. Raises CAL-002 to CAL-020, PRO-033."""
-    theatre = asked.theatre or RunRequest(config=asked.config)
+    Raises CAL-002 to CAL-020, PRO-033.
+    """
     if asked.write is not None and theatre.config is not None:
         require_same_folder(theatre.config, asked.write)  # before anything is measured
     procedure = CalibrationProcedure(
@@ -113,7 +106,6 @@ def _measure(
     folder: Path,
     resumption: Resumption | None = None,
 ) -> None:
-    """Take the looks that are missing, and conclude within the run."""
     run_with_bar(
         request, folder, kind.activity, lambda case: conclude(kind, request, case, folder), resumption
     )
@@ -135,6 +127,36 @@ def run_with_bar(
     with terminal.progress_bar(activity) as bar:
         engine, _ = run_steps(request, folder, bar_observers(bar), resumption, concluded)
     return engine
+
+
+def check_calibration(
+    request: RunRequest,
+    out: Path,
+    activity: str,
+    judge: Callable[[Case], tuple[F, Callable[[], None]]],
+    show_figures: Callable[[F], None],
+    *,
+    as_json: bool,
+) -> None:
+    """Measure, then leave and show the figures that `judge` returns, also if its verdict raises."""
+    found: list[F] = []
+
+    def conclude(case: Case) -> None:
+        figures, require = judge(case)
+        write_figures(figures, folder)
+        found.append(figures)
+        require()
+
+    folder = new_run_folder(request, out, "check")
+    try:
+        with finalize_run(folder, with_truth=False):
+            run_with_bar(request, folder, activity, conclude)
+    finally:
+        for figures in found:
+            if as_json:
+                terminal.print_json(figures.as_json())
+            else:
+                show_figures(figures)
 
 
 def bar_observers(bar: ProgressBar) -> RunObservers:

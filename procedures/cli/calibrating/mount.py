@@ -39,12 +39,12 @@ def tracker_frame(
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
     usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    request = asked.request(context)
+    theatre = asked.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import TRACKER_FRAME
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), request)
+    calibrate(TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), asked, theatre)
 
 
 @app.command("tool-tip")
@@ -70,10 +70,10 @@ def tool_tip(
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
     finite_ball(ball)
-    request = asked.request(context)
+    theatre = asked.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import TOOL_TIP
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
-    calibrate(TOOL_TIP, recipe, request)
+    calibrate(TOOL_TIP, recipe, asked, theatre)

@@ -11,11 +11,11 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from procedures.cli.case.options import TheatreOptions
+from procedures.runs.request import RunRequest
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import JsonOption
 
 if TYPE_CHECKING:
-    from procedures.cli.calibrating.calibration import CalibrationRequest
     from ronna_hw.calibration import Numbers3
 
 USED_TO_RECOMPUTE = frozenset({"recorded", "config", "write", "days", "out", "as_json"})
@@ -43,8 +43,10 @@ class CalibrationOptions(MeasuringOptions):
         typer.Option(metavar="FILE", help="Write the theatre file with the new records, next to --config."),
     ] = None
 
-    def request(self, context: typer.Context) -> CalibrationRequest:
-        """Return the requested calibration. Raises CLI-001 unless each input has one source.
+    def source(self, context: typer.Context) -> RunRequest:
+        """Return the theatre to measure in, or of the recorded measurements.
+
+        Raises CLI-001 unless each input has one source.
 
         `context` is the command's: it knows which of all its options were typed.
         """
@@ -58,21 +60,10 @@ class CalibrationOptions(MeasuringOptions):
                 f"{idle} and --from cannot be combined",
                 action="Omit it: nothing is measured, the measurements in the folder are used.",
             )
-        from procedures.cli.calibrating.calibration import CalibrationRequest
-
-        return CalibrationRequest(
-            self.theatre() if self.recorded is None else None,
-            self.recorded,
-            self.config,
-            self.write,
-            days=self.days,
-            out=self.out,
-            as_json=self.as_json,
-        )
+        return self.theatre() if self.recorded is None else RunRequest(config=self.config)
 
 
 def _typed_except(context: typer.Context, names: Set[str]) -> str:
-    """Return the other options on the command line, as they are typed."""
     return ", ".join(
         one.opts[0]
         for one in context.command.params

@@ -15,7 +15,7 @@ from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
-from ronna_hw.tool_record import GAUGE_APPROACHES
+from ronna_hw.tool_record import GAUGE_APPROACHES, ToolRecord
 
 SOON = timedelta(days=3)  # before it expires a record is worth a word
 
@@ -41,21 +41,16 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
             advice = error.advice if record.created > now else make
             yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
             continue
-        if name == "arm" and (problem := _apart(theatre.calibration, path)):
-            yield Diagnostic(subject, False, f"{problem.code} {problem.summary}", problem.advice)
-            continue
+        if name == "arm":
+            try:
+                require_together(theatre.calibration, options_of(path))
+            except (ArmOlderThanHead, OfAnotherTheatre) as error:
+                yield refusal(subject, error)
+                continue
         soon = make if record.expires - now < SOON else ""
         yield Diagnostic(
             subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )
-
-
-def _apart(calibrations: Calibrations, path: Path) -> RonnaError | None:
-    try:
-        require_together(calibrations, options_of(path))
-    except (ArmOlderThanHead, OfAnotherTheatre) as error:
-        return error
-    return None
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
@@ -83,42 +78,23 @@ def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic
     except RonnaError as error:
         yield refusal("tool records", error)
     else:
-        advice = " ".join(
-            filter(None, (_implausible(theatre), _unwatched(theatre), _read_too_seldom(theatre)))
-        )
+        guide = theatre.tools.get(GUIDE)
+        advice = "" if guide is None else " ".join(_guide_advice(guide, theatre.calibration))
         yield Diagnostic("tool records", True, ", ".join(theatre.tools), advice)
 
 
-def _unwatched(theatre: TheatreFile) -> str:
-    """Return advice for a guide whose tip may have changed unnoticed since its gauge was read."""
-    guide = theatre.tools.get(GUIDE)
-    if guide is None or guide.tip_in_head is not None:
-        return ""
-    return f"[tools.{GUIDE}] has no tip_in_head, so a tip edited since is not noticed. {RENEW}"
-
-
-def _read_too_seldom(theatre: TheatreFile) -> str:
-    """Return advice for a guide whose gauge was read too seldom to compare each mounting with."""
-    guide = theatre.tools.get(GUIDE)
-    read = GAUGE_APPROACHES if guide is None or guide.gauge is None else guide.gauge.approaches
-    if read >= GAUGE_APPROACHES:
-        return ""
-    return (
-        f"[tools.{GUIDE}.gauge] is the mean of {read} approaches, not of {GAUGE_APPROACHES}: "
-        f"good guides may be refused. {RENEW}"
-    )
-
-
-def _implausible(theatre: TheatreFile) -> str:
-    """Return advice for a guide that weighs beyond its own end: a value is likely mistyped."""
-    guide = theatre.tools.get(GUIDE)
-    if guide is None or theatre.calibration is None:
-        return ""
-    tip_mm = math.hypot(*theatre.calibration.tool_tip.flange_from_tool.translation_mm)
+def _guide_advice(guide: ToolRecord, calibrations: Calibrations) -> Iterator[str]:
+    tip_mm = math.hypot(*calibrations.tool_tip.flange_from_tool.translation_mm)
     weight_mm = math.hypot(*guide.centre_of_gravity_mm)
-    if weight_mm < tip_mm:
-        return ""
-    return (
-        f"The tip of the {GUIDE} is {tip_mm:.0f} mm from the flange, its centre of gravity "
-        f"{weight_mm:.0f} mm: check [calibration.tool_tip] and [tools.{GUIDE}]."
-    )
+    if weight_mm >= tip_mm:  # beyond its own end: a value is likely mistyped
+        yield (
+            f"The tip of the {GUIDE} is {tip_mm:.0f} mm from the flange, its centre of gravity "
+            f"{weight_mm:.0f} mm: check [calibration.tool_tip] and [tools.{GUIDE}]."
+        )
+    if guide.tip_in_head is None:
+        yield f"[tools.{GUIDE}] has no tip_in_head, so a tip edited since is not noticed. {RENEW}"
+    if guide.gauge is not None and guide.gauge.approaches < GAUGE_APPROACHES:
+        yield (
+            f"[tools.{GUIDE}.gauge] is the mean of {guide.gauge.approaches} approaches, not of "
+            f"{GAUGE_APPROACHES}: good guides may be refused. {RENEW}"
+        )

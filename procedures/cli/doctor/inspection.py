@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from procedures.cli.doctor.pictures import pair_diagnostics
-from procedures.cli.doctor.theatre_checks import TOOL
+from procedures.cli.doctor.theatre_checks import TOOL, checked
 from procedures.planning.tool_records import ToolRecords
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
@@ -22,7 +22,7 @@ from ronna_hw.devices import OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
 from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagnostics, refusal
-from ronna_hw.devices.readings import TrackerFrame, Validity
+from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 from ronna_hw.theatre import interface_of, require_interface
@@ -124,22 +124,24 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 
     def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
         subject = f"{name}: "
-        wrong_kind = _refusal(partial(require_interface, name, driver, device, interface_of(name)))
-        if wrong_kind is not None:
-            yield refusal(f"{subject}driver", wrong_kind)
+        of_its_kind = checked(
+            f"{subject}driver", driver, lambda: require_interface(name, driver, device, interface_of(name))
+        )
+        if not of_its_kind.well:
+            yield of_its_kind
             return
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
-            yield from _matching(name, device, identity.serial, calibrations, theatre)
-        refused = _refusal(device.configure)
-        if refused is not None:
-            yield refusal(f"{subject}configured", refused)
+            yield from _check_records(name, device, identity.serial, calibrations, theatre)
+        configured = checked(f"{subject}configured", "", device.configure)
+        if not configured.well:
+            yield configured
             return
         for notice in device.notices:
             yield Diagnostic(f"{subject}notice", True, notice)
         if isinstance(device, OpticalTracker):
-            yield from _seen_by_tracker(subject, device, theatre)
+            yield from _check_visibility(subject, device, theatre)
         elif isinstance(device, StereoPair):
             head = None if calibrations is None else calibrations.stereo_head
             judged = partial(pair_diagnostics, subject, head=head)
@@ -150,40 +152,38 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
     return inspect
 
 
-def _matching(
+def _check_records(
     name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
     """Whether the records are of this very device, and the right tool is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
-        tracked = device.tools
-        refused = _refusal(partial(ToolRecords.of(theatre).check_frames, calibrations, tracked))
-        yield _checked(f"{subject}frames named in records", ", ".join(tracked), refused)
+        check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, device.tools)
+        yield checked(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
     if isinstance(device, StereoPair):
-        for side, record, serial in zip(
-            ("left", "right"),
-            (calibrations.stereo_head.left, calibrations.stereo_head.right),
-            device.serials,
-            strict=True,
-        ):
-            refused = _refusal(partial(check_serial, record, serial))
-            checked = _checked(f"{subject}calibration of the {side} camera", serial, refused)
-            yield replace(checked, serials={camera_endpoint(theatre.devices[name], side): serial})
+        records = (calibrations.stereo_head.left, calibrations.stereo_head.right)
+        for side, record, serial in zip(SIDES, records, device.serials, strict=True):
+            of_camera = f"{subject}calibration of the {side} camera"
+            found = checked(of_camera, serial, partial(check_serial, record, serial))
+            yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
     if isinstance(device, RobotArm):
-        kinematics = device.kinematics
-        arm = calibrations.arm
-        refused = _refusal(partial(calibrated_arm, kinematics, arm)) or _refusal(
-            partial(require_this_arm, arm, serial)
+        kinematics, arm = device.kinematics, calibrations.arm
+
+        def check_arm() -> None:
+            calibrated_arm(kinematics, arm)
+            require_this_arm(arm, serial)
+
+        of_arm = checked(
+            f"{subject}calibration of the arm", f"{kinematics.name} {serial}".rstrip(), check_arm
         )
         unknown = arm is not None and not (arm.serial and serial)
-        of_arm = _checked(f"{subject}calibration of the arm", f"{kinematics.name} {serial}".rstrip(), refused)
-        yield replace(of_arm, advice=OF_THIS_ARM) if unknown and refused is None else of_arm
+        yield replace(of_arm, advice=OF_THIS_ARM) if unknown and of_arm.well else of_arm
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
-        refused = _refusal(partial(mount.check, MountedTool.STEREO_HEAD))
-        yield _checked(f"{subject}{TOOL}", str(MountedTool.STEREO_HEAD), refused)
+        mounted = MountedTool.STEREO_HEAD
+        yield checked(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
 
 
-def _seen_by_tracker(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
+def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
     """Tools and spheres in sight now, after the unit has let its poses out."""
     try:
         with tracker.active():
@@ -204,27 +204,10 @@ def _seen_by_tracker(subject: str, tracker: OpticalTracker, theatre: TheatreFile
             if seen == len(frames) or tool in mounted_later
             else "Clear the line of sight between the tracker and the arm; turn the cart or the tracker.",
         )
-    spheres = _usual_count(frames)
+    spheres = sorted(len(frame.strays) for frame in frames)[len(frames) // 2]
     yield Diagnostic(
         f"{subject}spheres in view",
         True,
         f"{spheres}",
         "" if spheres >= LEAST_SPHERES else f"A case needs at least {LEAST_SPHERES} on the head.",
     )
-
-
-def _usual_count(frames: list[TrackerFrame]) -> int:
-    counts = sorted(len(frame.strays) for frame in frames)
-    return counts[len(counts) // 2]
-
-
-def _refusal(check: Callable[[], object]) -> RonnaError | None:
-    try:
-        check()
-    except RonnaError as error:
-        return error
-    return None
-
-
-def _checked(subject: str, found: str, refused: RonnaError | None) -> Diagnostic:
-    return Diagnostic(subject, True, found) if refused is None else refusal(subject, refused)

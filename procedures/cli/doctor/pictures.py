@@ -35,14 +35,16 @@ def pair_diagnostics(
     """Return diagnostics of exposure and focus of both images, as far as the view shows them."""
     records = (None, None) if head is None else (head.left, head.right)
     images = (pair.left, pair.right)
-    found = [_seen(image, record) for image, record in zip(images, records, strict=True)]
+    found = [_sphere_near_tool(image, record) for image, record in zip(images, records, strict=True)]
     for number, (side, image) in enumerate(zip(("left", "right"), images, strict=True)):
         if image is not None:
-            in_both = _in_the_middle(images[1 - number], found[1 - number])
-            yield _judged(f"{subject}exposure of the {side} camera", image, found[number], in_both)
+            in_both = _shows_central_sphere(images[1 - number], found[1 - number])
+            yield _judge_camera(f"{subject}exposure of the {side} camera", image, found[number], in_both)
 
 
-def _seen(image: CameraImage | None, record: CameraCalibration | None) -> SphereImage | RonnaError | None:
+def _sphere_near_tool(
+    image: CameraImage | None, record: CameraCalibration | None
+) -> SphereImage | RonnaError | None:
     """Return a sphere near the tool centre, or why there is none; None if that cannot be known."""
     if image is None or record is None:
         return None
@@ -55,7 +57,7 @@ def _seen(image: CameraImage | None, record: CameraCalibration | None) -> Sphere
         return error
 
 
-def _in_the_middle(image: CameraImage | None, seen: SphereImage | RonnaError | None) -> bool:
+def _shows_central_sphere(image: CameraImage | None, seen: SphereImage | RonnaError | None) -> bool:
     """Whether one camera sees a sphere where the other must see some of it."""
     if image is None or not isinstance(seen, SphereImage):
         return False
@@ -64,7 +66,7 @@ def _in_the_middle(image: CameraImage | None, seen: SphereImage | RonnaError | N
     return bool(0.25 < x / columns < 0.75 and 0.25 < y / rows < 0.75)
 
 
-def _judged(
+def _judge_camera(
     subject: str, image: CameraImage, seen: SphereImage | RonnaError | None, in_both: bool
 ) -> Diagnostic:
     largest = LARGEST_GREY[image.pixels.dtype.itemsize]

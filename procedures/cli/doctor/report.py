@@ -17,7 +17,7 @@ from procedures.cli.doctor.theatre_checks import (
     NEEDED,
     RUN,
     RUNS,
-    as_left,
+    advise_on_unfinished_run,
     case_diagnostics,
     computer_diagnostics,
     use_diagnostics,
@@ -35,7 +35,7 @@ from ronna_hw.registry import endpoint_probes, load_probe
 CASE = "case"
 STEREO = "stereo"  # the table of the cameras
 SECTIONS = ("lines", "cameras")  # of the JSON, also when they are empty
-Look = Callable[[Progress], Sequence[Diagnostic]]
+Examination = Callable[[Progress], Sequence[Diagnostic]]
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def examine(
     of a theatre that a run uses.
     """
     parsed = [parse_endpoint(text) for text in endpoints]
-    looks: dict[str, Look] = dict(_looks_at_endpoints(parsed))
+    examinations: dict[str, Examination] = dict(_endpoint_examinations(parsed))
     calibrations: tuple[Diagnostic, ...] = ()
     case: tuple[Diagnostic, ...] = ()
     devices: list[str] = []
@@ -112,14 +112,18 @@ def examine(
         if all(one.subject != RUN for one in case):
             devices = list(file.devices)
             for name, device in file.devices.items():
-                looks[name] = partial(_probe, name, device, file)
+                examinations[name] = partial(_probe, name, device, file)
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
-    for number, (name, look) in enumerate(looks.items()):
-        found[name] = look(partial(_advance, progress, number, len(looks)))
+    for number, (name, look) in enumerate(examinations.items()):
+
+        def advance(share: float, before: int = number) -> None:
+            progress((before + share) / len(examinations))
+
+        found[name] = look(advance)
         if config is not None and name in devices:
-            found[name] = as_left(config, found[name])
-        progress((number + 1) / len(looks))
+            found[name] = advise_on_unfinished_run(config, found[name])
+        advance(1.0)
     of_devices = {name: found[name] for name in devices}
     judged = () if config is None else tuple(verdicts(case + calibrations, of_devices))
     return Report(computer, tuple(one for each in found.values() for one in each), calibrations, case, judged)
@@ -176,7 +180,7 @@ def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
     return tuple(dict.fromkeys(failed))
 
 
-def _looks_at_endpoints(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Look]]:
+def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Examination]]:
     """Return one look for each requested probe, with all its endpoints."""
     if not endpoints:
         return
@@ -207,7 +211,3 @@ def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Prog
     if name != STEREO or theatre.calibration is None:
         return found
     return advise_on_serials(found, config, theatre.calibration.stereo_head)
-
-
-def _advance(progress: Progress, number: int, looks: int, share: float) -> None:
-    progress((number + share) / looks)

@@ -17,7 +17,7 @@ from procedures.runs.theatre_note import arm_not_home, instrument_not_out
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
-from ronna_hw.devices.probing import Diagnostic
+from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.theatre_kind import is_simulated, require_one_kind
@@ -36,8 +36,8 @@ RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras a
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
     """Return all obstacles to a case in a folder of `out`, whatever its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
-    yield from _judged("theatre file", kind, lambda: require_one_kind(theatre))
-    yield from _judged(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
+    yield checked("theatre file", kind, lambda: require_one_kind(theatre))
+    yield checked(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
     missing = [name for name in NEEDED if name not in theatre.devices]
     yield Diagnostic(
         "devices of a case",
@@ -45,9 +45,8 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
         f"without {', '.join(missing)}" if missing else ", ".join(NEEDED),
         f"Add {' and '.join(f'[{name}]' for name in missing)} to the theatre file." if missing else "",
     )
-    yield from _judged(
-        "open files", f"at least {CASE_OPEN_FILES} allowed", lambda: require_open_files(CASE_OPEN_FILES)
-    )
+    allowed = f"at least {CASE_OPEN_FILES} allowed"
+    yield checked("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
     whole = out.resolve()
     folder = next(path for path in (whole, *whole.parents) if path.exists())  # a run makes the others
     full = DiskSpace(folder).unmet()
@@ -56,20 +55,19 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
 
 
 def _read_clock(theatre: TheatreFile) -> None:
-    """Raises CLK-001."""
     clock = open_clock(theatre.clock.endpoint)
     clock.now_s()
     if isinstance(clock, SharedClock):
         clock.close()
 
 
-def _judged(subject: str, found: str, require: Callable[[], object]) -> Iterator[Diagnostic]:
+def checked(subject: str, found: str, require: Callable[[], object]) -> Diagnostic:
+    """Return what was `found`, or the error that `require` raised instead."""
     try:
         require()
     except RonnaError as error:
-        yield Diagnostic(subject, False, f"{error.code} {error.summary}", error.advice)
-    else:
-        yield Diagnostic(subject, True, found)
+        return refusal(subject, error)
+    return Diagnostic(subject, True, found)
 
 
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
@@ -95,39 +93,34 @@ def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
         yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
 
 
-def as_left(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
+def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Return findings at the devices with advice that fits an unfinished run there."""
     run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
-    return [_advised(one, run, None if left is None else left[1]) for one in found]
-
-
-def _advised(one: Diagnostic, run: Path | None, inside: str | None) -> Diagnostic:
-    if one.well:
-        return one
-    if inside is not None and one.subject.endswith(f": {TOOL}"):
-        return replace(one, advice=f"Do not touch the tool: {inside}.")
-    if run is not None and one.subject.endswith(f": {MESSAGES}"):
-        name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
-        return replace(one, advice=f"Remove its cause; then {name}.")
-    return one
+    advised = list(found)
+    for place, one in enumerate(found):
+        if one.well:
+            continue
+        if left is not None and one.subject.endswith(f": {TOOL}"):
+            advised[place] = replace(one, advice=f"Do not touch the tool: {left[1]}.")
+        elif run is not None and one.subject.endswith(f": {MESSAGES}"):
+            name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
+            advised[place] = replace(one, advice=f"Remove its cause; then {name}.")
+    return advised
 
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
     """Return all checks that need no device."""
+    from ronna_hw.host.process import foreign_packages
+
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
-    yield _packages()
+    if foreign := foreign_packages():
+        advice = "Use an environment in which no other package has these names."
+        yield Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
+    else:
+        yield Diagnostic("packages", True, "none foreign")
     yield _receive_buffer()
     yield _real_time()
     yield from _serial_ports()
-
-
-def _packages() -> Diagnostic:
-    from ronna_hw.host.process import foreign_packages
-
-    if foreign := foreign_packages():
-        advice = "Use an environment in which no other package has these names."
-        return Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
-    return Diagnostic("packages", True, "none foreign")
 
 
 def _receive_buffer() -> Diagnostic:
@@ -156,21 +149,18 @@ def _real_time() -> Diagnostic:
 def _serial_ports() -> Iterator[Diagnostic]:
     from serial.tools import list_ports
 
+    from ronna_hw.host.port_users import permission_advice, permissions, users_of_serial_port
+
     ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
     if not ports:
         yield Diagnostic("serial ports", True, "none on this computer")
     for port in ports:
         description = "no description" if port.description == "n/a" else str(port.description)
-        yield _serial_port(str(port.device), description)
-
-
-def _serial_port(path: str, description: str) -> Diagnostic:
-    from ronna_hw.host.port_users import permission_advice, permissions, users_of_serial_port
-
-    subject = f"serial port {path}"
-    seen = f"{description}; {permissions(path)}"
-    if not os.access(path, os.R_OK | os.W_OK):
-        return Diagnostic(subject, False, f"{seen}; permission denied", permission_advice(path))
-    if users := users_of_serial_port(path):
-        seen += "; in use by " + " and ".join(map(str, users))
-    return Diagnostic(subject, True, seen)
+        path = str(port.device)
+        subject, seen = f"serial port {path}", f"{description}; {permissions(path)}"
+        if not os.access(path, os.R_OK | os.W_OK):
+            yield Diagnostic(subject, False, f"{seen}; permission denied", permission_advice(path))
+            continue
+        if users := users_of_serial_port(path):
+            seen += "; in use by " + " and ".join(map(str, users))
+        yield Diagnostic(subject, True, seen)

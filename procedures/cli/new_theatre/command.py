@@ -98,31 +98,28 @@ def new_theatre(
     from ronna_hw.registry import finders
     from ronna_hw.theatre_kind import is_simulated
 
-    taken = None if records is None else writing.read_records(records)
+    copied = writing.CopiedRecords() if records is None else writing.read_records(records)
     search = Search(
-        interfaces=searching.named_interfaces(_interfaces() if interface is None else interface),
+        interfaces=searching.named_interfaces(_ask_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
-        controllers=tuple(map(searching.controller, controller or ())),
-        stream=None if stream is None else searching.stream(stream),
+        controllers=tuple(searching.endpoint_of("--controller", text) for text in controller or ()),
+        stream=None if stream is None else searching.endpoint_of("--stream", stream),
     )
-    searching.clock(clock)
+    searching.endpoint_of("--clock", clock)
     with terminal.progress_bar("looking for the devices") as advance:
         found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
-    if taken is not None:
-        found = writing.with_tools(found, taken.tools)
-    found = writing.with_options(found, option or ())
-    tables = {} if taken is None else taken.tables
-    draft = writing.Draft(name or out.stem, found, clock, taken_over=tables)
-    text = writing.theatre_text(draft)
+    found = writing.with_options(writing.with_tools(found, copied.tools), option or ())
+    name = name or out.stem
+    text = writing.theatre_text(name, found, clock, copied.tables)
     if is_simulated(parse_theatre(tomllib.loads(text), (records or out).name)):
-        text = writing.theatre_text(writing.Draft(draft.name, found, clock, REHEARSAL, tables))
+        text = writing.theatre_text(name, found, clock, copied.tables, REHEARSAL)
     write_whole(out, text.encode(), exclusive=True)
-    ready = _tell(out, found, check=check, as_json=as_json)
+    ready = _report_devices(out, found, check=check, as_json=as_json)
     if not ready:
         raise typer.Exit(EXIT_NOT_FOUND)
 
 
-def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> bool:
+def _report_devices(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> bool:
     """Report the devices found and the doctor's verdict; True if every device is there and ready."""
     from procedures.cli.doctor.report import examine, show_findings
 
@@ -141,7 +138,7 @@ def _tell(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> b
     return complete and all(one.well for one in report.devices)
 
 
-def _interfaces() -> list[str]:
+def _ask_interfaces() -> list[str]:
     """Ask which networks may be searched, again after a typing error; none without a terminal."""
     from ronna_hw.host.network import interfaces
 
@@ -150,11 +147,11 @@ def _interfaces() -> list[str]:
         return []
     known = ", ".join(f"{each.name} ({each.address})" for each in interfaces())
     question = f"Network cards to search, of {known}"
-    chosen: list[str] = typer.prompt(question, default=NO_CARD, value_proc=_cards, err=True)
+    chosen: list[str] = typer.prompt(question, default=NO_CARD, value_proc=_parse_cards, err=True)
     return chosen
 
 
-def _cards(answer: str) -> list[str]:
+def _parse_cards(answer: str) -> list[str]:
     from procedures.cli.new_theatre import searching
 
     names = [] if answer == NO_CARD else answer.replace(",", " ").split()

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from typing import TypeVar
 
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import Progress
@@ -13,7 +12,6 @@ from ronna_hw.endpoints import BadEndpoint, Endpoint, parse_endpoint
 from ronna_hw.host.network import Interface, interfaces
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
-T = TypeVar("T")
 Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where there is none
 
 
@@ -39,36 +37,41 @@ def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
     return tuple(chosen)
 
 
-def read_option(option: str, read: Callable[[str], T], text: str, form: str, example: str) -> T:
-    """Parse the text of an option; CLI-001 names the option, its form and a fitting example."""
+def _controller(text: str) -> Endpoint:
+    full = text if "://" in text else f"tcp://{text}"
+    host = full.removeprefix("tcp://")
+    return parse_endpoint(full if ":" in host else f"{full}:{PROJECT_PORT}").require("tcp")
+
+
+# Options that give an endpoint: how its text is read, its form in words, a fitting example.
+ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
+    "--stream": (
+        lambda text: parse_endpoint(text).require("udp"),
+        "udp://HOST:PORT",
+        "udp://192.168.10.20:59152",
+    ),
+    "--clock": (
+        lambda text: parse_endpoint(text).require("host", "shm"),
+        "host: or shm:///PATH, as in the READY line of a simulated theatre",
+        "host:",
+    ),
+    "--serial": (
+        lambda text: parse_endpoint(f"serial://{text}" if text[:1] == "/" else text).require("serial", "tcp"),
+        "the path of a line, or tcp://HOST:PORT",
+        "/dev/ttyUSB0",
+    ),
+    "--controller": (_controller, "HOST or HOST:PORT", "172.31.1.147"),
+}
+
+
+def endpoint_of(option: str, text: str) -> Endpoint:
+    """Return the endpoint that an option gives. Raises CLI-001 with its form and an example."""
+    read, form, example = ENDPOINT_OPTIONS[option]
     try:
         return read(text)
     except BadEndpoint as error:
         action = f"For example: {option} {example}."
         raise UsageMistake(f"{option}: {error.what}", expected=form, action=action) from error
-
-
-def stream(text: str) -> Endpoint:
-    """Return the endpoint at which telegrams arrive. Raises CLI-001."""
-    return read_option(
-        "--stream",
-        lambda given: parse_endpoint(given).require("udp"),
-        text,
-        "udp://HOST:PORT",
-        "udp://192.168.10.20:59152",
-    )
-
-
-def clock(text: str) -> str:
-    """Return the given source of time. Raises CLI-001 if it is none."""
-    read_option(
-        "--clock",
-        lambda given: parse_endpoint(given).require("host", "shm"),
-        text,
-        "host: or shm:///PATH, as in the READY line of a simulated theatre",
-        "host:",
-    )
-    return text
 
 
 def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
@@ -80,23 +83,7 @@ def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
         from serial.tools import list_ports
 
         given = sorted(str(port.device) for port in list_ports.comports())
-    form = "the path of a line, or tcp://HOST:PORT"
-    return tuple(read_option("--serial", _line, text, form, "/dev/ttyUSB0") for text in given)
-
-
-def controller(text: str) -> Endpoint:
-    """Return the controller's address, with the port of our EKI server by default. Raises CLI-001."""
-    return read_option("--controller", _controller, text, "HOST or HOST:PORT", "172.31.1.147")
-
-
-def _line(text: str) -> Endpoint:
-    return parse_endpoint(f"serial://{text}" if text.startswith("/") else text).require("serial", "tcp")
-
-
-def _controller(text: str) -> Endpoint:
-    full = text if "://" in text else f"tcp://{text}"
-    host = full.removeprefix("tcp://")
-    return parse_endpoint(full if ":" in host else f"{full}:{PROJECT_PORT}").require("tcp")
+    return tuple(endpoint_of("--serial", text) for text in given)
 
 
 def search_all(
@@ -116,38 +103,38 @@ def search_all(
 
         proposals = finder.find(search, advance)
         if finder.table == "stereo":
-            proposals = _of_cameras(proposals, cameras)
+            proposals = _with_cameras(proposals, cameras)
         connected = [one for one in proposals if not one.absent]
-        chosen = _one_of(finder.table, connected, choose)
+        chosen = _choose_proposal(finder.table, connected, choose)
         instead = proposals[0] if proposals else finder.example(search)
         found.append(Found(finder.table, chosen or instead, chosen is not None))
         advance(1.0)
     return tuple(found)
 
 
-def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
+def _with_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
     """Return pairs with these cameras by serial number or address. Raises CLI-001 for others."""
     every = pairs
     for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):
         if wanted is None:
             continue
-        before, pairs = pairs, [pair for pair in pairs if wanted in _camera(pair, side)]
+        before, pairs = pairs, [pair for pair in pairs if wanted in _camera_identity(pair, side)]
         if not pairs:
-            if cameras[0] is not None and any(wanted in _camera(pair, "left") for pair in before):
+            if cameras[0] is not None and any(wanted in _camera_identity(pair, "left") for pair in before):
                 raise UsageMistake(
                     f"--{side}: camera {wanted} is given for both sides",
                     expected="two cameras",
                     action="Give each side its own camera.",
                 )
-            if alike := next((pair for pair in every if wanted in _camera(pair, other)), None):
-                serial, _address = _camera(alike, other)
+            if alike := next((pair for pair in every if wanted in _camera_identity(pair, other)), None):
+                serial, _address = _camera_identity(alike, other)
                 raise UsageMistake(
                     f"--{side}: {wanted} is the camera named {other} ({serial})",
-                    expected=f"{_camera(alike, side)[0]}, which is named {side}",
+                    expected=f"{_camera_identity(alike, side)[0]}, which is named {side}",
                     action="Swap --left and --right; if the names are wrong, omit both options and swap the "
                     "cameras in the file.",
                 )
-            known = sorted({" at ".join(_camera(pair, side)) for pair in before})
+            known = sorted({" at ".join(_camera_identity(pair, side)) for pair in before})
             raise UsageMistake(
                 f"--{side}: no camera {wanted} replied",
                 expected=f"one of {', '.join(known)}" if known else "two cameras on the given interfaces",
@@ -155,13 +142,12 @@ def _of_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None
     return pairs
 
 
-def _camera(pair: Proposal, side: str) -> tuple[str, str]:
-    """Return serial number and address."""
+def _camera_identity(pair: Proposal, side: str) -> tuple[str, str]:
     serial = next(str(option.value) for option in pair.options if option.key == f"{side}_serial")
     return serial, parse_endpoint(pair.endpoints[side]).host
 
 
-def _one_of(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
+def _choose_proposal(table: str, proposals: Sequence[Proposal], choose: Choose) -> Proposal | None:
     if len(proposals) < 2:
         return next(iter(proposals), None)
     words = [f"{one.what} at {', '.join(one.endpoints.values())}" for one in proposals]

@@ -23,7 +23,7 @@ from ronna_hw.text import counted
 
 WIDTH = 110
 TABLE_NAMES = {"robot": "robot.master"}  # the name under which the procedure uses an arm
-TAKEN_OVER = ("calibration", "tools", "cell", "procedure")  # with `flange`, from another file
+COPIED = ("calibration", "tools", "cell", "procedure")  # with `flange`, from another file
 HEAD = (
     "Theatre file, created by ronna-procedure new-theatre. Lines that begin with # are comments: an "
     "option in one shows its default. All keys: docs/reference/theatre-file.md; `ronna-procedure "
@@ -39,34 +39,25 @@ TOOLS = "tools"  # option of a tracker: definitions of what it is to see
 ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
-@dataclass(frozen=True)
-class Draft:
-    """The content of a new theatre file."""
-
-    name: str
-    found: Sequence[Found]
-    clock: str = "host:"
-    banner: str = ""
-    taken_over: Mapping[str, Any] = field(default_factory=dict)  # tables of another file
-
-
-def theatre_text(draft: Draft) -> str:
-    """Return the file as TOML with comments."""
-    lines = [*_comment(HEAD), "", "schema = 1", _line("theatre", draft.name)]
-    if draft.banner:
-        lines.append(_line("banner", draft.banner))
-    if "flange" in draft.taken_over:
-        lines.append(_line("flange", draft.taken_over["flange"]))
-    lines += ["", "[clock]", _line("endpoint", draft.clock)]
-    for found in draft.found:
-        lines += ["", *_device(found)]
-    rest = {name: draft.taken_over[name] for name in TAKEN_OVER if name in draft.taken_over}
+def theatre_text(
+    name: str, found: Sequence[Found], clock: str, copied: Mapping[str, Any], banner: str = ""
+) -> str:
+    """Return a new theatre file as TOML with comments; `copied` are tables of another file."""
+    lines = [*_comment(HEAD), "", "schema = 1", _line("theatre", name)]
+    if banner:
+        lines.append(_line("banner", banner))
+    if "flange" in copied:
+        lines.append(_line("flange", copied["flange"]))
+    lines += ["", "[clock]", _line("endpoint", clock)]
+    for one in found:
+        lines += ["", *_device_lines(one)]
+    rest = {table: copied[table] for table in COPIED if table in copied}
     if "calibration" not in rest:
-        lines += ["", *_missing_records()]
+        lines += ["", *_missing_record_lines()]
     return "\n".join(lines) + "\n" + ("\n" + _toml(rest) if rest else "")
 
 
-def _device(found: Found) -> Iterator[str]:
+def _device_lines(found: Found) -> Iterator[str]:
     proposal, table = found.proposal, TABLE_NAMES.get(found.table, found.table)
     title = f"{table}: {proposal.what}" if found.there else f"{table}: {NOT_FOUND}"
     if proposal.absent:
@@ -74,11 +65,11 @@ def _device(found: Found) -> Iterator[str]:
     yield from _comment(title)
     for remark in proposal.remarks:
         yield from _comment(f"- {remark}")
-    body = list(_tables(table, proposal))
+    body = list(_table_lines(table, proposal))
     yield from body if found.there else (f"# {line}".rstrip() for line in body)
 
 
-def _tables(table: str, proposal: Proposal) -> Iterator[str]:
+def _table_lines(table: str, proposal: Proposal) -> Iterator[str]:
     endpoints, options = proposal.endpoints, proposal.options
     yield f"[{table}]"
     yield _line("driver", proposal.driver)
@@ -88,17 +79,17 @@ def _tables(table: str, proposal: Proposal) -> Iterator[str]:
         yield from ("", f"[{table}.endpoints]")
         yield from (_line(role, address) for role, address in endpoints.items())
     yield from ("", f"[{table}.options]")
-    lists = [option for option in options if option.chosen and _of_tables(option.value)]
+    lists = [option for option in options if option.chosen and _is_list_of_tables(option.value)]
     for option in options:
         if option not in lists:
-            yield from _option(option)
+            yield from _option_lines(option)
     for option in lists:
         for entry in option.value:
             yield from ("", *_comment(option.meaning), f"[[{table}.options.{option.key}]]")
             yield from (_line(key, value) for key, value in entry.items())
 
 
-def _option(option: Option) -> Iterator[str]:
+def _option_lines(option: Option) -> Iterator[str]:
     yield from _comment(option.meaning)
     if option.chosen:
         yield _line(option.key, option.value)
@@ -106,11 +97,11 @@ def _option(option: Option) -> Iterator[str]:
         yield f"# {option.key} =" if option.value is None else f"# {_line(option.key, option.value)}"
 
 
-def _of_tables(value: object) -> bool:
+def _is_list_of_tables(value: object) -> bool:
     return isinstance(value, list | tuple) and bool(value) and all(isinstance(one, dict) for one in value)
 
 
-def _missing_records() -> Iterator[str]:
+def _missing_record_lines() -> Iterator[str]:
     """Return what must be entered by hand before the first calibration, key by key."""
     makers = ", ".join(f"[calibration.{name}] by {command}" for name, command in MADE_BY_COMMAND.items())
     yield from _comment(f"{NO_RECORDS}{makers}.")
@@ -130,13 +121,9 @@ def _line(key: str, value: Any) -> str:
     """Return `key = value`, however long; an empty table stays on the line."""
     if value == {}:
         return f"{key} = {{}}"
-    return _toml({key: _plain(value)}).strip()
-
-
-def _plain(value: Any) -> Any:
     if isinstance(value, Enum):
-        return value.value
-    return str(value) if isinstance(value, Path) else value
+        value = value.value
+    return _toml({key: str(value) if isinstance(value, Path) else value}).strip()
 
 
 def _toml(content: Mapping[str, Any]) -> str:
@@ -166,14 +153,14 @@ class _TheatrePart(BaseModel, strict=True):
 
 
 @dataclass(frozen=True)
-class TakenOver:
+class CopiedRecords:
     """The `flange`, the tables of mount and cell, and the tools that the tracker is to see."""
 
-    tables: Mapping[str, Any]
-    tools: Sequence[Mapping[str, Any]]
+    tables: Mapping[str, Any] = field(default_factory=dict)
+    tools: Sequence[Mapping[str, Any]] = ()
 
 
-def read_records(source: Path) -> TakenOver:
+def read_records(source: Path) -> CopiedRecords:
     """Read a theatre file or a part of one.
 
     Raises CFG-001 for a file that cannot be read, has mistakes, or has none of the tables.
@@ -185,9 +172,9 @@ def read_records(source: Path) -> TakenOver:
             f"cannot read {source}: {error.strerror}",
             action="Give --records an existing theatre file, or the calibration.toml of a calibration.",
         ) from error
-    tables = {name: content[name] for name in ("flange", *TAKEN_OVER) if name in content}
+    tables = {name: content[name] for name in ("flange", *COPIED) if name in content}
     if not tables:
-        raise BadTheatreFile(f"{source} has none of the tables", expected=", ".join(TAKEN_OVER))
+        raise BadTheatreFile(f"{source} has none of the tables", expected=", ".join(COPIED))
     parse_theatre({"theatre": source.stem, **ANY_KIND, **tables}, source.name)
     try:
         tools = _TheatrePart.model_validate(content).tracker.options.tools
@@ -197,15 +184,19 @@ def read_records(source: Path) -> TakenOver:
             f"{source.name} has {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
         ) from error
     folder = source.resolve().parent
-    whole = [{**(tool.model_extra or {}), "rom": _where(tool.rom, folder)} for tool in tools]
-    return TakenOver(tables, whole)
+    whole = []
+    for tool in tools:
+        beside = folder / tool.rom  # else a definition of the driver, by its name
+        rom = str(beside) if beside.is_file() else tool.rom
+        whole.append({**(tool.model_extra or {}), "rom": rom})
+    return CopiedRecords(tables, whole)
 
 
 def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tuple[Found, ...]:
     """Return the tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
-    return tuple(_changed(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
+    return tuple(_with_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
@@ -214,7 +205,8 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
     for text in given:
         place, equals, value = text.partition("=")
         table, _, key = place.strip().rpartition(".")
-        number = next((n for n, one in enumerate(changed) if _named(one, table)), None)
+        names = [(one.table, TABLE_NAMES.get(one.table)) for one in changed]
+        number = next((n for n, of_device in enumerate(names) if table in of_device), None)
         if not equals or number is None:
             tables = ", ".join(TABLE_NAMES.get(one.table, one.table) for one in found)
             raise UsageMistake(f"--option {text!r}", expected=f"TABLE.KEY=VALUE, TABLE one of {tables}")
@@ -223,7 +215,7 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )
-        changed[number] = _changed(changed[number], {key: _value(value)})
+        changed[number] = _with_values(changed[number], {key: _parse_value(value)})
         _require_fitting(text, changed[number])
     return tuple(changed)
 
@@ -242,17 +234,7 @@ def _require_fitting(text: str, found: Found) -> None:
             ) from error
 
 
-def _named(found: Found, table: str) -> bool:
-    return table in (found.table, TABLE_NAMES.get(found.table))
-
-
-def _where(rom: str, folder: Path) -> str:
-    """Return the path of a definition beside the other file; the name of one of the driver."""
-    beside = folder / rom
-    return str(beside) if beside.is_file() else rom
-
-
-def _changed(found: Found, values: Mapping[str, Any]) -> Found:
+def _with_values(found: Found, values: Mapping[str, Any]) -> Found:
     options = tuple(
         replace(one, value=values[one.key], chosen=True) if one.key in values else one
         for one in found.proposal.options
@@ -260,7 +242,7 @@ def _changed(found: Found, values: Mapping[str, Any]) -> Found:
     return replace(found, proposal=replace(found.proposal, options=options))
 
 
-def _value(text: str) -> Any:
+def _parse_value(text: str) -> Any:
     """Return a value of TOML, or else the text itself."""
     try:
         return parse_toml(f"value = {text}")["value"]

@@ -17,7 +17,7 @@ from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded, ReplayDiffers
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
-from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
+from procedures.engine.replay.replay import ReplayInput, Verdict, replay
 from procedures.engine.run_folder import RunFolder, run_of, typed
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.planning.plan_file import read_plan
@@ -97,7 +97,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     # Of readings that were edited a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
-    given = _as_set_up(run, _given(run_folder, answers))
+    given = _with_recorded_set_up(run, _replay_input(run_folder, answers))
     with progress_bar(f"recomputing {len(run.records)} results") as show:
         results = replay(run, given, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
@@ -105,13 +105,14 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
         print_json({"run": run_folder.name, **totals, "records": [asdict(result) for result in results]})
     else:
-        print_table("Recomputed results", ("record", "verdict", "why"), [_row(one) for one in results])
+        rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
+        print_table("Recomputed results", ("record", "verdict", "why"), rows)
     unlike = [one.record for one in results if one.verdict not in CONFIRMED]
     if unlike:
         raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
 
 
-def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
+def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     opening = answers.opening
 
     def placed(path: str | None) -> Path:
@@ -120,7 +121,7 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
         return run_folder / path  # an absolute path stays what it is
 
     if opening.series is None:
-        return _given_calibration(opening.calibration, placed(opening.theatre_file))
+        return _calibration_input(opening.calibration, placed(opening.theatre_file))
     plan = placed(opening.plan)
     strategy = strategy_named(opening.strategy or "")
     order = order_of(
@@ -132,8 +133,7 @@ def _given(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     return ReplayInput(order, clinical, read_theatre_file(placed(opening.theatre_file)))
 
 
-def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
-    """Put the recorded set-up in the place of today's theatre file."""
+def _with_recorded_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return given
@@ -143,7 +143,7 @@ def _as_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
     return replace(given, theatre=given.theatre.model_copy(update=tables))
 
 
-def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Path) -> ReplayInput:
+def _calibration_input(calibration: CalibrationOpening | None, theatre_file: Path) -> ReplayInput:
     if calibration is None:
         raise NotRecorded(
             "the run is a check or a single measurement of a calibration, which cannot be replayed"
@@ -155,10 +155,6 @@ def _given_calibration(calibration: CalibrationOpening | None, theatre_file: Pat
         raise NotRecorded(f"the calibration records: {'; '.join(describe_mistakes(error))}") from error
     theatre = read_theatre_file(theatre_file)
     return ReplayInput(order_of(recipe.steps, ()), None, theatre, records, recipe.starts)
-
-
-def _row(one: ReplayedRecord) -> tuple[str, str, str]:
-    return one.record, one.verdict, "; ".join(one.why)
 
 
 def print_bytes(

@@ -82,7 +82,9 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
     with held_interrupted_run(folder, only_leaving=True) as interrupted:
         if (nothing := interrupted.nothing_to_bring_home) is not None:
             _require_not_left_by_another(interrupted, request)
-            _say(interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json)
+            _print_outcome(
+                interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json
+            )
             return
         require_free_devices(request)
         make_ready(interrupted)
@@ -93,7 +95,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
             with open_run(request, interrupted.folder, observers, resumption) as engine:
                 moved = bring_home(engine, interrupted)
         words = "the arm is home" if moved else "the arm was already home"
-        _say(interrupted, words, moved=moved, as_json=as_json)
+        _print_outcome(interrupted, words, moved=moved, as_json=as_json)
 
 
 def _require_not_left_by_another(interrupted: InterruptedRun, request: RunRequest) -> None:
@@ -104,7 +106,7 @@ def _require_not_left_by_another(interrupted: InterruptedRun, request: RunReques
         raise RecoveryRefused(away, action="Nothing was moved.")
 
 
-def _say(
+def _print_outcome(
     interrupted: InterruptedRun, words: str, *, moved: bool, as_json: bool, home: Literal[True] | None = True
 ) -> None:
     """Print the outcome; `home` is None if no arm was asked."""
@@ -121,10 +123,10 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
     """
     request = reopened_request(folder)
     with held_interrupted_run(folder, only_leaving=True) as interrupted:
-        by = _person(by)
+        by = _acknowledging_person(by)
         path = interrupted.folder
         if interrupted.parked:
-            _show({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
+            _print_faults({}, {}, by, as_json=as_json, nothing="the run is finished", run=path.name)
             return
         require_free_devices(request)
         if request.config is not None:
@@ -149,7 +151,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
     from procedures.runs.theatre_lock import held_theatre, require_free_theatre
     from ronna_hw.theatre import Theatre
 
-    by = _person(by)
+    by = _acknowledging_person(by)
     require_free_theatre(file)
     _require_own_fault(file, None)
     with Theatre.from_file(file) as theatre, held_theatre(file, None, only_leaving=True):
@@ -176,7 +178,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
         )
 
 
-def _person(by: str | None) -> str:
+def _acknowledging_person(by: str | None) -> str:
     """Return the name of the person acknowledging, typed if not given: a login is no person's name.
 
     Raises DEV-006.
@@ -213,7 +215,7 @@ def _recover_all(
                 if device.observe().state is not Lifecycle.FAULT:
                     problems[name] = problem
     done |= acknowledge()
-    _show(done, problems, by, as_json=as_json, **about)
+    _print_faults(done, problems, by, as_json=as_json, **about)
     *others, last = [None, *problems.values()]
     for one in others[1:]:
         tell(str(one))
@@ -221,7 +223,7 @@ def _recover_all(
         raise last
 
 
-def _show(
+def _print_faults(
     done: Mapping[str, str],
     problems: Mapping[str, RonnaError],
     by: str,

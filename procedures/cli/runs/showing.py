@@ -27,7 +27,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
     Only the sources of the rows are compared; an error from a changed file is omitted.
     """
-    rows = [_listed(run) for run in runs_in(folder)]
+    rows = [_list_entry(run) for run in runs_in(folder)]
     if as_json:
         print_json({"runs": rows})
         return
@@ -41,7 +41,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
                 row["strategy"] or "",
                 row["ended"],
                 str(len(row["done"])),
-                _largest(row),
+                _largest_error(row),
             )
             for row in rows
         ],
@@ -93,14 +93,14 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
 
 
-def _listed(folder: Path) -> dict[str, Any]:
+def _list_entry(folder: Path) -> dict[str, Any]:
     reading = read_for_report(folder, every_file=False, files=(KEPT_TRUTH,))
     kept = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
     row = _summary(reading, load_truth(folder) if kept else None)
     return row | {"problems": [*reading.changes, *reading.problems]}
 
 
-def _largest(row: dict[str, Any]) -> str:
+def _largest_error(row: dict[str, Any]) -> str:
     error_mm = row["max_application_error_mm"]
     mark = "?" if row["problems"] else ""
     if error_mm is None:
@@ -109,7 +109,6 @@ def _largest(row: dict[str, Any]) -> str:
 
 
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
-    """Return a run as plain data, for `list` and `show`."""
     run = reading.run
     ending = run_ending(run.journal)
     running = holder_of_run(reading.folder) if ending.word == "killed" else None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -60,12 +61,13 @@ def calibrate_head(
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
     finite_ball(ball)
-    request = asked.request(context)
+    theatre = asked.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import STEREO_HEAD
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(STEREO_HEAD, Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball), request)
+    recipe = Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball)
+    calibrate(STEREO_HEAD, recipe, asked, theatre)
 
 
 @app.command()
@@ -97,44 +99,27 @@ def check(
         )
     then = read_strict(Baseline, file)
     then.require_complete()
-    from procedures.cli.calibrating.calibration import run_with_bar
-    from procedures.reporting.calibration_figures import write_figures
+    from procedures.cli.calibrating.calibration import check_calibration
+    from procedures.cli.stereo.display import print_check
     from procedures.runs.calibrations import head_check_figures
-    from procedures.runs.finishing import finalize_run
-    from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
     from procedures.steps.calibration.head_looks import VisitedBaseline
     from procedures.steps.calibration.recipe import head_check
-
-    found: list[HeadCheckFigures] = []
 
     def in_use(of_theatre: Calibrations) -> Calibrations:
         if asked.sim and not asked.calibration:
             return of_theatre.model_copy(update={"stereo_head": then.stereo_head})
         return of_theatre
 
-    def conclude(case: Case) -> None:
+    def judge(case: Case) -> tuple[HeadCheckFigures, Callable[[], None]]:
         result = compare_with_baseline(case.get(VisitedBaseline).result.looks, then)
-        figures = head_check_figures(result, then)
-        write_figures(figures, folder)
-        found.append(figures)
-        result.require()
+        return head_check_figures(result, then), result.require
 
     steps = head_check(then, visits)
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
-    folder = new_run_folder(request, asked.out, "check")
-    with finalize_run(folder, with_truth=False):
-        try:
-            run_with_bar(request, folder, "measuring the ball", conclude)
-        finally:
-            for figures in found:
-                if asked.as_json:
-                    terminal.print_json(figures.as_json())
-                else:
-                    from procedures.cli.stereo.display import print_check
-
-                    print_check(figures)
+    activity = "measuring the ball"
+    check_calibration(request, asked.out, activity, judge, print_check, as_json=asked.as_json)
 
 
 @app.command()
@@ -183,5 +168,4 @@ def measure(
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

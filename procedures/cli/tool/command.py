@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from typing import Annotated, Any
 
 import typer
 
-from procedures.cli.tool.records import Purpose
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
+from ronna_hw.tool_record import ToolPurpose
 
 app = typer.Typer(
     name="ronna-tool",
@@ -22,6 +21,11 @@ app = typer.Typer(
     rich_markup_mode=None,
 )
 ConfigOption = Annotated[Path, typer.Option(metavar="FILE", help="The theatre file.")]
+WriteOption = Annotated[
+    Path,
+    typer.Option(metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."),
+]
+DaysOption = Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")]
 SixDegrees = tuple[float, float, float, float, float, float]
 GaugeFile = typer.Option(
     metavar="FILE",
@@ -38,13 +42,8 @@ def tool() -> None:
 def define(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file; the procedure uses `guide`.")],
     config: ConfigOption,
-    write: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
-        ),
-    ],
-    purpose: Annotated[Purpose, typer.Option(help="What the tool is for.")],
+    write: WriteOption,
+    purpose: Annotated[ToolPurpose, typer.Option(help="What the tool is for.")],
     number: Annotated[
         int, typer.Option(min=1, max=16, help="Tool number reported by the controller's inputs.")
     ],
@@ -72,7 +71,7 @@ def define(
         float, typer.Option(help="Distance between the two heights of the gauge's dials.")
     ] = 60.0,
     gauge_mm: Annotated[Path | None, GaugeFile] = None,
-    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
+    days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Write a theatre file with the record of a tool. Its tip is that of the file's current calibration.
@@ -80,12 +79,12 @@ def define(
     Bodies for clearance are added by hand, as `[[tools.NAME.bodies]]`. Exit codes: 0 done, 1 --write is in
     another folder, 2 usage, or the file or the record has mistakes, 3 --by is no name.
     """
-    from procedures.cli.tool.records import left_out, record_of
+    from procedures.cli.tool.records import record_of
 
     _require_another_file(config, write)
-    signed = _signed(name, by, days)
+    signed = _identity_fields(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
-    record = record_of(
+    record, lost = record_of(
         config,
         {
             **signed,
@@ -100,7 +99,7 @@ def define(
         name,
         gauge_mm,
     )
-    if lost := left_out(config, name, record):
+    if lost:
         terminal.tell(
             f"the former record of {name} had {', '.join(lost)}, which the new one has not: "
             "copy what this tool still has, or the case does without"
@@ -112,15 +111,10 @@ def define(
 def renew(
     name: Annotated[str, typer.Argument(help="Its name in the theatre file.")],
     config: ConfigOption,
-    write: Annotated[
-        Path,
-        typer.Option(
-            metavar="FILE", help="Theatre file to write, with the record, in the folder of --config."
-        ),
-    ],
+    write: WriteOption,
     gauge_mm: Annotated[Path, GaugeFile],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who read them.")],
-    days: Annotated[int, typer.Option(min=1, max=366, help="Validity of the record.")] = 180,
+    days: DaysOption = 180,
     as_json: terminal.JsonOption = False,
 ) -> None:
     """After a tip calibration: renew a tool's record for the new tip and the present gauge readings.
@@ -128,19 +122,12 @@ def renew(
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
     whose tip was calibrated. Exit codes as in `define`.
     """
-    from procedures.cli.tool.records import dials_moved, renewed, tip_moved
+    from procedures.cli.tool.records import renewed
 
     _require_another_file(config, write)
-    record = renewed(config, name, _signed(name, by, days), gauge_mm)
-    if (moved := tip_moved(config, name)) is not None:
-        off_mm, off_rad = moved
-        where = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
-        terminal.tell(f"the tip is {where} from where the former record of {name} has it")
-    if (read_off_mm := dials_moved(config, name, record)) is not None:
-        terminal.tell(
-            f"the mandrel reads {read_off_mm:.3f} mm from where the former record of {name} has it; expected "
-            "as much as the tip, unless the gauge was moved or zeroed: is it this tool, and well seated?"
-        )
+    record, remarks = renewed(config, name, _identity_fields(name, by, days), gauge_mm)
+    for remark in remarks:
+        terminal.tell(remark)
     _write(config, write, name, record, as_json=as_json)
 
 
@@ -149,8 +136,7 @@ def _require_another_file(config: Path, write: Path) -> None:
         raise UsageMistake("--write names the file given to --config", action="Name another file.")
 
 
-def _signed(name: str, by: str, days: int) -> dict[str, Any]:
-    """Return identity, dates and maker of a record. Raises DEV-006 without a name."""
+def _identity_fields(name: str, by: str, days: int) -> dict[str, Any]:
     from ronna_hw.devices.lifecycle import require_person
 
     made = datetime.now(UTC).replace(microsecond=0)
@@ -211,5 +197,4 @@ def list_tools(config: ConfigOption, as_json: terminal.JsonOption = False) -> No
 
 
 def main() -> None:
-    """Entry point of the console script."""
     terminal.run(app)

@@ -6,7 +6,6 @@ import math
 from collections.abc import Sequence
 from datetime import datetime
 from difflib import get_close_matches
-from enum import StrEnum
 from pathlib import Path
 from typing import Any
 
@@ -86,8 +85,12 @@ def _numbers(where: str, line: str) -> tuple[str, list[float]]:
     return where, numbers
 
 
-def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | None) -> dict[str, Any]:
-    """Return a record as the file holds it, with its flange and tip; `readings` are those of its gauge.
+def record_of(
+    config: Path, given: dict[str, Any], name: str, readings: Path | None
+) -> tuple[dict[str, Any], list[str]]:
+    """Return a record as the file holds it, with its flange and tip, and the tables that it has no longer.
+
+    `readings` are those of its gauge.
 
     Raises CFG-001 with every mistake in it, CLI-001 for a gauge out of the arm's reach or misread, or a name
     that the file already has.
@@ -104,6 +107,7 @@ def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | N
                 action=f"Did you mean {known}? Else give it a name that differs by more than capitals.",
             )
     content = read_toml(config, BadTheatreFile)
+    former = content.get("tools", {}).get(name, {})
     content["tools"] = {**content.get("tools", {}), name: record}
     out_of_range = _out_of_range(record.get("gauge", {}).get("joints_deg"), theatre)
     try:
@@ -119,11 +123,10 @@ def record_of(config: Path, given: dict[str, Any], name: str, readings: Path | N
     gauge = written.tools[name].gauge
     if gauge is not None and readings is not None:
         record["gauge"] |= read_gauge(readings, gauge)
-    return record
+    return record, [f"[tools.{name}.{key}]" for key in former if key not in record]
 
 
 def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
-    """Return the record's statement on its tip: which calibration, and where that has it."""
     return {
         "tip": calibrations.tool_tip.identifier,
         "tip_in_head": calibrations.tip_in_head.model_dump(mode="json"),
@@ -151,10 +154,13 @@ def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> U
     return None
 
 
-def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> dict[str, Any]:
-    """Return a tool's record for the present tip calibration; `signed` has its new identity, dates and maker.
+def renewed(
+    config: Path, name: str, signed: dict[str, Any], readings: Path
+) -> tuple[dict[str, Any], list[str]]:
+    """Return a tool's record for the present tip calibration, and how far it is from the former one.
 
-    `readings` is the file of dial readings with it. Raises TOOL-002, CFG-001, CLI-001.
+    `signed` has its new identity, dates and maker, `readings` is the file of dial readings with it. Raises
+    TOOL-002, CFG-001, CLI-001.
     """
     theatre = read_theatre_file(config)
     with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
@@ -174,32 +180,20 @@ def renewed(config: Path, name: str, signed: dict[str, Any], readings: Path) -> 
     new["gauge"] = {**kept["gauge"], **read_gauge(readings, gauge)}
     content["tools"][name] = new
     parse_theatre(content, f"{config.name} with tool {name}")
-    return new
-
-
-def tip_moved(config: Path, name: str) -> tuple[float, float] | None:
-    """Return how far, mm and rad, the file's tip is from the tool's record; None if that does not say."""
-    theatre = read_theatre_file(config)
-    recorded = theatre.tools[name].tip_in_head
-    if recorded is None or theatre.calibration is None:
-        return None
-    return recorded.off(theatre.calibration.tip_in_head)
-
-
-def dials_moved(config: Path, name: str, record: dict[str, Any]) -> float | None:
-    """Return how far, mm, the dials at the mandrel's end differ from the record; None without a gauge."""
-    former = read_theatre_file(config).tools[name].gauge
-    return None if former is None else math.dist(former.reading_mm, record["gauge"]["reading_mm"])
-
-
-def left_out(config: Path, name: str, record: dict[str, Any]) -> list[str]:
-    """Return tables of the file's record of that name that the new one lacks."""
-    former = read_toml(config, BadTheatreFile).get("tools", {}).get(name, {})
-    return [f"[tools.{name}.{key}]" for key in former if key not in record]
+    remarks = []
+    if (recorded := theatre.tools[name].tip_in_head) is not None:
+        off_mm, off_rad = recorded.off(theatre.calibration.tip_in_head)
+        off = f"{off_mm:.3f} mm and {math.degrees(off_rad):.3f} deg"
+        remarks.append(f"the tip is {off} from where the former record of {name} has it")
+    read_off_mm = math.dist(gauge.reading_mm, new["gauge"]["reading_mm"])
+    remarks.append(
+        f"the mandrel reads {read_off_mm:.3f} mm from where the former record of {name} has it; expected "
+        "as much as the tip, unless the gauge was moved or zeroed: is it this tool, and well seated?"
+    )
+    return new, remarks
 
 
 def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[str, Any]:
-    """Return one row of the list."""
     return {
         "name": name,
         "identifier": record.identifier,
@@ -210,14 +204,3 @@ def row_of(name: str, record: ToolRecord, flange: str, now: datetime) -> dict[st
         "expires": f"{record.expires:%Y-%m-%d}",
         "valid": record.created <= now <= record.expires and record.flange == flange,
     }
-
-
-class Purpose(StrEnum):
-    """Purposes of a tool, as choices of an option; see `ronna_hw.tool_record.ToolPurpose`."""
-
-    STEREO_HEAD = "stereo_head"
-    NEEDLE_GUIDE = "needle_guide"
-    DRILL_GUIDE = "drill_guide"
-    DRILL = "drill"
-    GRIPPER = "gripper"
-    POINTER = "pointer"

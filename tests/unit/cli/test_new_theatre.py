@@ -74,6 +74,13 @@ def out(tmp_path: Path) -> Path:
     return tmp_path / "lab.toml"
 
 
+def stereo_of(out: Path) -> dict[str, object]:
+    """Options of the cameras in the written file."""
+    stereo = read_theatre_file(out).stereo
+    assert stereo is not None
+    return dict(stereo.options)
+
+
 def new_theatre(out: Path, *more: object, serial: str = "/dev/ttyUSB7") -> tuple[int, str, str]:
     given = ("--hardware", "--no-check", "--interface", "lo", "--serial", serial, "--out", out)
     done = in_this_process(app, "new-theatre", *given, *more)
@@ -86,10 +93,9 @@ def test_the_file_contains_the_devices_that_were_found(cameras: Cameras, out: Pa
     assert code == 0
     assert file.theatre == "our lab"
     assert file.tracker is not None
-    assert file.stereo is not None
     assert file.tracker.endpoint == "serial:///dev/ttyUSB7"
     assert file.tracker.options == {"tools": ({"name": "frame", "rom": "frame.rom"},)}
-    assert file.stereo.options == {"left_serial": "11", "right_serial": "12"}
+    assert stereo_of(out) == {"left_serial": "11", "right_serial": "12"}
 
 
 def test_other_options_are_comments_with_their_meaning_and_default(cameras: Cameras, out: Path) -> None:
@@ -134,16 +140,12 @@ def test_no_network_is_searched_without_an_interface(cameras: Cameras, out: Path
 def test_a_serial_number_selects_among_several_pairs(cameras: Cameras, out: Path) -> None:
     cameras.pairs = (pair("11", "12"), pair("12", "11"), pair("11", "13"))
     new_theatre(out, "--left", "12")
-    stereo = read_theatre_file(out).stereo
-    assert stereo is not None
-    assert stereo.options["right_serial"] == "11"
+    assert stereo_of(out)["right_serial"] == "11"
 
 
 def test_a_camera_can_also_be_selected_by_its_address(cameras: Cameras, out: Path) -> None:
     new_theatre(out, "--right", "192.168.3.2")
-    stereo = read_theatre_file(out).stereo
-    assert stereo is not None
-    assert stereo.options["right_serial"] == "12"
+    assert stereo_of(out)["right_serial"] == "12"
 
 
 def test_the_user_at_a_terminal_chooses_among_several_pairs(
@@ -152,16 +154,12 @@ def test_the_user_at_a_terminal_chooses_among_several_pairs(
     cameras.pairs = (pair("11", "12"), pair("12", "11"))
     monkeypatch.setattr(command, "_choose", lambda _question, words: len(words) - 1)
     new_theatre(out)
-    stereo = read_theatre_file(out).stereo
-    assert stereo is not None
-    assert stereo.options["left_serial"] == "12"
+    assert stereo_of(out)["left_serial"] == "12"
 
 
 def test_an_option_value_is_parsed_as_toml(cameras: Cameras, out: Path) -> None:
     new_theatre(out, "--option", "stereo.exposure_us=1500.5")
-    stereo = read_theatre_file(out).stereo
-    assert stereo is not None
-    assert stereo.options["exposure_us"] == 1500.5
+    assert stereo_of(out)["exposure_us"] == 1500.5
 
 
 def test_records_are_copied_from_another_file(cameras: Cameras, out: Path, tmp_path: Path) -> None:

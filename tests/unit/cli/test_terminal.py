@@ -325,6 +325,13 @@ def test_every_logger_in_the_sources_can_be_named() -> None:
     assert all(map(is_known, (*parts, "robot.master", "reading.tape", "ronna-sim.polaris")))
 
 
+@pytest.fixture
+def columns(monkeypatch: pytest.MonkeyPatch) -> Callable[[int], None]:
+    """Set the width of a terminal that is written to."""
+    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
+    return lambda width: monkeypatch.setenv("COLUMNS", str(width))
+
+
 WORDY = [
     ("registration", "register the markers of the series", "procedures.registration"),
     ("a-rather-long-name", "x", "tracker robot stereo " * 4),
@@ -333,10 +340,9 @@ WORDY = [
 
 @pytest.mark.parametrize("width", [72, 80, 90, 100, 140])
 def test_a_table_on_a_terminal_cuts_neither_words_nor_headings(
-    width: int, capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    width: int, capsys: pytest.CaptureFixture[str], columns: Callable[[int], None]
 ) -> None:
-    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
-    monkeypatch.setenv("COLUMNS", str(width))
+    columns(width)
     headings = ["step", "what it does", "needs-everything"]
     terminal.print_table("title", headings, WORDY)
     printed = capsys.readouterr().out
@@ -349,20 +355,18 @@ def test_a_table_on_a_terminal_cuts_neither_words_nor_headings(
 
 
 def test_the_title_of_a_narrow_table_stays_on_one_line(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], columns: Callable[[int], None]
 ) -> None:
-    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
-    monkeypatch.setenv("COLUMNS", "80")
+    columns(80)
     title = "Run 20261121T045328-s3-07d9: error of the needle tip against truth"
     terminal.print_table(title, ["target", "error mm"], [["T1", "0.18"]])
     assert capsys.readouterr().out.splitlines()[0] == title
 
 
 def test_a_heading_too_wide_for_the_terminal_gives_tab_separated_lines(
-    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+    capsys: pytest.CaptureFixture[str], columns: Callable[[int], None]
 ) -> None:
-    monkeypatch.setattr(messages, "on_terminal", lambda stream: True)
-    monkeypatch.setenv("COLUMNS", "20")
+    columns(20)
     terminal.print_table("title", ["a-long-heading", "note"], [[1, "text"]])
     assert capsys.readouterr().out == "a-long-heading\tnote\n1\ttext\n"
 

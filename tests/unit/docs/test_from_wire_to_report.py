@@ -5,13 +5,10 @@ from __future__ import annotations
 import json
 import re
 import struct
-import sys
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from itertools import groupby
 from pathlib import Path
 from traceback import walk_stack
-from types import FrameType
 from typing import Any
 
 import numpy as np
@@ -37,8 +34,6 @@ from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.relocalization import STEP as RELOCALIZATION
 from procedures.workcell import MountedTool
-from procedures.workcell.motions import PlannedMotion
-from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction, Passed
@@ -53,8 +48,6 @@ TRACKER = SCENE.tracker.robot_from_tracker.transform(Frame.ROBOT, Frame.TRACKER)
 SPHERE = 1  # whose number is followed
 LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
-# Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
-NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/sensors.py"}
 
 Array = NDArray[np.float64]
 
@@ -97,33 +90,6 @@ def strays_in(reply: bytes) -> Array:
     return np.array(numbers).reshape(-1, 3)
 
 
-@contextmanager
-def modules_run() -> Iterator[set[str]]:
-    """Files of the project of which code runs within the block."""
-    found: set[str] = set()
-
-    def note(frame: FrameType, _event: str, _argument: object) -> None:
-        found.add(frame.f_code.co_filename)
-
-    sys.setprofile(note)
-    try:
-        yield found
-    finally:
-        sys.setprofile(None)
-        inside = {Path(name) for name in found if name.startswith(str(ROOT))}
-        found |= {str(path.relative_to(ROOT)) for path in inside}
-
-
-def links() -> set[str]:
-    """Modules on the tracker's way, and from the registration on those on the image's, which it joins."""
-    text = PAGE.read_text(encoding="utf-8")
-    of_image, of_tracker = (
-        text.split(f"## {title}")[1].split("\n## ")[0] for title in ("An image", "A pose")
-    )
-    shared = of_image[of_image.index("| [registration]") :]
-    return {str(path) for path in re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", of_tracker + shared)}
-
-
 def layers_on_stack() -> tuple[str, ...]:
     """Of the code that led here, the nearest first."""
     files = (LAYER.match(frame.f_code.co_filename) for frame, _ in walk_stack(None))
@@ -139,16 +105,7 @@ def layers_of(walk: str) -> tuple[str, ...]:
     return layers
 
 
-def above_workcell(files: set[str]) -> set[str]:
-    """Their rooms that no module of the workcell imports."""
-    own = ROOT / "procedures" / "workcell"
-    imports = re.compile(r"^ *from procedures\.(\w+)", re.MULTILINE)
-    known = {room for path in own.glob("*.py") for room in imports.findall(path.read_text(encoding="utf-8"))}
-    rooms = {file.split("/")[1] for file in files if file.startswith("procedures/")}
-    return rooms - known - {own.name}
-
-
-def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_where_it_says(
+def test_a_motion_goes_down_by_the_layers_of_the_page(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
@@ -160,29 +117,17 @@ def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_wher
     file = mini_theatre_file(tmp_path, simulated=True)
     add_guards(engine, file, read_theatre_file(file))
     led_here: set[tuple[str, ...]] = set()
-    ran: set[str] = set()
-    move, carry_out = cell.arm.move_joints, SupervisedMotion.carry_out
+    move = cell.arm.move_joints
 
     def moved(target_rad: JointVector, **more: Any) -> ArmReading:
         led_here.add(layers_on_stack())
         return move(target_rad, **more)
 
-    def carried_out(self: SupervisedMotion, motion: PlannedMotion) -> ArmReading:
-        with modules_run() as run:
-            reading = carry_out(self, motion)
-        ran.update(run)
-        return reading
-
     monkeypatch.setattr(cell.arm, "move_joints", moved)
-    monkeypatch.setattr(SupervisedMotion, "carry_out", carried_out)
     engine.run_to()
     *_, below = down = layers_of("A motion")
     assert below == "drivers"  # which are not in this process
     assert led_here == {(*reversed(down[:-1]), "procedures/engine")}
-    asked = PAGE.read_text(encoding="utf-8").split("asks upwards")[1].split("\n\n")[0]
-    linked = set(re.findall(r"\(\.\./\.\./(procedures/[\w/]+\.py)\)", asked))
-    assert linked <= ran
-    assert above_workcell(linked) == above_workcell(ran)
 
 
 def numbers_of(report: str, sphere: int) -> str:
@@ -215,14 +160,12 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
     looked = (relocalization(), checked_paths(cell))
     engine = cell.begin(*before, global_localization.STEP, correspondence.STEP, *looked, registration.STEP)
-    with modules_run() as run:
-        driver.connect()
-        driver.configure()
-        engine.run_to(engine.order.find(f"registration:{FIRST}"))
-        engine.close("left")
-        report = write_report(tmp_path).read_text(encoding="utf-8")
+    driver.connect()
+    driver.configure()
+    engine.run_to(engine.order.find(f"registration:{FIRST}"))
+    engine.close("left")
+    report = write_report(tmp_path).read_text(encoding="utf-8")
     tape.close()
-    assert links() - NOT_RUN <= run
     assert unit.asked_by == {(*layers_of("A pose"), "procedures/engine")}
 
     on_wire_mm = strays_in(wire.replies[-1])[SPHERE]

@@ -32,8 +32,21 @@ def raising(problem: BaseException) -> Work:
     return work
 
 
-def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None) -> tuple[str, str]:
-    """Word and code of the ending of a case whose step `fit` raises that, or which runs to its end."""
+@pytest.mark.parametrize(
+    ("outcome", "problem", "word", "code"),
+    [
+        ("done", None, "done", ""),
+        pytest.param(
+            *("failed", GateFailed("too far off"), "failed", "PRO-007"), marks=pytest.mark.hazard(41)
+        ),
+        ("failed", OperatorAborted("enough"), "aborted", ""),
+        ("interrupted", KeyboardInterrupt(), "interrupted", ""),
+    ],
+    ids=["completed", "step failed", "ended by the operator", "ended by a signal"],
+)
+def test_the_ending_is_named_with_the_code_of_its_error(
+    cell: ClinicalCell, outcome: str, problem: BaseException | None, word: str, code: str
+) -> None:
     works = {} if problem is None else {"fit": raising(problem)}
     engine = cell.engine(plain_order(**works))
     with contextlib.nullcontext() if problem is None else pytest.raises(type(problem)):
@@ -41,11 +54,7 @@ def ended(cell: ClinicalCell, outcome: str, problem: BaseException | None = None
     engine.close(outcome)
     ending = run_ending(read_for_report(cell.folder).run.journal)
     assert ending.sentence in write_report(cell.folder).read_text()
-    return ending.word, ending.code
-
-
-def test_a_completed_case_is_reported_as_done(cell: ClinicalCell) -> None:
-    assert ended(cell, "done") == ("done", "")
+    assert (ending.word, ending.code) == (word, code)
 
 
 def test_the_ending_of_a_completed_case_counts_its_stops_failures_and_resumes(cell: ClinicalCell) -> None:
@@ -96,19 +105,6 @@ def test_an_ending_by_a_fault_says_who_acknowledged_that_one(
     engine.close("failed")
     sentence = run_ending(read_for_report(cell.folder).run.journal).sentence
     assert sentence == f"fit:T1 failed. The arm was stopped.{over}"
-
-
-@pytest.mark.hazard(41)
-def test_a_step_that_failed_is_named_with_its_code(cell: ClinicalCell) -> None:
-    assert ended(cell, "failed", GateFailed("too far off")) == ("failed", "PRO-007")
-
-
-def test_a_case_ended_by_the_operator_is_reported_as_aborted(cell: ClinicalCell) -> None:
-    assert ended(cell, "failed", OperatorAborted("enough")) == ("aborted", "")
-
-
-def test_a_case_ended_by_a_signal_is_reported_as_interrupted(cell: ClinicalCell) -> None:
-    assert ended(cell, "interrupted", KeyboardInterrupt()) == ("interrupted", "")
 
 
 def test_a_case_whose_last_step_may_not_begin_is_reported_as_refused(cell: ClinicalCell) -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -158,13 +158,18 @@ def test_the_hash_of_the_code_covers_every_package_that_results_depend_on() -> N
     assert hashlib.sha256().hexdigest()[:16] not in code()  # of nothing
 
 
-def test_a_damaged_line_loses_only_its_own_unit(tmp_path: Path) -> None:
+@pytest.mark.parametrize(
+    "damage", [lambda line: line[:-9], lambda line: line.replace('"runs": 1.0', '"runs": 2.0')]
+)
+def test_a_damaged_or_altered_line_loses_only_its_own_unit(
+    tmp_path: Path, damage: Callable[[str], str]
+) -> None:
     ledger = Ledger(tmp_path, SMALL)
     for unit in ledger.missing():
         ledger.add(unit, {"runs": 1.0})
     file = tmp_path / FILE
     head, first, *others = file.read_text().splitlines()
-    file.write_text("\n".join([head, first[:-9], *others, ""]))
+    file.write_text("\n".join([head, damage(first), *others, ""]))
     opened = Ledger(tmp_path, SMALL)
     assert (opened.damaged, len(opened.missing())) == (1, 1)
     assert Ledger(tmp_path, SMALL).damaged == 0
@@ -176,16 +181,6 @@ def test_a_ledger_with_too_many_damaged_lines_is_refused_quickly(tmp_path: Path)
         file.write(b"\n" * 3_000_000)
     with bounded_cost(limit_s=2.0), pytest.raises(LedgerUnreadable, match=r"STU-002: .*more than 1000 lines"):
         Ledger(tmp_path, SMALL)
-
-
-def test_a_line_altered_after_writing_counts_as_damaged(tmp_path: Path) -> None:
-    ledger = Ledger(tmp_path, SMALL)
-    unit = ledger.missing()[0]
-    ledger.add(unit, {"runs": 4.0, "success": 3.0})
-    file = tmp_path / FILE
-    file.write_text(file.read_text().replace('"success": 3.0', '"success": 4.0'))
-    opened = Ledger(tmp_path, SMALL)
-    assert (opened.damaged, opened.finished) == (1, {})
 
 
 @pytest.mark.parametrize("line", [{"unit": ["a"], "sums": {}}, {"unit": "a #0", "sums": {"runs": "many"}}])
@@ -232,16 +227,13 @@ def test_ours_and_the_thesis_method_are_counted_on_the_same_runs(tmp_path: Path)
 
 def test_a_partial_pairing_counts_as_unsuccessful_and_a_wrong_pair_as_false() -> None:
     right = frozenset({(0, 2), (1, 0), (2, 1), (3, 3)})
-    shown = {
-        outcome: study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right)
-        for outcome, pairs in {
-            "whole": [(0, 2), (1, 0), (2, 1), (3, 3)],
-            "part": [(0, 2), (1, 0), (2, 1)],
-            "swapped": [(0, 0), (1, 2), (2, 1), (3, 3)],
-            "one more": [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)],
-        }.items()
-    }
-    assert shown == {"whole": "success", "part": "part", "swapped": "false", "one more": "false"}
+    for outcome, pairs in (
+        ("success", [(0, 2), (1, 0), (2, 1), (3, 3)]),
+        ("part", [(0, 2), (1, 0), (2, 1)]),
+        ("false", [(0, 0), (1, 2), (2, 1), (3, 3)]),
+        ("false", [(0, 2), (1, 0), (2, 1), (3, 3), (4, 4)]),
+    ):
+        assert study_module.verdict(MatchStatus.UNIQUE, np.array(pairs), right) == outcome
     key = study_module.outcome_key(Method.VALIDATED, 2.5, "part")
     lost = study_module.outcome_key(Method.VALIDATED, 2.5, "success")
     ((_, share),) = outcome_shares({condition_key(NoiseReading.NORM, 1, 5, 0): {key: 1.0, lost: 3.0}}).items()
@@ -265,9 +257,9 @@ def test_a_prior_leaves_answers_that_agree_with_it_unchanged() -> None:
     seen = draw_readings(sites_mm(1), 3, 2, NoiseReading.PER_AXIS, 60, np.random.default_rng(8))
     changed = 0
     for image, physical, truth in zip(seen.image_mm, seen.physical_mm, seen.rotations, strict=True):
-        plain = study_module._solve(image, physical, NoiseReading.PER_AXIS)
-        anew = study_module._solve(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
-        if study_module._stands(plain, truth.as_matrix()):
+        plain = study_module.pair_points(image, physical, NoiseReading.PER_AXIS)
+        anew = study_module.pair_points(image, physical, NoiseReading.PER_AXIS, prior=Prior(truth))
+        if study_module._satisfies_prior(plain, truth.as_matrix()):
             assert (anew.status, anew.pairs.tolist()) == (plain.status, plain.pairs.tolist())
         else:
             changed += 1

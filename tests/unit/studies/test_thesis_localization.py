@@ -18,10 +18,11 @@ from studies.localization.thesis_protocol import (
     LocalizedScan,
     ThesisLocalizationStudy,
     draw_scale,
+    fle_mm,
     points_as_sums,
     points_of,
+    tables,
 )
-from studies.localization.thesis_protocol_tables import fle_mm, tables
 from studies.thesis_tables import (
     AVERAGE_OPERATOR,
     FIDUCIALS_OF_TABLE_3,
@@ -123,19 +124,6 @@ def test_the_average_operator_is_the_mean_of_the_four_fle_and_not_the_fle_of_its
     assert round(fle_of_one_space_mm(rows_mm, FIDUCIALS_OF_TABLE_3), 4) == 0.4601
     means_mm = np.mean([TABLE_3[name].rows_mm for name in OPERATORS], axis=0)
     assert np.sort(rows_mm) == pytest.approx(np.sort(means_mm), abs=1.5e-4)
-
-
-@pytest.mark.parametrize(
-    ("people_mm", "fit_mm", "less"),
-    [
-        (TABLE_2[HUMAN_OPERATORS].printed_mm, TABLE_2[SPHERE_FIT].printed_mm, 49.29),
-        (TABLE_3[AVERAGE_OPERATOR].printed_mm, TABLE_3[SPHERE_FIT].printed_mm, 45.91),
-    ],
-)
-def test_the_stated_gains_over_operators_follow_from_the_tables(
-    people_mm: float, fit_mm: float, less: float
-) -> None:
-    assert round(100.0 * (1.0 - fit_mm / people_mm), 2) == less
 
 
 @pytest.mark.parametrize("row", TABLE_4)

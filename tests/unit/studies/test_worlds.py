@@ -34,9 +34,13 @@ def journal(*more: Mapping[str, Any]) -> list[Mapping[str, Any]]:
 
 
 def verdict(
-    errors_mm: Mapping[str, float], *more: Mapping[str, Any], change: tuple[str, float] | None = CHANGE
+    errors_mm: Mapping[str, float],
+    *more: Mapping[str, Any],
+    change: tuple[str, float] | None = CHANGE,
+    **ended: Any,
 ) -> Verdict:
-    return judge(journal(*more), errors_mm, LIMITS_MM, trajectories=("T1", "T2"), change=change).verdict
+    lines, trajectories = journal(*more), ("T1", "T2")
+    return judge(lines, errors_mm, LIMITS_MM, trajectories=trajectories, change=change, **ended).verdict
 
 
 def finding(text: str, at_s: float) -> Mapping[str, Any]:
@@ -81,89 +85,63 @@ def test_a_quiet_world_has_no_change() -> None:
     assert all(draw_world(0, number, quiet=True).change is None for number in range(20))
 
 
-def test_an_error_within_its_limit_is_well() -> None:
-    assert verdict({"T1": 0.29, "T2": 0.39}) is Verdict.OK
+HIDDEN = finding("at T1: the tracker sees fewer than three known spheres in this pose", 15.0)
+VOIDED = {"entry": "voided", "step": "cart_lock", "supersedes": ["12-positioning-T2"], "theatre_time_s": 25.0}
 
 
 @pytest.mark.parametrize(
-    ("error_mm", "expected"), [(0.31, Verdict.SILENT), (0.6, Verdict.SILENT), (0.61, Verdict.SILENT2)]
+    ("errors_mm", "line", "expected"),
+    [
+        ({"T1": 0.29, "T2": 0.39}, None, Verdict.OK),
+        ({"T1": 0.31}, None, Verdict.SILENT),
+        ({"T1": 0.6}, None, Verdict.SILENT),
+        ({"T1": 0.61}, None, Verdict.SILENT2),
+        ({"T1": 0.9, "T2": 0.1}, finding("T2 in doubt", 25.0), Verdict.SILENT2),
+        ({"T1": 0.9, "T2": 0.1}, finding("T1 in doubt", 25.0), Verdict.WARNED),
+        ({"T1": 0.9}, finding("the head moved", 15.0), Verdict.WARNED),  # by the step, which is at T1
+        ({"T1": 0.9}, finding("the head moved", 25.0), Verdict.SILENT2),
+        ({"T1": 0.9}, finding("T1 in doubt", 10.5), Verdict.SILENT2),  # before the change
+        ({"T1": 0.9}, HIDDEN, Verdict.SILENT2),
+        ({"T1": 0.9}, {**HIDDEN, "targets": ["T1"]}, Verdict.WARNED),
+        ({"T1": 0.9}, VOIDED, Verdict.SILENT2),
+        ({"T1": 0.9}, {**VOIDED, "supersedes": ["10-at_target-T1"]}, Verdict.WARNED),
+    ],
 )
-def test_an_error_beyond_its_limit_without_a_finding_is_silent(error_mm: float, expected: Verdict) -> None:
-    assert verdict({"T1": error_mm}) is expected
-
-
-def test_a_finding_that_names_another_target_does_not_warn_of_this_one() -> None:
-    assert verdict({"T1": 0.9, "T2": 0.1}, finding("T2 in doubt", 25.0)) is Verdict.SILENT2
-    assert verdict({"T1": 0.9, "T2": 0.1}, finding("T1 in doubt", 25.0)) is Verdict.WARNED
-
-
-def test_a_finding_without_a_name_touches_the_trajectory_of_its_step() -> None:
-    assert verdict({"T1": 0.9}, finding("the head moved", 15.0)) is Verdict.WARNED
-    assert verdict({"T1": 0.9}, finding("the head moved", 25.0)) is Verdict.SILENT2
-
-
-def test_a_finding_before_the_change_does_not_warn_of_it() -> None:
-    assert verdict({"T1": 0.9}, finding("T1 in doubt", 10.5)) is Verdict.SILENT2
-
-
-def test_that_the_arm_hides_the_spheres_in_a_pose_warns_of_no_error() -> None:
-    hidden = finding("at T1: the tracker sees fewer than three known spheres in this pose", 15.0)
-    assert verdict({"T1": 0.9}, hidden) is Verdict.SILENT2
-    assert verdict({"T1": 0.1}, hidden, change=None) is Verdict.OK
-    assert verdict({"T1": 0.9}, {**hidden, "targets": ["T1"]}) is Verdict.WARNED
-
-
-def test_superseded_results_warn_only_of_their_own_trajectories() -> None:
-    voided = {
-        "entry": "voided",
-        "step": "cart_lock",
-        "supersedes": ["12-positioning-T2"],
-        "theatre_time_s": 25.0,
-    }
-    assert verdict({"T1": 0.9}, voided) is Verdict.SILENT2
-    assert verdict({"T1": 0.9}, {**voided, "supersedes": ["10-at_target-T1"]}) is Verdict.WARNED
+def test_an_error_beyond_its_limit_is_silent_unless_a_later_entry_names_its_target_or_step(
+    errors_mm: Mapping[str, float], line: Mapping[str, Any] | None, expected: Verdict
+) -> None:
+    assert verdict(errors_mm, *([] if line is None else [line])) is expected
 
 
 def test_a_second_target_that_is_refused_does_not_warn_of_the_first() -> None:
     failed = {"entry": "failed", "step": "positioning:T2", "what": "PRO-020", "theatre_time_s": 25.0}
-    found = judge(
-        journal(failed),
-        {"T1": 0.9},
-        LIMITS_MM,
-        trajectories=("T1", "T2"),
-        change=CHANGE,
-        done=False,
-        error="PRO-020",
-    )
-    assert found.verdict is Verdict.SILENT2
+    assert verdict({"T1": 0.9}, failed, done=False, error="PRO-020") is Verdict.SILENT2
 
 
 def test_a_case_that_is_refused_with_small_errors_is_refused() -> None:
-    found = judge(
-        journal(), {}, LIMITS_MM, trajectories=("T1",), change=CHANGE, done=False, error="PRO-020: moved"
-    )
-    assert found.verdict is Verdict.REFUSED
-    broken = judge(journal(), {}, LIMITS_MM, trajectories=("T1",), change=CHANGE, done=False)
-    assert broken.verdict is Verdict.NO_VERDICT
+    assert verdict({}, done=False, error="PRO-020: moved") is Verdict.REFUSED
+    assert verdict({}, done=False) is Verdict.NO_VERDICT
 
 
-def test_a_quiet_case_with_a_finding_or_an_unusual_question_is_false() -> None:
-    asked = {
-        "entry": "confirmation",
-        "topic": "cart_moved",
-        "subject": "the cart moved",
-        "theatre_time_s": 8.0,
-    }
-    usual = {"entry": "confirmation", "topic": "retreat:T1", "subject": "retreat", "theatre_time_s": 15.0}
-    assert verdict({"T1": 0.1}, usual, change=None) is Verdict.OK
-    assert verdict({"T1": 0.1}, asked, change=None) is Verdict.FALSE_FINDING
-    assert verdict({"T1": 0.1}, finding("the head moved", 25.0), change=None) is Verdict.FALSE_FINDING
+LATE = ("positioning:T2", 11.0)  # which the case does not reach, so that it is a quiet one
+USUAL = {"entry": "confirmation", "topic": "retreat:T1", "subject": "retreat", "theatre_time_s": 15.0}
+ASKED = {"entry": "confirmation", "topic": "cart_moved", "subject": "it moved", "theatre_time_s": 8.0}
 
 
-def test_a_change_that_the_case_did_not_reach_makes_it_a_quiet_one() -> None:
-    late = ("positioning:T2", 11.0)
-    assert verdict({"T1": 0.1}, change=late) is Verdict.OK
-    assert verdict({"T1": 0.1}, finding("the head moved", 25.0), change=late) is Verdict.FALSE_FINDING
+@pytest.mark.parametrize("change", [None, LATE])
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        (USUAL, Verdict.OK),
+        (HIDDEN, Verdict.OK),
+        (ASKED, Verdict.FALSE_FINDING),
+        (finding("the head moved", 25.0), Verdict.FALSE_FINDING),
+    ],
+)
+def test_a_quiet_case_with_a_finding_or_an_unusual_question_is_false(
+    change: tuple[str, float] | None, line: Mapping[str, Any], expected: Verdict
+) -> None:
+    assert verdict({"T1": 0.1}, line, change=change) is expected
 
 
 def test_the_limit_is_the_one_that_held_when_the_instrument_went_in() -> None:

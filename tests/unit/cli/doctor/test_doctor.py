@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Sequence
+from contextlib import nullcontext
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 from types import SimpleNamespace
@@ -197,35 +198,38 @@ def test_the_json_has_findings_and_the_documents_of_each_section(capsys: pytest.
     }
 
 
-def test_an_unhealthy_device_gives_exit_code_4(capsys: pytest.CaptureFixture[str]) -> None:
-    with pytest.raises(SystemExit) as ended:
-        show(Report((), (WELL, UNWELL)), as_json=False)
-    assert ended.value.code == 4
-    assert "device tracker\tPROBLEM\tsilent\tSwitch it on." in capsys.readouterr().out
-
-
-def test_the_line_of_the_case_names_the_checks_whose_findings_stand_above(
-    capsys: pytest.CaptureFixture[str],
+@pytest.mark.parametrize(
+    ("report", "code", "printed"),
+    [
+        (Report((), (WELL, UNWELL)), EXIT_NOT_FOUND, "device tracker\tPROBLEM\tsilent\tSwitch it on."),
+        (
+            Report((), (WELL, UNWELL), verdicts=(Verdict("case", False, ("device tracker: silent",)),)),
+            EXIT_NOT_FOUND,
+            "case\tNOT READY\tdevice tracker\n",  # the finding stands above
+        ),
+        (
+            Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)),
+            0,
+            "packages\tPROBLEM\tforeign: sim",
+        ),
+        (
+            Report((), (WELL,), verdicts=(Verdict("case", False, ("devices of a case: without stereo",)),)),
+            EXIT_REFUSED,
+            "case\tNOT READY",
+        ),
+        (
+            Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)),
+            EXIT_NOT_FOUND,
+            "calibration tool_tip\tPROBLEM\texpired",
+        ),
+    ],
+    ids=["device", "case by a device", "computer", "case", "calibration"],
+)
+def test_a_problem_of_device_case_or_calibration_but_not_of_the_computer_gives_an_exit_code(
+    capsys: pytest.CaptureFixture[str], report: Report, code: int, printed: str
 ) -> None:
-    case = Verdict("case", False, ("device tracker: silent",))
-    with pytest.raises(SystemExit):
-        show(Report((), (WELL, UNWELL), verdicts=(case,)), as_json=False)
-    assert "case\tNOT READY\tdevice tracker\n" in capsys.readouterr().out
-
-
-def test_an_unhealthy_computer_does_not_affect_the_exit_code(capsys: pytest.CaptureFixture[str]) -> None:
-    show(Report((Diagnostic("packages", False, "foreign: sim"),), (WELL,)), as_json=False)
-    assert "packages\tPROBLEM\tforeign: sim" in capsys.readouterr().out
-
-
-def test_a_case_that_is_not_ready_gives_exit_code_3() -> None:
-    missing = Verdict("case", False, ("devices of a case: without stereo",))
-    with pytest.raises(SystemExit) as ended:
-        show(Report((), (WELL,), verdicts=(missing,)), as_json=True)
-    assert ended.value.code == EXIT_REFUSED
-
-
-def test_an_expired_calibration_is_a_problem_in_the_json_output_too() -> None:
-    with pytest.raises(SystemExit) as ended:
-        show(Report((), (), (Diagnostic("calibration tool_tip", False, "expired"),)), as_json=True)
-    assert ended.value.code == EXIT_NOT_FOUND
+    for as_json in (True, False):
+        with pytest.raises(SystemExit) if code else nullcontext() as ended:
+            show(report, as_json=as_json)
+        assert (ended.value.code if ended else 0) == code
+    assert printed in capsys.readouterr().out

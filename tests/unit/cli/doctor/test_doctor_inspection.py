@@ -1,20 +1,22 @@
-"""The doctor says whether the record of the arm is of this very arm, or that it cannot know."""
+"""The doctor's verdicts on serial numbers: of the arm and its record, of the cameras that replied."""
 
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from types import SimpleNamespace
+from typing import Any, cast
 
 import pytest
 from recording_cell import RecordingArm, RecordingCell, theatre_of
 
 from procedures.cli.doctor import inspection
-from procedures.cli.doctor.inspection import OF_THIS_ARM
+from procedures.cli.doctor.inspection import OF_THIS_ARM, advise_on_serials
 from procedures.engine.order import order_of
 from procedures.steps.clinical import set_up
 from procedures.workcell.errors import AnotherArm
-from ronna_hw.config import TheatreFile
+from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Identity
+from ronna_hw.devices.probing import Diagnostic
 from sim.world.process import load_scene
 
 
@@ -50,3 +52,98 @@ def test_a_case_is_refused_with_the_record_of_another_arm_of_the_model(tmp_path:
     other = RecordingCell(tmp_path, theatre=theatre("2"))
     with pytest.raises(AnotherArm, match="CAL-013"):
         other.engine(order_of([set_up.STEP], ())).run_to()
+
+
+HEAD = cast("Any", SimpleNamespace(left=SimpleNamespace(serial="4411"), right=SimpleNamespace(serial="4412")))
+LEFT, RIGHT = "gev://127.0.0.1", "gev://127.0.0.2"
+ELSEWHERE = "gev://127.0.0.9"
+DRIVERS = "what the driver advises"
+PAIRS_OWN = "what the driver advises for the pair"
+
+
+def cameras(left_serial: str) -> DeviceConfig:
+    return DeviceConfig(
+        driver="basler_stereo",
+        endpoints={"left": LEFT, "right": RIGHT},
+        options={"left_serial": left_serial, "right_serial": "4412"},
+    )
+
+
+def _advised(
+    found: str | None,
+    configured: str,
+    *others: str,
+    subject: str = f"camera {LEFT}",
+    pair_repeats: bool = True,
+    probed: bool = True,
+) -> str:
+    """The advice for a left camera that replied with that number, or for the pair unless `probed`."""
+    on_network = {RIGHT: "4412", **dict.fromkeys([ELSEWHERE] if others else [], *others)}
+    findings = (
+        Diagnostic("cameras on eth0", True, "the cameras there", serials=on_network),
+        Diagnostic(subject, not probed, "refused", DRIVERS, serials={LEFT: found}),
+        Diagnostic(f"camera {RIGHT}", True, "4412", serials={RIGHT: "4412"}),
+        Diagnostic("device stereo", False, "refused", DRIVERS if pair_repeats else PAIRS_OWN),
+    )
+    network, left, right, pair = advise_on_serials(findings, cameras(configured), HEAD)
+    assert (network, right) == (findings[0], findings[2])
+    assert pair.advice == (left.advice if pair_repeats and probed else pair.advice)
+    return left.advice if probed else pair.advice
+
+
+@pytest.mark.hazard(26)
+def test_a_silent_camera_is_not_found_and_the_serial_numbers_found_are_named() -> None:
+    said = _advised(None, "4411")
+    assert said == f"The left camera 4411 was not found (serial numbers found: 4412). {DRIVERS}"
+
+
+@pytest.mark.hazard(26)
+@pytest.mark.parametrize("typed", ["4417", "4141", "411", "44111"])
+def test_a_typing_error_in_the_number_of_the_calibrated_camera_is_called_one(typed: str) -> None:
+    said = _advised("4411", typed)
+    assert said.startswith(f'left_serial = "{typed}" is probably mistyped: camera 4411 replied')
+    assert "Correct it in the theatre file" in said
+
+
+@pytest.mark.parametrize("typed", ["9911", "1144"])
+def test_another_number_than_that_of_the_calibrated_camera_is_not_called_mistyped(typed: str) -> None:
+    said = _advised("4411", typed)
+    assert said.startswith(f'left_serial = "{typed}" was not found (serial numbers found: 4411, 4412)')
+    assert "mistyped" not in said
+
+
+@pytest.mark.hazard(26)
+def test_a_configured_camera_that_was_not_calibrated_was_exchanged_and_its_number_is_right() -> None:
+    said = _advised("4417", "4417", subject="stereo: calibration of the left camera")
+    assert said == (
+        "The left camera was exchanged: 4417 replied, the calibration record is of 4411, which was not "
+        "found. Mount 4411 again, or calibrate the head with 4417."
+    )
+
+
+def test_the_calibrated_camera_is_said_to_be_found_only_where_it_replied() -> None:
+    assert f"of 4411, which replied at {ELSEWHERE}." in _advised("4417", "4417", "4411")
+
+
+@pytest.mark.parametrize("configured", ["4411", "4410"])
+def test_a_camera_that_neither_options_nor_records_name_was_exchanged(configured: str) -> None:
+    said = _advised("4499", configured)
+    assert said.startswith("The left camera was exchanged: 4499 replied")
+    assert said.endswith('calibrate the head with 4499 and set left_serial = "4499".')
+
+
+def test_where_the_configured_camera_is_at_another_address_the_driver_says_so() -> None:
+    assert _advised("4499", "4411", "4411") == DRIVERS
+    assert _advised("4412", "4411") == DRIVERS  # the right one: swapped
+
+
+def test_a_pair_that_is_refused_as_a_whole_gets_the_verdict_on_its_camera() -> None:
+    assert "probably mistyped" in _advised("4411", "4417", pair_repeats=False, probed=False)
+
+
+def test_a_pair_refused_for_a_reason_of_its_own_keeps_its_advice() -> None:
+    left = Diagnostic(f"camera {LEFT}", False, "4411", DRIVERS, serials={LEFT: "4411"})
+    right = Diagnostic(f"camera {RIGHT}", False, "taken", "Stop that program.", serials={RIGHT: "4412"})
+    pair = Diagnostic("device stereo", False, "refused", PAIRS_OWN)
+    _, same, also = advise_on_serials((left, right, pair), cameras("4417"), HEAD)
+    assert (same, also) == (right, pair)

@@ -92,17 +92,23 @@ def test_an_endpoint_of_a_theatre_in_use_is_refused_and_no_device_queried(
 
 
 @pytest.mark.parametrize(
-    "command", [("calibrate", "tool-tip"), ("calibrate", "tracker-frame"), ("run", "--case", ".")]
+    "command",
+    [
+        ("calibrate", "tool-tip", "--out", "other"),
+        ("calibrate", "tracker-frame", "--out", "other"),
+        ("run", "--case", ".", "--out", "other"),
+        ("acknowledge", "--by", "A. Person"),
+    ],
 )
-def test_calibrate_and_run_are_refused_while_a_run_uses_the_theatre(
-    theatre: Path, using: str, tmp_path: Path, command: tuple[str, ...]
+def test_commands_on_a_theatre_are_refused_while_a_run_uses_it(
+    theatre: Path, using: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, command: tuple[str, ...]
 ) -> None:
-    out = tmp_path / "other"
-    done = in_this_process(ronna_procedure, *command, "--config", theatre, "--out", out)
+    monkeypatch.chdir(tmp_path)
+    done = in_this_process(ronna_procedure, *command, "--config", theatre)
     assert done.returncode == EXIT_REFUSED
     assert using in done.stderr
     assert f"ronna-procedure watch {theatre.with_name(RUN_NAME)}" in done.stderr
-    assert not out.exists()
+    assert not Path("other").exists()
 
 
 @pytest.fixture
@@ -154,15 +160,9 @@ def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not
     assert f"ronna-procedure home {run}" in first.advice
     tool = Diagnostic("robot.master: mounted tool", False, "PRO-009", "Mount the named tool.")
     message = Diagnostic("robot.master: messages", False, "number 1 is not acknowledged", "Acknowledge it.")
-    tool, message = theatre_checks.as_left(theatre, [tool, message])
+    tool, message = theatre_checks.advise_on_unfinished_run(theatre, [tool, message])
     assert tool.advice == "Do not touch the tool: an instrument is still in T1."
     assert message.advice == f"Remove its cause; then ronna-procedure acknowledge {run} --by 'YOUR NAME'."
-
-
-def test_acknowledge_with_a_config_is_refused_while_a_run_uses_the_theatre(theatre: Path, using: str) -> None:
-    done = in_this_process(ronna_procedure, "acknowledge", "--config", theatre, "--by", "A. Person")
-    assert done.returncode == EXIT_REFUSED
-    assert using in done.stderr
 
 
 def read_files(folder: Path) -> dict[Path, bytes]:

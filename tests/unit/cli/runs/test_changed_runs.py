@@ -57,48 +57,38 @@ def test_verify_names_the_folders_of_a_run_that_it_does_not_look_into(run: Path)
     assert done.stdout.splitlines()[-1] == "not part of the run, and not checked: .raw.partial"
 
 
-def foreign_record(run: Path) -> str:
-    (run / "records" / "01-image.json").write_bytes(
-        (run / "records" / "02-localization-T1.json").read_bytes()
-    )
-    return "records/01-image.json"
+def lines_of(run: Path) -> list[bytes]:
+    return (run / JOURNAL_FILE).read_bytes().splitlines(keepends=True)
 
 
-def line_removed(run: Path) -> str:
-    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    (run / "journal.jsonl").write_bytes(b"".join([*lines[:5], *lines[6:]]))
-    return "journal.jsonl"
+# File and new content, None to remove it.
+SPOILT: dict[str, tuple[str, Callable[[Path], bytes | None]]] = {
+    "another's record": (
+        "records/01-image.json",
+        lambda run: (run / "records/02-localization-T1.json").read_bytes(),
+    ),
+    "line removed": (JOURNAL_FILE, lambda run: b"".join([*lines_of(run)[:5], *lines_of(run)[6:]])),
+    "last line removed": (JOURNAL_FILE, lambda run: b"".join(lines_of(run)[:-1])),
+    "record gone": ("records/01-image.json", lambda _run: None),
+    "request changed": (REQUEST_FILE, lambda run: (run / REQUEST_FILE).read_bytes() + b" "),
+    "file added": ("note.txt", lambda _run: b"added"),
+}
 
 
-def last_line_removed(run: Path) -> str:
-    lines = (run / "journal.jsonl").read_bytes().splitlines(keepends=True)
-    (run / "journal.jsonl").write_bytes(b"".join(lines[:-1]))
-    return "journal.jsonl"
-
-
-def record_gone(run: Path) -> str:
-    (run / "records" / "01-image.json").unlink()
-    return "records/01-image.json"
-
-
-def request_changed(run: Path) -> str:
-    path = run / REQUEST_FILE
-    path.write_text(path.read_text() + " ")
-    return REQUEST_FILE
-
-
-def file_added(run: Path) -> str:
-    (run / "note.txt").write_text("added")
-    return "note.txt"
-
-
-SPOILT = (foreign_record, line_removed, last_line_removed, record_gone, request_changed, file_added)
+def spoil(run: Path, how: str) -> str:
+    name, change = SPOILT[how]
+    content = change(run)
+    if content is None:
+        (run / name).unlink()
+    else:
+        (run / name).write_bytes(content)
+    return name
 
 
 @pytest.mark.hazard(39)
-@pytest.mark.parametrize("spoil", SPOILT, ids=lambda spoil: spoil.__name__)
-def test_every_command_names_the_changed_file_of_a_run(run: Path, spoil: Callable[[Path], str]) -> None:
-    name = spoil(run)
+@pytest.mark.parametrize("how", SPOILT)
+def test_every_command_names_the_changed_file_of_a_run(run: Path, how: str) -> None:
+    name = spoil(run, how)
     before = {path: path.read_bytes() for path in run.rglob("*") if path.is_file()}
     relied_on = name.startswith((RECORDS_FOLDER, JOURNAL_FILE))  # by a replay, and by the times
     commands = [(app, command) for command in ("export", "resume", "lineage", "report")]
@@ -172,7 +162,7 @@ def test_missing_files_of_the_report_alone_are_made_anew(run: Path) -> None:
     assert picture.exists()
     assert inspected(run).problems == ()
     (run / "report.html").unlink()
-    foreign_record(run)
+    spoil(run, "another's record")
     assert in_this_process(app, "report", run).returncode == EXIT_REFUSED
 
 

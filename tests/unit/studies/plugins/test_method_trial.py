@@ -9,10 +9,10 @@ import pytest
 
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
+from studies.plugin_trial import try_in_subprocess, try_plugin
 from studies.plugins.contracts import MethodKind
 from studies.plugins.method import find_plugin
 from studies.plugins.strategy import PluginStrategy
-from studies.plugins.trial import try_in_subprocess, try_plugin
 
 PAIRING, REGISTRATION = MethodKind.PAIRING, MethodKind.REGISTRATION
 LOCALIZER, STRATEGY = MethodKind.LOCALIZER, MethodKind.STRATEGY
@@ -97,26 +97,18 @@ def test_a_result_of_the_wrong_kind_is_refused(kind: MethodKind, text: str, said
 
 
 @pytest.mark.parametrize(
-    ("text", "said"),
+    ("kind", "text", "said"),
     [
-        ("mine:looks_up", r"mine:looks_up raised KeyError: 'nothing': .*mine\.py, line 29"),
-        ("mine:writes", r"raised ValueError: .*read-only.*mine\.py, line 32"),
-        ("mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 39"),
+        (PAIRING, "mine:looks_up", r"mine:looks_up raised KeyError: 'nothing': .*mine\.py, line 29"),
+        (PAIRING, "mine:writes", r"raised ValueError: .*read-only.*mine\.py, line 32"),
+        (PAIRING, "mine:leaves", r"raised SystemExit: 3: .*mine\.py, line 39"),
+        (STRATEGY, "mine:Later", r"Later.turns_rad raised ZeroDivisionError"),  # in a generator
+        (STRATEGY, "mine:Moody", r"Moody.controls_approach raised .*mine\.py, line"),  # in a property
     ],
 )
-def test_an_exception_in_a_method_is_reported_with_its_line(text: str, said: str) -> None:
+def test_an_exception_in_a_method_is_reported_with_its_line(kind: MethodKind, text: str, said: str) -> None:
     with pytest.raises(MethodFailed, match=f"STU-013: .*{said}"):
-        try_plugin(PAIRING, text)
-
-
-def test_an_exception_in_a_generator_is_reported_when_it_is_consumed() -> None:
-    with pytest.raises(MethodFailed, match=r"STU-013: .*Later.turns_rad raised ZeroDivisionError"):
-        try_plugin(STRATEGY, "mine:Later")
-
-
-def test_an_exception_in_a_property_is_reported_with_its_line() -> None:
-    with pytest.raises(MethodFailed, match=r"STU-013: .*Moody.controls_approach raised .*mine\.py, line"):
-        try_plugin(STRATEGY, "mine:Moody")
+        try_plugin(kind, text)
 
 
 def test_a_property_that_fails_later_is_reported() -> None:

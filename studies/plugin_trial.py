@@ -144,7 +144,6 @@ def _fits(transform: RigidTransform, image_mm: Array, physical_mm: Array) -> boo
 
 
 def _centres(method: PluginMethod) -> object:
-    """Localize four balls in a block of air."""
     shape, centres = (TRIAL_VOXELS,) * 3, TRIAL_VOXELS * np.array(TRIAL_BALLS)
     places = np.moveaxis(np.indices(shape), 0, -1)
     away = np.min([np.linalg.norm(places - centre, axis=-1) for centre in centres], axis=0)

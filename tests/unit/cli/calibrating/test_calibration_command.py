@@ -1,4 +1,4 @@
-"""The closing messages of a calibration."""
+"""A calibration's closing messages, and the options that are refused where nothing is measured."""
 
 from __future__ import annotations
 
@@ -8,10 +8,16 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+import typer
 from arm_looks import ENDPOINTS, SPHERES_MM, LookingArm
+from user_commands import in_this_process, one_error
 
 from procedures.calibration.errors import OfAnotherTheatre, TooFewPoses
-from procedures.cli.calibrating.calibration import NOT_COMPARED, CalibrationRequest, calibrate, show
+from procedures.cli.arm.command import app as arm
+from procedures.cli.calibrating.calibration import NOT_COMPARED, calibrate, show
+from procedures.cli.calibrating.mount import app as mount
+from procedures.cli.calibrating.options import CalibrationOptions
+from procedures.cli.stereo.command import app as stereo
 from procedures.engine.case import Case
 from procedures.reporting.calibration_figures import Figure, RecordFigures
 from procedures.runs.calibrations import ARM, computed, conclude
@@ -84,6 +90,30 @@ def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_no
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
     ARM.write_looks(looks, tmp_path)
     theatre = tmp_path / "theatre.toml" if config else None
-    request = CalibrationRequest(None, tmp_path, theatre, None, 30, tmp_path / "out", as_json=True)
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=60, more=12), request)
+    options = CalibrationOptions(config=theatre, out=tmp_path / "out", as_json=True, recorded=tmp_path)
+    recipe = Recipe(of=Calibrated.ARM, looks=60, more=12)
+    calibrate(ARM, recipe, options, RunRequest(config=theatre))
     assert (NOT_COMPARED in capsys.readouterr().err) is not config
+
+
+OF_HEAD, OF_ARM = (stereo, "calibrate"), (arm, "calibrate")
+OF_FRAME, OF_TIP = (mount, "tracker-frame"), (mount, "tool-tip")
+
+
+@pytest.mark.parametrize(
+    ("command", "option"),
+    [
+        *((OF_HEAD, one) for one in ("--ball 1 2 3", "--poses 61", "--visits 3")),
+        *((OF_ARM, one) for one in ("--looks 91", "--validation 25", "--calibrated", "--answers a.toml")),
+        *((OF_FRAME, one) for one in ("--scene mini", "--seed 1", "--calibration x", "--first-day")),
+        *((OF_TIP, one) for one in ("--readings 11", "--ball 1 2 3")),
+    ],
+)
+def test_an_option_without_effect_on_recorded_measurements_is_named_and_refused(
+    command: tuple[typer.Typer, str], option: str
+) -> None:
+    app, name = command
+    done = in_this_process(app, name, "--from", "nowhere", "--days", "7", *option.split())
+    assert done.returncode == 2
+    (error, *_) = one_error(done.stderr)
+    assert error.startswith(f"CLI-001: {option.split()[0]} and --from cannot be combined")

@@ -1,9 +1,8 @@
-"""The clinical pairing protocol: readings of the frame against localized scans, for every e."""
+"""Pairing by the clinical protocol, for every e, and of markers that a template places."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import nullcontext
 from pathlib import Path
 
 import numpy as np
@@ -11,10 +10,12 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from studies.campaign.study import Unit
-from studies.correspondence import clinical
-from studies.correspondence import clinical as clinical_pairing
-from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy, tables
+from studies.correspondence import clinical, template
+from studies.correspondence.clinical import SCANS, THESIS_RANGES_MM, ClinicalStudy
+from studies.correspondence.study import condition_key
+from studies.correspondence.template import MARGIN_MM, TemplateStudy, sites_mm
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
+from studies.heads import NoiseReading
 from studies.localization.study import AUTOMATIC
 from studies.localization.thesis_protocol import FRAME_MM, PATIENT, PHANTOM, LocalizedScan
 
@@ -30,13 +31,9 @@ def found_by_all(monkeypatch: pytest.MonkeyPatch) -> None:
     """Every method finds the frame's spheres, in another order, and one more."""
     centres = np.vstack([FRAME_MM[[2, 0, 3, 1]], [[10.0, 20.0, 120.0]]])
 
-    @contextmanager
-    def no_scan(*_: object) -> Iterator[None]:
-        yield None
-
-    monkeypatch.setattr(clinical_pairing, "phantom_scan", no_scan)
+    monkeypatch.setattr(clinical, "phantom_scan", lambda *_: nullcontext())
     found = {method: LocalizedScan(centres, 1.0) for method in AUTOMATIC}
-    monkeypatch.setattr(clinical_pairing, "localize_scan", lambda _: found)
+    monkeypatch.setattr(clinical, "localize_scan", lambda _: found)
 
 
 def test_the_distances_of_the_close_frame_differ_by_little_more_than_the_largest_e() -> None:
@@ -51,7 +48,7 @@ def test_seventeen_scans_pair_every_reading_in_the_ranges_of_the_thesis(found_by
     conditions = {
         condition: study.run(Unit(condition, 0, 40)) for condition in (f"{PHANTOM}|1", f"{PATIENT}|1")
     }
-    (said,) = tables(conditions)
+    (said,) = clinical.tables(conditions)
     for row in said.rows:
         shown = dict(zip(said.columns, row, strict=True))
         assert (shown["readings"], shown["ours, success %"]) == (40, 100.0)
@@ -79,12 +76,10 @@ def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refuse
     assert np.array_equal(clinical.load_or_take_readings(tmp_path, 3, 1), taken)
     with pytest.raises(OtherStudy, match="STU-001"):
         clinical.load_or_take_readings(tmp_path, 3, 2)
-    (tmp_path / clinical.READINGS_FILE).write_text('{"seed": 1, "readings_mm": 5}')
-    with pytest.raises(OtherStudy, match="STU-001"):
-        clinical.load_or_take_readings(tmp_path, 3, 1)
-    (tmp_path / clinical.READINGS_FILE).write_text("{}")
-    with pytest.raises(LedgerUnreadable, match="STU-002"):
-        clinical.load_or_take_readings(tmp_path, 3, 1)
+    for content, error in (('{"seed": 1, "readings_mm": 5}', OtherStudy), ("{}", LedgerUnreadable)):
+        (tmp_path / clinical.READINGS_FILE).write_text(content)
+        with pytest.raises(error):
+            clinical.load_or_take_readings(tmp_path, 3, 1)
 
 
 @pytest.mark.slow
@@ -94,3 +89,22 @@ def test_the_simulated_unit_reads_the_frame_over_its_wire() -> None:
     expected = np.linalg.norm(FRAME_MM[:, None] - FRAME_MM[None], axis=2)
     assert np.linalg.norm(seen[:, None] - seen[None], axis=2) == pytest.approx(expected, abs=1.5)
     assert -2400.0 < seen[:, 2].mean() < -950.0
+
+
+def test_the_marker_distances_of_every_head_differ_by_the_margin() -> None:
+    for patient in (1, 2, 3):
+        for count in (3, 4):
+            sites = sites_mm(patient, count, MARGIN_MM)
+            apart = np.linalg.norm(sites[:, None] - sites[None], axis=2)[np.triu_indices(count, 1)]
+            assert np.diff(np.sort(apart)).min() >= MARGIN_MM
+
+
+def test_four_markers_by_a_template_are_paired_among_four_outliers() -> None:
+    condition = condition_key(NoiseReading.PER_AXIS, 1, 4, 4)
+    sums = TemplateStudy(20, seed=3).run(Unit(condition, 0, 20))
+    methods = ("distances", "+ planned count", "template", "template + orientation")
+    assert sums == {f"{method}|success": 20.0 for method in methods}
+    (said,) = template.tables({condition: sums})
+    assert [row[3:] for row in said.rows] == [
+        (20, 0.0, "at most 14", "0-0", 0.0, "at most 14", "yes", "yes")
+    ] * 4
