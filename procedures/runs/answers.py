@@ -1,4 +1,4 @@
-"""The operator of a run: a file of answers, a script, a person at the terminal or the console, or several.
+"""Scripted operators: a file of answers, and a script that gives every first answer.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 
@@ -14,86 +14,21 @@ hands have done to the patient.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import FOR_A_PERSON, Operator, Question, Topic, words
-from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.theatre_kind import is_simulated
 
-if TYPE_CHECKING:
-    from procedures.runs.interrupted_run import Resumption
-    from procedures.runs.lifecycle import RunObservers
-
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
-ALL_TOPICS = frozenset(Topic)
-NOBODY_ANSWERS = (
-    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
-    "with --console, or with --answers FILE"
-)
-NO_PERSON = (
-    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
-    "run at a terminal or with --console"
-)
-Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
-
-
-def operator_selection(
-    request: RunRequest, observers: RunObservers, resumption: Resumption | None = None
-) -> Operator:
-    """Select the operator of each topic, and of the topics that a file of answers does not list.
-
-    On real devices the person answers what is deliberate or read back, whatever the file says. An operator at
-    the console takes the place of all of them while the console is in charge.
-    """
-    answers, person, prompt = request.answers, observers.person, observers.at_pause
-    configured = request.config is not None
-    at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
-    accepted = resumption is not None and resumption.accepted
-    file_answers_all = answers is not None and is_rehearsal(request.config)
-    if (
-        isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
-        and configured
-        and not (file_answers_all or at_terminal or observers.executor or prompt)
-        and (resumption is None or resumption.asks)
-    ):
-        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
-    script = ScriptedOperator()
-    without_file = _first_of(
-        (
-            (prompt, {Topic.PAUSE}, True),
-            (script, {Topic.RESUME}, accepted),
-            (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, configured),
-            (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
-            (script, ALL_TOPICS, True),  # in a simulated theatre of its own
-        )
-    )
-    operator = without_file
-    if answers is not None:
-        by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
-        # `--accept` is the later word.
-        operator = _first_of(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
-    if observers.executor is None:
-        return operator
-    in_person = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
-    return observers.executor.operator(operator, script_at_pause=not in_person)
-
-
-def _first_of(rules: Iterable[Rule]) -> Operator:
-    """Return an operator by whom each topic is answered by the first rule that applies to it."""
-    present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
-    return ByTopic({topic: next(one for one, topics in present if topic in topics) for topic in Topic})
 
 
 class Answers(BaseModel):

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.errors import ConsoleMissing
 from procedures.engine.events import EventStream
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
 from procedures.runs.orders import LONGEST_BYTES, Reply, read_order

@@ -27,7 +27,8 @@ from procedures.runs.calibrations import (
 from procedures.runs.finishing import finalize_run, sealed_again
 from procedures.runs.folders import held_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import RunObservers, run_steps
+from procedures.runs.lifecycle import run_steps
+from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import make_ready, require_free_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Recipe

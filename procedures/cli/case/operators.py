@@ -16,7 +16,7 @@ from typer import style
 
 from procedures.operator.question import NOBODY as NOBODY_READS
 from procedures.operator.question import YES, Question, Task, misread, words
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers
 from ronna_hw.text import printable, printable_lines, typed_number
 
 if TYPE_CHECKING:

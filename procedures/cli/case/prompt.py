@@ -23,7 +23,7 @@ from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.cli.case.stepping import PipedLines
+    from procedures.cli.case.piped_lines import PipedLines
     from procedures.engine.engine import Engine
 
 HELD = (

@@ -11,9 +11,9 @@ from recording_cell import mini_theatre_file
 
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import Question, ReadBack, Topic
-from procedures.runs.answers import AnsweringOperator, Answers, operator_selection, read_answers
+from procedures.runs.answers import AnsweringOperator, Answers, read_answers
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers, operator_selection
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.steps.catalogue import ANSWER_WORDS
 

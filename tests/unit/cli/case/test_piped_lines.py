@@ -14,8 +14,8 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
+from procedures.cli.case.piped_lines import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.stepping import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome

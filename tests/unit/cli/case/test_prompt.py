@@ -18,7 +18,8 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Question, Topic
-from procedures.runs.lifecycle import RunObservers, run_to_end
+from procedures.runs.lifecycle import run_to_end
+from procedures.runs.observers import RunObservers
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 
 
