@@ -19,10 +19,14 @@ from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Question, Signature, Topic, misread
 from procedures.runs.orders import (
+    OPENING,
+    PAUSED,
+    RULE_OF,
+    WAITING,
     Abort,
     Acknowledge,
     AnswerQuestion,
-    AnyOrder,
+    CaseActivity,
     Claim,
     Next,
     Pause,
@@ -30,6 +34,7 @@ from procedures.runs.orders import (
     Renew,
     Resume,
     RunTo,
+    SentOrder,
     Stop,
 )
 
@@ -197,72 +202,92 @@ class OperatorStation:
 
     # The thread that reads orders
 
-    def take(self, order: AnyOrder) -> str:
+    def take(self, sent: SentOrder) -> str:
         """Take an order; returns why it is refused, or nothing."""
         with self._changed:
-            if order.nonce in self._nonces:
+            if sent.nonce in self._nonces:
                 return "this order was already given"
-            self._nonces.append(order.nonce)
+            self._nonces.append(sent.nonce)
             self._notice_lapse()
-            late = order.expires_s is not None and self._now_s() > order.expires_s
-            if late and not isinstance(order, Stop):
+            late = sent.expires_s is not None and self._now_s() > sent.expires_s
+            if late and not isinstance(sent.order, Stop):
                 return "the order came too late"
-            refused = self._refused(order)
+            refused = self._why_not_now(sent) or self._follow(sent)
             self._changed.notify_all()
             return refused
 
-    def _refused(self, order: AnyOrder) -> str:
-        match order:
-            case Claim(session=session, name=name):
-                if refused := self._seat.claim(session, name.strip()):
-                    return refused
-                self._tell_seat(session, name.strip())
-                return ""
-            case Renew(session=session):
-                self._seat.renew(session)
-                return ""
-            case Stop():
-                return self._stop(order.session)
-        if not self._seat.held_by(order.session):
-            return "you are not in the operator's seat"
-        if isinstance(order, Release):
-            self._vacate("the operator left the seat")
-            return ""
+    @property
+    def _state(self) -> CaseActivity:
         if self._engine is None:
-            return "the theatre is not open yet"
-        if isinstance(order, AnswerQuestion):
-            return self._answer(order)
-        return self._steer(order, self._engine)
+            return CaseActivity.OPENING
+        if self._question is not None:
+            return PAUSED if self._question.question.topic is Topic.PAUSE else CaseActivity.ASKING
+        return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
-    def _steer(self, order: Pause | Next | RunTo | Resume | Abort | Acknowledge, engine: Engine) -> str:
-        """Have a pause met, or note the order for when the engine next waits between steps."""
-        name, asked, upcoming = self._seat.holder, self._question, self._waiting_for
-        paused = asked is not None and asked.question.topic is Topic.PAUSE
-        match order:
-            case Pause() if upcoming is not None:
+    def _why_not_now(self, sent: SentOrder) -> str:
+        """Return why an order is refused whatever it asks for, by who gave it and in which state."""
+        rule, state = RULE_OF[type(sent.order)], self._state
+        if rule.seat and not self._seat.held_by(sent.session):
+            return "you are not in the operator's seat"
+        if state not in rule.from_console:
+            if state is OPENING:
+                return "the theatre is not open yet"
+            if state is WAITING:
                 return "no step is running"
+            return "the engine is not waiting for an order: a step is running, or a question is open"
+        if sent.upcoming is not None and sent.upcoming != self._waiting_for:
+            return f"out of date: the next step is now {self._waiting_for}"
+        return ""
+
+    def _follow(self, sent: SentOrder) -> str:
+        session, name, order = sent.session, self._seat.holder, sent.order
+        match order:
+            case Claim():
+                if refused := self._seat.claim(session, order.name.strip()):
+                    return refused
+                self._tell_seat(session, order.name.strip())
+            case Renew():
+                self._seat.renew(session)
+            case Release():
+                self._vacate("the operator left the seat")
+            case Stop():
+                return self._stop(session)
+            case AnswerQuestion():
+                return self._answer(order, session)
+            case _:
+                assert self._engine is not None, (
+                    "the rules let no other order pass before the theatre is open"
+                )
+                return self._steer(order, Signature(name, session, shown=""), self._engine)
+        return ""
+
+    def _steer(
+        self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
+    ) -> str:
+        """Have a pause met, or note the order for when the engine next waits between steps."""
+        asked, state = self._question, self._state
+        match order:
             case Pause():
-                engine.checkpoint.pause(f"{name} asked for a pause")
+                engine.checkpoint.pause(f"{by.by} asked for a pause")
                 return ""
-            case Abort() if paused:
-                self._settle(ABORT, Signature(name, order.session, shown=""))  # it quotes nothing
+            case Abort() if state is PAUSED:
+                self._settle(ABORT, by)  # it quotes nothing
                 return ""
-            case Abort() if upcoming is None:
+            case Abort() if state is not WAITING:
                 engine.checkpoint.abort()
                 if asked is not None:
                     self._settle(asked.question.silence)
-            case Acknowledge() if paused and asked is not None and asked.answer is None:
-                asked.acknowledged_by = name
+            case Acknowledge() if asked is not None:
+                if asked.answer is not None:
+                    return "the pause is over"
+                asked.acknowledged_by = by.by
                 return ""
-            case Next() | RunTo() | Resume() | Acknowledge() if upcoming is None:
-                return "the engine is not waiting for an order: a step is running, or a question is open"
-            case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if seen != upcoming:
-                return f"out of date: the next step is now {upcoming}"
-            case RunTo(step=step) if step not in map(str, engine.order.sequence):
-                return f"there is no step {step!r}"
-            case RunTo(step=step) if refused := engine.course.why_not_up_to(engine.order.find(step)):
-                return refused
-        self._pending = PendingOrder(order, name, self._vacated)
+            case RunTo(step=step):
+                if step not in map(str, engine.order.sequence):
+                    return f"there is no step {step!r}"
+                if refused := engine.course.why_not_up_to(engine.order.find(step)):
+                    return refused
+        self._pending = PendingOrder(order, by.by, self._vacated)
         return ""
 
     def _stop(self, session: str) -> str:
@@ -276,7 +301,7 @@ class OperatorStation:
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
-    def _answer(self, order: AnswerQuestion) -> str:
+    def _answer(self, order: AnswerQuestion, session: str) -> str:
         asked = self._question
         if asked is None or asked.question.number != order.question or asked.answer is not None:
             return "that question is no longer open"
@@ -300,7 +325,7 @@ class OperatorStation:
             asked.readings = order.readings
         if question.topic is Topic.PAUSE:
             self._stopped = False
-        self._settle(order.answer, Signature(self._seat.holder, order.session, asked.shown))
+        self._settle(order.answer, Signature(self._seat.holder, session, asked.shown))
         return ""
 
     def _settle(self, answer: str, signature: Signature | None = None) -> None:

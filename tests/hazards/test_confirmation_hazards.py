@@ -14,13 +14,13 @@ from typing import cast
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.commands import AT_PAUSE
 from procedures.cli.case.operators import Alarms, TerminalOperator, TerminalRoom
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Question, ReadBack, Task, Topic
 from ronna_hw.wire.room_tasks import DIALS
 
@@ -211,7 +211,7 @@ def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before
     monkeypatch.setattr("sys.stderr", io.StringIO())
     prompt = Prompt("step> ", said.append, asking=lambda: nullcontext(at_prompt))
     prompt.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
-    assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)) == AT_PAUSE["abort"]
+    assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)) == ABORT
     assert [line for line in said if "emergency stop: pressed. No motion and no step begins" in line]
 
 

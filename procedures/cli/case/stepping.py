@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.case_view import EventFollower
-from procedures.cli.case.commands import COMMANDS
 from procedures.cli.case.display import pause_on_interrupt, write_lines
 from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.piped_lines import PipedLines
@@ -18,6 +17,7 @@ from procedures.cli.case.prompt import Prompt
 from procedures.runs.finishing import finalize_run
 from procedures.runs.folders import held_run, run_folder
 from procedures.runs.lifecycle import open_run
+from procedures.runs.orders import COMMANDS
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.messages import say, tell
@@ -72,7 +72,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
             followers[0].start()
             if piped is not None:
                 piped.attach(engine)
-            say(f"run {folder.name}; {' | '.join(COMMANDS)} | quit")
+            say(f"run {folder.name}; {' | '.join(COMMANDS)}")
             if executor is None:
                 prompt.follow(engine)
                 return

@@ -149,7 +149,7 @@ def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
     operator = operator_selection(RunRequest(procedure=CaseProcedure()), RunObservers())
     assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
 
@@ -162,7 +162,7 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
     at_terminal: bool,
     said: str,
 ) -> None:
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
     operator_selection(
         RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml"),
         RunObservers(),
@@ -175,7 +175,7 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
 def test_acknowledging_does_not_warn_that_nobody_can_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: False)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: False)
     request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml")
     left = cast(InterruptedRun, None)  # not looked at
     operator_selection(

@@ -12,7 +12,7 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.case.commands import COMMANDS
+from procedures.cli.case.commands import carry_out
 from procedures.engine.events import Seat
 from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
@@ -272,7 +272,7 @@ def test_a_console_that_ends_before_its_stop_is_met_leaves_no_script_to_continue
 def test_a_stop_between_steps_is_not_withdrawn_by_a_line_of_a_script(stand: Stand) -> None:
     stand.give("stop", BEN)
     said: list[str] = []
-    COMMANDS["resume"].work(stand.engine, "", said.append)
+    carry_out(stand.engine, Resume(), said.append)
     assert said[0].startswith("the arm was stopped: that is asked about when the next step begins")
     assert stand.engine.checkpoint.wanted
 

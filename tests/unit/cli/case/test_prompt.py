@@ -79,10 +79,13 @@ def test_back_repeats_the_step_and_the_case_continues_from_there(
 
 
 def test_skip_is_refused_and_names_the_step_that_needs_the_result(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Typed(monkeypatch, "skip image").at(cell.engine(plain_order()))
-    assert "image cannot be skipped: localization needs its result" in capsys.readouterr().err
+    typed = Typed(monkeypatch, "skip image", "help")
+    typed.at(cell.engine(plain_order()))
+    refused = "there is no command 'skip': image cannot be skipped: localization needs its result."
+    assert typed.said[0].startswith(refused)
+    assert not any(line.startswith("skip") for line in typed.said)
 
 
 def test_resume_withdraws_a_pause_that_has_not_begun(
