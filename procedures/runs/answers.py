@@ -21,7 +21,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.engine.errors import AnswersUnfit
-from procedures.operator.question import FOR_A_PERSON, Operator, Question, Topic, words
+from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, words
 from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
@@ -102,22 +102,22 @@ class ScriptedOperator:
     def __init__(self) -> None:
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the first answer, or silence to a guard that was waited for in vain."""
         if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:
-                return question.silence
+                return Answer(question.silence)
             self._waited_for.add(what)
-        return question.answers[0]
+        return Answer(question.answers[0])
 
 
 class SilentOperator:
     """Nobody: every question is met with silence, which never continues."""
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return what silence means."""
-        return question.silence
+        return Answer(question.silence)
 
 
 class ByTopic:
@@ -126,7 +126,7 @@ class ByTopic:
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the answer of the topic's operator."""
         return self._operators[question.topic].ask(question)
 
@@ -140,12 +140,12 @@ class AnsweringOperator:
         self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the answer in the file, or that of the operator who answers in its place."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)
         word = self._answers.word_for(question)
-        if word is not None:
-            return word
-        return question.silence if self._answers.default == "silence" else self._otherwise.ask(question)
+        if word is None and self._answers.default == "silence":
+            word = question.silence
+        return self._otherwise.ask(question) if word is None else Answer(word)

@@ -17,7 +17,7 @@ from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import Question, Signature, Topic, misread
+from procedures.operator.question import Answer, Question, Signature, Topic
 from procedures.runs.orders import (
     OPENING,
     PAUSED,
@@ -108,9 +108,7 @@ class _OpenQuestion:
 
     question: Question
     shown: str
-    answer: str | None = None
-    signature: Signature | None = None
-    readings: tuple[float, ...] | None = None
+    answer: Answer | None = None
     misread: int = 0  # how often, not yet in the journal
     acknowledged_by: str = ""  # who acknowledges faults while it stands
 
@@ -271,12 +269,12 @@ class OperatorStation:
                 engine.checkpoint.pause(f"{by.by} asked for a pause")
                 return ""
             case Abort() if state is PAUSED:
-                self._settle(ABORT, by)  # it quotes nothing
+                self._settle(Answer(ABORT, signature=by))  # it quotes nothing
                 return ""
             case Abort() if state is not WAITING:
                 engine.checkpoint.abort()
                 if asked is not None:
-                    self._settle(asked.question.silence)
+                    self._settle(Answer(asked.question.silence))
             case Acknowledge() if asked is not None:
                 if asked.answer is not None:
                     return "the pause is over"
@@ -308,29 +306,19 @@ class OperatorStation:
         question = asked.question
         if order.shown != asked.shown:
             return "the question shown is not the question asked"
-        if order.answer not in question.answers:
-            return f"{order.answer!r} is not an answer"
-        read_back = question.read_back
-        if read_back is not None and order.answer == question.answers[0]:
-            if not order.typed:
-                return f"type {read_back.what}"
-            if not read_back.fits(order.typed):
-                asked.misread += 1
-                return f"what was typed {read_back.wrong}"
-        if question.reads and order.answer == question.answers[0]:
-            if order.readings is None or len(order.readings) != len(question.reads):
-                return f"type {', '.join(question.reads)}"
-            if wrong := [why for one in order.readings if (why := misread(one, question.plausible_mm))]:
-                return "; ".join(wrong)
-            asked.readings = order.readings
+        by = Signature(self._seat.holder, session, asked.shown)
+        answer = Answer(order.answer, order.typed, order.readings, by)
+        asked.misread += question.is_misread(answer)
+        if refused := question.why_refused(answer):
+            return refused
         if question.topic is Topic.PAUSE:
             self._stopped = False
-        self._settle(order.answer, Signature(self._seat.holder, session, asked.shown))
+        self._settle(answer)
         return ""
 
-    def _settle(self, answer: str, signature: Signature | None = None) -> None:
+    def _settle(self, answer: Answer) -> None:
         if self._question is not None and self._question.answer is None:
-            self._question.answer, self._question.signature = answer, signature
+            self._question.answer = answer
 
     def _notice_lapse(self) -> None:
         if self._seat.lapsed:
@@ -352,7 +340,7 @@ class OperatorStation:
 
     # The engine's own thread
 
-    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> str | None:
+    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> Answer | None:
         """Return the answer from the console: silence if the time ran out, None if the console has ended.
 
         `acknowledge` is called, at a pause, with the name of who acknowledges faults.
@@ -366,7 +354,7 @@ class OperatorStation:
                 while asked.answer is None and not self._gone:
                     left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
                     if left_s <= 0.0:
-                        return question.silence
+                        return Answer(question.silence)
                     self._changed.wait(left_s)
                     self._notice_lapse()
                     while asked.misread:
@@ -381,10 +369,6 @@ class OperatorStation:
                             self._changed.acquire()
             finally:
                 self._question = None
-        if asked.signature is not None:
-            question.signed(asked.signature)
-        if asked.readings is not None:
-            question.read(asked.readings)
         return asked.answer
 
     def await_seat(self) -> None:

@@ -16,7 +16,7 @@ from procedures.engine.machine import HELD as MACHINE_HELD
 from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import GO_ON
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
+from procedures.operator.question import Answer, Question
 from procedures.runs.lifecycle import leave_head_if_agreed
 from procedures.runs.orders import COMMANDS, PAUSE_ANSWERS, PAUSED, Abort, Acknowledge, Next, Quit, Resume
 from ronna_hw.command_line.errors import UsageMistake
@@ -113,7 +113,7 @@ class Prompt:
                     return True
         return False
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Ask at a pause: `resume`, `abort`, or a command that moves nothing. The end of input ends all."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             forget_typed()
@@ -124,7 +124,7 @@ class Prompt:
             if _too_much(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
             elif name in ENDING_PAUSE:
-                return ENDING_PAUSE[name]
+                return Answer(ENDING_PAUSE[name])
             elif self._engine is not None and name in AT_PAUSE:
                 try:
                     carry_out(
@@ -136,7 +136,7 @@ class Prompt:
                 self._say(f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}")
             else:
                 self._say(self._unknown(name, argument, (*ENDING_PAUSE, *AT_PAUSE), AT_PAUSE_CHOICES))
-        return question.silence
+        return Answer(question.silence)
 
     def _unknown(self, name: str, argument: str, known: Iterable[str], choices: str) -> str:
         """Return the reply to an unknown word."""

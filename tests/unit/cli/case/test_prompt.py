@@ -17,7 +17,7 @@ from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.runs.lifecycle import run_to_end
 from procedures.runs.observers import RunObservers
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
@@ -106,8 +106,8 @@ class Pauses:
 
     prompt: Prompt
 
-    def ask(self, question: Question) -> str:
-        return self.prompt.ask(question) if question.topic is Topic.PAUSE else question.answers[0]
+    def ask(self, question: Question) -> Answer:
+        return self.prompt.ask(question) if question.topic is Topic.PAUSE else Answer(question.answers[0])
 
 
 def paused(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, *lines: str) -> Engine:
@@ -131,7 +131,7 @@ def test_a_fault_acknowledged_in_a_pause_has_its_step_begun_again(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class Stopped(Pauses):
-        def ask(self, question: Question) -> str:
+        def ask(self, question: Question) -> Answer:
             if question.topic is Topic.PAUSE:
                 cell.arm.state = Lifecycle.FAULT
             return super().ask(question)
