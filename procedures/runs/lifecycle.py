@@ -73,11 +73,11 @@ def _prepare(
 
             return prepare_case(request, folder, theatre, resumption, held)
         case CalibrationProcedure(recipe=plain):
-            from procedures.runs.calibrations import kind_of
+            from procedures.runs.calibrations import KINDS
             from procedures.steps.calibration.recipe import Recipe
 
             read = Recipe.read(plain)
-            kind = kind_of(read.of)
+            kind = KINDS[read.of]
             steps, title, in_use, recipe = read.steps, kind.title, kind.in_use, read
         case Measurement(steps=steps, title=title, in_use=in_use, recipe=recipe):
             pass

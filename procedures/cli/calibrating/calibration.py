@@ -14,6 +14,7 @@ from procedures.engine.events import Event, Progress
 from procedures.reporting.calibration_figures import RecordFigures
 from procedures.runs.calibration_files import finished_figures, require_same_folder
 from procedures.runs.calibrations import (
+    KINDS,
     CalibrationKind,
     Looks,
     Result,
@@ -21,7 +22,6 @@ from procedures.runs.calibrations import (
     conclude,
     every_look_taken,
     finish_calibration,
-    kind_of,
     leave_files,
 )
 from procedures.runs.finishing import finalize_run, sealed_again
@@ -90,7 +90,7 @@ def resume_calibration(
     Raises the errors of `resume`, and those of the calibration itself.
     """
     folder = interrupted.folder
-    kind = kind_of(Recipe.read(request.calibration.recipe).of)
+    kind = KINDS[Recipe.read(request.calibration.recipe).of]
     if interrupted.finished:
         with sealed_again(interrupted):
             pass
