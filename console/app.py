@@ -30,7 +30,7 @@ from console.web.page import add_page
 from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun
 from procedures.engine.events.event_types import shown_digest
-from procedures.runs.orders import LONGEST_BYTES, AnyOrder, Reply
+from procedures.runs.orders import LONGEST_BYTES, Reply, SentOrder
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
 from ronna_hw.command_line.viewers_address import ViewersAddress
@@ -153,8 +153,8 @@ async def follow_engine(descriptor: int, hub: Hub) -> None:
     """Feed the hub until the engine closes its end."""
     reader, writer = await asyncio.open_connection(sock=socket.socket(fileno=descriptor), limit=LONGEST_LINE)
 
-    async def send(order: AnyOrder) -> None:
-        writer.write(order.model_dump_json().encode() + b"\n")
+    async def send(sent: SentOrder) -> None:
+        writer.write(sent.model_dump_json().encode() + b"\n")
         await writer.drain()
 
     hub.connect(send)

@@ -15,7 +15,7 @@ from console.case_view import CaseView, RecordedCase, fold
 from console.changes import ChangeNotifier
 from console.guard import Role, Session
 from procedures.engine.events import DeviceAge, Event, Pose
-from procedures.runs.orders import AnyOrder, Renew, Reply, Stop, read_order
+from procedures.runs.orders import Claim, Renew, Reply, SentOrder, Stop, read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 
 UNSEEN_S = 1.0  # host time without a new pose or age of a device, which are reported five times a second
@@ -25,7 +25,7 @@ REPLY_S = 3.0  # host time
 NO_REPLY = "no reply from the engine; the order may still be carried out"
 NOT_RUNNING = "this case is not running: read-only"
 
-SendOrder = Callable[[AnyOrder], Awaitable[None]]
+SendOrder = Callable[[SentOrder], Awaitable[None]]
 
 
 class Hub(ChangeNotifier):
@@ -171,27 +171,27 @@ class Hub(ChangeNotifier):
 
         Raises ValueError if it is not an order.
         """
-        order = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
+        sent = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
         if session.role is not Role.OPERATOR:
             return "viewers cannot give orders"
         if self._send is None or self.ended:
             return NOT_RUNNING if self._send is None else "the engine has ended"
-        if not isinstance(order, Renew | Stop) and not session.orders.allows(self._now_s()):
+        if not isinstance(sent.order, Renew | Stop) and not session.orders.allows(self._now_s()):
             return "too many orders in one second"
         reply: asyncio.Future[str] = asyncio.get_running_loop().create_future()
-        if order.nonce in self._replies:
+        if sent.nonce in self._replies:
             return "this order was already given"
-        order = order.model_copy(update={"expires_s": self._now_s() + REPLY_S})
-        self._replies[order.nonce] = reply
+        sent = sent.model_copy(update={"expires_s": self._now_s() + REPLY_S})
+        self._replies[sent.nonce] = reply
         try:
-            await self._send(order)
+            await self._send(sent)
             refused = await asyncio.wait_for(reply, REPLY_S)
         except (TimeoutError, OSError):
             refused = NO_REPLY
         finally:
-            self._replies.pop(order.nonce, None)
-        if order.kind == "claim" and not refused:
-            self._granted = session.identifier, order.name.strip()
+            self._replies.pop(sent.nonce, None)
+        if isinstance(sent.order, Claim) and not refused:
+            self._granted = session.identifier, sent.order.name.strip()
             self.tell()
         return refused
 

@@ -20,6 +20,7 @@ from procedures.engine.events import event_file, stream
 from procedures.journal import journal
 from procedures.runs import lifecycle
 from procedures.runs.folders import new_run_folder
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 from ronna_hw.recording import flight_recorder, reading_tape
 from ronna_hw.theatre import Theatre
@@ -69,7 +70,7 @@ def main(kept: str, speed: str, seed: str, folder: str) -> None:
     )
     began = time.perf_counter()
     run = new_run_folder(request, Path(folder))
-    with lifecycle.open_run(request, run, lifecycle.RunObservers()) as engine:
+    with lifecycle.open_run(request, run, RunObservers()) as engine:
         engine.run_to()
     wall_s = time.perf_counter() - began
     usages = [resource.getrusage(who) for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)]

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from benchmarks.stereo_head.stereo_pictures import Studio
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import Topic
+from procedures.operator.question import Question, Topic
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.visits import Visit, VisitKind
 from procedures.relocalization import StereoPoint
@@ -265,7 +265,11 @@ def _workcell_of(
     )
     calibrations: Any = SimpleNamespace(stereo_head=calibration, arm=None)
     workcell = Workcell(cast("Any", theatre), Journal(folder), calibrations=calibrations)
-    agree = ScriptedOperator().ask
+    operator = ScriptedOperator()
+
+    def agree(question: Question) -> str:
+        return operator.ask(question).word
+
     resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)
     workcell.supervised.ask_before(resting, agree)
     workcell.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())

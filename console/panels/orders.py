@@ -21,13 +21,25 @@ from console.panels.case_state import seat_line
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import shown_digest
+from procedures.operator.question import Topic
+from procedures.runs.orders import (
+    PAUSED,
+    RULE_OF,
+    WAITING,
+    Abort,
+    Acknowledge,
+    CaseActivity,
+    Next,
+    Pause,
+    Resume,
+    RunTo,
+)
 from ronna_hw.text import typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
 ARMED_S = 0.7  # host time after appearing before it can be given
 DIGEST_SHOWN = 12  # characters; the journal has all of them
 Give = Callable[[dict[str, Any]], Awaitable[None]]
-AT_PAUSE = "pause"  # topic of the question answered by Resume: no button here answers it
 NOT_EMERGENCY = (
     "Stop motion makes the driver bring the arm to rest. "
     "It is not an emergency stop: for that, press the red button."
@@ -100,24 +112,34 @@ class OrderPanel:
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
         """Enable what is possible now; each button's order quotes the state it was shown with."""
-        paused = view.question is not None and view.question.topic == AT_PAUSE
-        waits = view.waiting is not None and bool(view.upcoming) and view.question is None
+        state = state_of(view)
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
-        quoted = view.upcoming if waits and is_mine else ""
+        quoted = view.upcoming if state is WAITING and is_mine else ""
         if quoted != self._quoted:
             self._build(quoted)
-        self._next.set_enabled(is_mine and waits and not ended)
-        self._run_to.set_enabled(is_mine and waits and not ended)
-        self._resume.set_enabled(is_mine and waits and not ended)
-        self._pause.set_enabled(is_mine and not waits and not paused and not ended)
-        faulty = any(row.seen.fault for row in view.devices.values())
-        self._acknowledge.set_visibility(faulty)
-        self._acknowledge.set_enabled(is_mine and (waits or paused) and not ended)
-        self._abort.set_enabled(is_mine and not ended)
+        for button, order in (
+            (self._next, Next),
+            (self._run_to, RunTo),
+            (self._resume, Resume),
+            (self._pause, Pause),
+            (self._acknowledge, Acknowledge),
+            (self._abort, Abort),
+        ):
+            again = order is Pause and state is PAUSED  # would only pause anew after the answer
+            counts = state in RULE_OF[order].from_console and not again
+            button.set_enabled(is_mine and counts and not ended)
+        self._acknowledge.set_visibility(any(row.seen.fault for row in view.devices.values()))
         options = [row.step for row in view.steps if row.state != "done"]
         if options != self._to.options:
             kept = self._to.value if self._to.value in options else (options[-1] if options else None)
             self._to.set_options(options, value=kept)
+
+
+def state_of(view: CaseView) -> CaseActivity:
+    """Return the state of a case in which an order of its page arrives."""
+    if view.question is not None:
+        return PAUSED if view.question.topic == Topic.PAUSE else CaseActivity.ASKING
+    return WAITING if view.waiting is not None and view.upcoming else CaseActivity.RUNNING
 
 
 def stop_button(give: Give) -> None:

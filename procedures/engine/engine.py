@@ -190,8 +190,8 @@ class Engine:
         )
 
     def ask(self, question: Question) -> str:
-        """The operator's answer, recorded."""
-        return self.questions.ask(question)
+        """The word of the operator's answer, recorded."""
+        return self.questions.ask(question).word
 
     def have_done(self, task: Task) -> tuple[float, ...]:
         """Have the room's staff do a task, and return the readings."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 from procedures.engine.events import Answered, EventStream, Questioned
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Operator, Question, Signature, Task, Topic
+from procedures.operator.question import Answer, Operator, Question, Task, Topic
 from ronna_hw.wire.room_tasks import OUT
 
 if TYPE_CHECKING:
@@ -48,36 +48,33 @@ class Questions:
         self._count = 0
         self.unanswered_s: float | None = None  # the time limit in which the last question had no answer
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the operator's answer; a word that is no answer counts as silence."""
         self._count += 1
         asked_s, began_s = self._now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
-        signatures: list[Signature] = []
-        numbered = replace(
-            question, number=self._count, misread=lambda: self._misread(question), signed=signatures.append
-        )
+        numbered = replace(question, number=self._count, misread=lambda: self._misread(question))
         try:
             answer = self._operator.ask(numbered)
-            if answer not in question.answers:
-                answer = question.silence
+            if answer.word not in question.answers:
+                answer = Answer(question.silence)
             limit_s = question.timeout_s
             self.unanswered_s = limit_s if limit_s is not None and monotonic() - began_s >= limit_s else None
-            signed = asdict(signatures[-1]) if signatures else {}
+            signed = {} if answer.signature is None else asdict(answer.signature)
             self._journal.write(
                 Entry.CONFIRMATION,
                 self._now_s(),
                 topic=question.name,
                 subject=question.subject,
                 value=question.value,
-                answer=answer,
+                answer=answer.word,
                 **signed,
                 asked_s=asked_s,
             )
         except BaseException:  # nobody answers it any more, or its answer is not kept and does not count
             self._events.publish(Answered(question=numbered.number, answer=""))
             raise
-        self._events.publish(Answered(question=numbered.number, answer=answer, by=signed.get("by", "")))
+        self._events.publish(Answered(question=numbered.number, answer=answer.word, by=signed.get("by", "")))
         return answer
 
     def _misread(self, question: Question) -> None:

@@ -130,12 +130,14 @@ class Signature:
     shown: str
 
 
-def _unsigned(_signature: Signature) -> None:
-    """Keep no signature."""
+@dataclass(frozen=True)
+class Answer:
+    """An answer, whoever gives it: its word, and what belongs to it."""
 
-
-def _unread(_readings: tuple[float, ...]) -> None:
-    """Keep no readings."""
+    word: str
+    typed: str | None = None  # what was read back
+    readings: tuple[float, ...] | None = None  # what was read off
+    signature: Signature | None = None  # of a named person
 
 
 @dataclass(frozen=True)
@@ -143,9 +145,8 @@ class Question:
     """A question. The first of `answers` goes on, the last is what silence means.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
-    value was read back, and `signed` once before returning an answer that a named person gave. `number`
-    counts the questions of a run; `evidence` is shown with the value. With `reads`, the answer that goes on
-    comes with that many numbers, each within `plausible_mm`, with which `read` is called.
+    value was read back. `number` counts the questions of a run; `evidence` is shown with the value. With
+    `reads`, the answer that goes on comes with that many readings, each within `plausible_mm`.
     """
 
     topic: Topic
@@ -156,12 +157,10 @@ class Question:
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
     misread: Callable[[], None] = field(default=_unrecorded, compare=False, repr=False)
-    signed: Callable[[Signature], None] = field(default=_unsigned, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
     reads: tuple[str, ...] = ()
     plausible_mm: tuple[float, float] | None = None
-    read: Callable[[tuple[float, ...]], None] = field(default=_unread, compare=False, repr=False)
 
     @property
     def name(self) -> str:
@@ -178,12 +177,32 @@ class Question:
         """The answer that silence means."""
         return self.answers[-1]
 
+    def is_misread(self, answer: Answer) -> bool:
+        """Whether the answer that goes on came with another value than the one to be read back."""
+        typed = answer.typed if answer.word == self.answers[0] else None
+        return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
+
+    def why_refused(self, answer: Answer) -> str:
+        """Return why an answer does not count; empty if it does."""
+        if answer.word not in self.answers:
+            return f"{answer.word!r} is not an answer"
+        if answer.word != self.answers[0]:
+            return ""
+        if self.read_back is not None and not answer.typed:
+            return f"type {self.read_back.what}"
+        if self.read_back is not None and self.is_misread(answer):
+            return f"what was typed {self.read_back.wrong}"
+        if self.reads and (answer.readings is None or len(answer.readings) != len(self.reads)):
+            return f"type {', '.join(self.reads)}"
+        wrong = [why for one in answer.readings or () if (why := misread(one, self.plausible_mm))]
+        return "; ".join(wrong)
+
 
 class Operator(Protocol):
     """The person or script who decides."""
 
-    def ask(self, question: Question) -> str:
-        """Return one of the question's answers; the last one also if none came in time."""
+    def ask(self, question: Question) -> Answer:
+        """Return an answer to the question; the last one also if none came in time."""
         ...
 
 

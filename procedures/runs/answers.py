@@ -1,4 +1,4 @@
-"""The operator of a run: a file of answers, a script, a person at the terminal or the console, or several.
+"""Scripted operators: a file of answers, and a script that gives every first answer.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 
@@ -14,86 +14,21 @@ hands have done to the patient.
 
 from __future__ import annotations
 
-import sys
-from collections.abc import Iterable, Mapping, Sequence, Set
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal
+from typing import Literal
 
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.engine.errors import AnswersUnfit
-from procedures.operator.question import FOR_A_PERSON, Operator, Question, Topic, words
-from procedures.runs.request import CaseProcedure, RunRequest
+from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, words
 from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
-from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.theatre_kind import is_simulated
 
-if TYPE_CHECKING:
-    from procedures.runs.interrupted_run import Resumption
-    from procedures.runs.lifecycle import RunObservers
-
 OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a key that only they have
-ALL_TOPICS = frozenset(Topic)
-NOBODY_ANSWERS = (
-    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
-    "with --console, or with --answers FILE"
-)
-NO_PERSON = (
-    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
-    "run at a terminal or with --console"
-)
-Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
-
-
-def operator_selection(
-    request: RunRequest, observers: RunObservers, resumption: Resumption | None = None
-) -> Operator:
-    """Select the operator of each topic, and of the topics that a file of answers does not list.
-
-    On real devices the person answers what is deliberate or read back, whatever the file says. An operator at
-    the console takes the place of all of them while the console is in charge.
-    """
-    answers, person, prompt = request.answers, observers.person, observers.at_pause
-    configured = request.config is not None
-    at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
-    accepted = resumption is not None and resumption.accepted
-    file_answers_all = answers is not None and is_rehearsal(request.config)
-    if (
-        isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
-        and configured
-        and not (file_answers_all or at_terminal or observers.executor or prompt)
-        and (resumption is None or resumption.asks)
-    ):
-        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
-    script = ScriptedOperator()
-    without_file = _first_of(
-        (
-            (prompt, {Topic.PAUSE}, True),
-            (script, {Topic.RESUME}, accepted),
-            (person, {Topic.RESUME}, resumption is not None),
-            (person, ALL_TOPICS, configured),
-            (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
-            (script, ALL_TOPICS, True),  # in a simulated theatre of its own
-        )
-    )
-    operator = without_file
-    if answers is not None:
-        by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
-        # `--accept` is the later word.
-        operator = _first_of(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
-    if observers.executor is None:
-        return operator
-    in_person = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
-    return observers.executor.operator(operator, script_at_pause=not in_person)
-
-
-def _first_of(rules: Iterable[Rule]) -> Operator:
-    """Return an operator by whom each topic is answered by the first rule that applies to it."""
-    present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
-    return ByTopic({topic: next(one for one, topics in present if topic in topics) for topic in Topic})
 
 
 class Answers(BaseModel):
@@ -167,22 +102,22 @@ class ScriptedOperator:
     def __init__(self) -> None:
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the first answer, or silence to a guard that was waited for in vain."""
         if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:
-                return question.silence
+                return Answer(question.silence)
             self._waited_for.add(what)
-        return question.answers[0]
+        return Answer(question.answers[0])
 
 
 class SilentOperator:
     """Nobody: every question is met with silence, which never continues."""
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return what silence means."""
-        return question.silence
+        return Answer(question.silence)
 
 
 class ByTopic:
@@ -191,7 +126,7 @@ class ByTopic:
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the answer of the topic's operator."""
         return self._operators[question.topic].ask(question)
 
@@ -205,12 +140,12 @@ class AnsweringOperator:
         self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the answer in the file, or that of the operator who answers in its place."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)
         word = self._answers.word_for(question)
-        if word is not None:
-            return word
-        return question.silence if self._answers.default == "silence" else self._otherwise.ask(question)
+        if word is None and self._answers.default == "silence":
+            word = question.silence
+        return self._otherwise.ask(question) if word is None else Answer(word)

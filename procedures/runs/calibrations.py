@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from datetime import timedelta
 from pathlib import Path
@@ -50,6 +50,7 @@ from procedures.steps.calibration.recipe import Calibrated, Recipe
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
 from ronna_hw.bounded_input import read_json_bytes
+from ronna_hw.calibration import DatedRecord
 from ronna_hw.command_line.messages import tell
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.errors import RonnaError
@@ -64,10 +65,11 @@ MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next
 
 @dataclass(frozen=True)
 class CalibrationKind(Generic[Looks, Result]):
-    """One kind of calibration: its observations, its fit, and the record it stores.
+    """One kind of calibration: its observations, its fit, and the records it stores.
 
-    `observed` takes the looks out of a case whose steps are done, `remarks` what the operator should know of
-    them; `in_use` selects the records that its steps work with, given those of the theatre.
+    The looks, and remarks that the operator should know, stand in the results of two of its steps. `records`
+    are fields of its result by their names in the theatre file; one that is None was not made. `in_use`
+    selects the records that its steps work with, given those of the theatre.
 
     OUT/<name>-<id>/<looks file>    the observations, kept before anything is computed, for `--from`
     """
@@ -77,13 +79,31 @@ class CalibrationKind(Generic[Looks, Result]):
     activity: str
     looks_type: type[Looks]
     looks_file: str
-    observed: Callable[[Case], Looks]
-    remarks: Callable[[Case], Sequence[str]]
-    compute: Callable[[Looks, timedelta], Result]
-    records: Callable[[Result], dict[str, Any]]
+    observed_by: type[Any]
+    compute: Callable[..., Result]
+    records: tuple[str, ...]
     figures: Callable[[Result], RecordFigures]
+    remarked_by: type[Any] | None = None  # if not by the step that observed
+    last_remark: str = ""
     in_use: Callable[[Calibrations], Calibrations] = lambda of_theatre: of_theatre
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
+
+    def observed(self, case: Case) -> Looks:
+        """Return the looks of a case whose steps are done."""
+        looks: Looks = case.get(self.observed_by).result.observed
+        return looks
+
+    def remarks(self, case: Case) -> tuple[str, ...]:
+        """Return the remarks of a case whose steps are done."""
+        remarks = case.get(self.remarked_by or self.observed_by).result.remarks
+        return (*remarks, self.last_remark) if self.last_remark else tuple(remarks)
+
+    def records_of(self, result: Result) -> dict[str, Any]:
+        """Return the new records by their names in the theatre file."""
+        made = {name: getattr(result, name) for name in self.records}
+        return {
+            name: record.model_dump(exclude_none=True) for name, record in made.items() if record is not None
+        }
 
     def read_looks(self, path: Path) -> Looks:
         """Read stored looks from their file or folder. Raises CAL-005, PRO-033 if their run was changed."""
@@ -105,13 +125,13 @@ def computed(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: L
     if theatre is not None:
         require_same_theatre(looks, theatre)  # a computation may take minutes
     try:
-        result = kind.compute(looks, timedelta(days=request.calibration.days))
+        result = kind.compute(looks, life=timedelta(days=request.calibration.days))
     except RonnaError:
         raise
     except (ValueError, ArithmeticError) as error:  # the former also of a matrix
         raise BadObservations(f"nothing can be computed from these measurements: {error}") from error
     if theatre is not None:
-        require_same_theatre(looks, theatre, kind.records(result))
+        require_same_theatre(looks, theatre, kind.records_of(result))
     return result
 
 
@@ -120,10 +140,10 @@ def leave_files(
 ) -> None:
     """Write the files of a calibration, and the theatre file with its records."""
     kind.keep(looks, result, folder)
-    write_records(kind.records(result), folder)
+    write_records(kind.records_of(result), folder)
     write_figures(kind.figures(result), folder)
     if request.calibration.write is not None and request.config is not None:
-        write_theatre(request.config, request.calibration.write, kind.records(result), looks.created)
+        write_theatre(request.config, request.calibration.write, kind.records_of(result), looks.created)
 
 
 def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Case, folder: Path) -> None:
@@ -173,21 +193,17 @@ def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -
     write_whole(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
 
 
-def head_records(result: HeadResult) -> dict[str, Any]:
-    """Return the new records by their names in the theatre file."""
-    records = {"stereo_head": result.stereo_head.model_dump()}
-    if result.tool_tip is not None:
-        records["tool_tip"] = result.tool_tip.model_dump()
-    return records
+def _dates(record: DatedRecord) -> dict[str, Any]:
+    return dict(
+        calibration=record.identifier, created=record.created.isoformat(), expires=record.expires.isoformat()
+    )
 
 
 def head_figures(result: HeadResult) -> HeadFigures:
     """Return the figures of a calibration."""
     fit, head = result.fit, result.stereo_head
     return HeadFigures(
-        calibration=head.identifier,
-        created=head.created.isoformat(),
-        expires=head.expires.isoformat(),
+        **_dates(head),
         serials=(head.left.serial, head.right.serial),
         poses=len(fit.used),
         outliers=tuple(np.flatnonzero(~fit.used).tolist()),
@@ -227,29 +243,19 @@ STEREO_HEAD = CalibrationKind(
     activity="measuring the ball",
     looks_type=ObservationSet,
     looks_file=OBSERVATIONS_FILE,
-    observed=lambda case: case.get(ObservedBall).result.observed,
-    remarks=lambda case: case.get(ObservedBall).result.remarks,
-    compute=lambda looks, life: calibrate_head(looks, life=life),
-    records=head_records,
+    observed_by=ObservedBall,
+    compute=calibrate_head,
+    records=("stereo_head", "tool_tip"),
     figures=head_figures,
     keep=write_baseline,
 )
-
-
-def arm_records(result: ArmResult) -> dict[str, Any]:
-    """Return the new records by their names in the theatre file."""
-    records = {"arm": result.arm, "stereo_head": result.stereo_head, "tool_tip": result.tool_tip}
-    given = {name: record for name, record in records.items() if record is not None}
-    return {name: record.model_dump(exclude_none=True) for name, record in given.items()}
 
 
 def arm_figures(result: ArmResult) -> ArmFigures:
     """Return the figures of a calibration."""
     fit, held = result.fit, result.validation
     return ArmFigures(
-        calibration=result.arm.identifier,
-        created=result.arm.created.isoformat(),
-        expires=result.arm.expires.isoformat(),
+        **_dates(result.arm),
         arm=result.arm.arm,
         looks=len(fit.used),
         outliers=int((~fit.used).sum()),
@@ -267,38 +273,26 @@ def arm_figures(result: ArmResult) -> ArmFigures:
     )
 
 
-def without_arm(of_theatre: Calibrations) -> Calibrations:
-    """Leave out the arm's record: an arm is identified from its nominal geometry."""
-    return of_theatre.model_copy(update={"arm": None})
-
-
 ARM = CalibrationKind(
     name="arm",
     title="Calibration of the arm",
     activity="measuring the spheres",
     looks_type=ArmLooks,
     looks_file=ARM_LOOKS_FILE,
-    observed=lambda case: case.get(ObservedSpheres).result.observed,
-    remarks=lambda case: case.get(ObservedSpheres).result.remarks,
-    compute=lambda looks, life: calibrate_arm(looks, life=life),
-    records=arm_records,
+    observed_by=ObservedSpheres,
+    compute=calibrate_arm,
+    records=("arm", "stereo_head", "tool_tip"),
     figures=arm_figures,
-    in_use=without_arm,
+    # An arm is identified from its nominal geometry.
+    in_use=lambda of_theatre: of_theatre.model_copy(update={"arm": None}),
 )
-
-
-def frame_records(result: FrameResult) -> dict[str, Any]:
-    """Return the new record by its name in the theatre file."""
-    return {"tracker_frame": result.tracker_frame.model_dump()}
 
 
 def frame_figures(result: FrameResult) -> FrameFigures:
     """Return the figures of a calibration."""
     fit, record = result.fit, result.tracker_frame
     return FrameFigures(
-        calibration=record.identifier,
-        created=record.created.isoformat(),
-        expires=record.expires.isoformat(),
+        **_dates(record),
         frame=record.tool,
         poses=len(fit.used),
         outliers=int((~fit.used).sum()),
@@ -330,17 +324,11 @@ TRACKER_FRAME = CalibrationKind(
     activity="turning the reference frame",
     looks_type=FrameLooks,
     looks_file=FRAME_LOOKS_FILE,
-    observed=lambda case: case.get(ObservedFrame).result.observed,
-    remarks=lambda case: case.get(ObservedFrame).result.remarks,
-    compute=lambda looks, life: calibrate_frame(looks, life=life),
-    records=frame_records,
+    observed_by=ObservedFrame,
+    compute=calibrate_frame,
+    records=("tracker_frame",),
     figures=frame_figures,
 )
-
-
-def tip_records(result: TipResult) -> dict[str, Any]:
-    """Return the new record by its name in the theatre file."""
-    return {"tool_tip": result.tool_tip.model_dump()}
 
 
 def tip_figures(result: TipResult) -> TipFigures:
@@ -348,9 +336,7 @@ def tip_figures(result: TipResult) -> TipFigures:
     fit, record = result.fit, result.tool_tip
     missed = [math.hypot(*one) ** 2 for one in result.misses_mm.tolist()]
     return TipFigures(
-        calibration=record.identifier,
-        created=record.created.isoformat(),
-        expires=record.expires.isoformat(),
+        **_dates(record),
         tool_number=record.tool_number,
         readings=len(fit.misses_mm),
         validation_readings=len(missed),
@@ -374,22 +360,18 @@ TOOL_TIP = CalibrationKind(
     activity="measuring the ball, reading the divot",
     looks_type=TipLooks,
     looks_file=TIP_LOOKS_FILE,
-    observed=lambda case: case.get(ReadTip).result.observed,
-    remarks=lambda case: (*case.get(ObservedStand).result.remarks, MOUNT_THE_HEAD),
-    compute=lambda looks, life: calibrate_tip(looks, life=life),
-    records=tip_records,
+    observed_by=ReadTip,
+    remarked_by=ObservedStand,
+    last_remark=MOUNT_THE_HEAD,
+    compute=calibrate_tip,
+    records=("tool_tip",),
     figures=tip_figures,
 )
 
 
-def kind_of(calibrated: Calibrated) -> CalibrationKind[Any, Any]:
-    """Return the kind of a calibration, by what is calibrated."""
-    match calibrated:
-        case Calibrated.HEAD:
-            return STEREO_HEAD
-        case Calibrated.ARM:
-            return ARM
-        case Calibrated.FRAME:
-            return TRACKER_FRAME
-        case Calibrated.TIP:
-            return TOOL_TIP
+KINDS: dict[Calibrated, CalibrationKind[Any, Any]] = {
+    Calibrated.HEAD: STEREO_HEAD,
+    Calibrated.ARM: ARM,
+    Calibrated.FRAME: TRACKER_FRAME,
+    Calibrated.TIP: TOOL_TIP,
+}

@@ -12,7 +12,8 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, order_of_case
 from procedures.runs.finishing import error_of
-from procedures.runs.lifecycle import RunObservers, run_steps
+from procedures.runs.lifecycle import run_steps
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import never_began
 from procedures.runs.simulated_theatre import truth_of

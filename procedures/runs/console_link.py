@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.errors import ConsoleMissing
 from procedures.engine.events import EventStream
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
 from procedures.runs.orders import LONGEST_BYTES, Reply, read_order
@@ -135,10 +135,10 @@ class ConsoleLink:
         with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
             while line := lines.readline(LONGEST_BYTES + 1):
                 try:
-                    order = read_order(line)
+                    sent = read_order(line)
                 except ValueError:
                     continue  # the console's own side has refused it
-                self._send(Reply(nonce=order.nonce, refused=self._station.take(order)).model_dump_json())
+                self._send(Reply(nonce=sent.nonce, refused=self._station.take(sent)).model_dump_json())
         self._gone()
 
     def _beat_until_followed(self) -> None:

@@ -12,16 +12,15 @@ import shutil
 import signal
 import threading
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol
+from typing import TYPE_CHECKING
 
 from procedures.journal.errors import StepRefused
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Operator, Room, Task
-from procedures.runs.answers import SilentOperator, operator_selection
+from procedures.operator.question import Room
 from procedures.runs.finishing import begin_report
+from procedures.runs.observers import RunObservers, operator_selection
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import request_hash
 from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
@@ -35,53 +34,9 @@ if TYPE_CHECKING:
     from procedures.engine.engine import Engine
     from procedures.runs.engine_setup import EngineInput
     from procedures.runs.interrupted_run import Resumption
-    from procedures.runs.order_executor import OrderExecutor
     from ronna_hw.theatre import Theatre
 
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
-
-
-class HeldPrompt(Protocol):
-    """A prompt at which a person decides how a held case continues."""
-
-    def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """Show what holds the case, and how to continue."""
-        ...
-
-    def follow(self, engine: Engine) -> bool:
-        """Carry out commands; whether the case continues."""
-        ...
-
-
-class UnattendedRoom:
-    """A room without staff: nobody acts, and nothing is read off."""
-
-    def announce(self, step: str) -> None:
-        """Nobody listens."""
-
-    def change_tool(self, number: int, description: str) -> None:
-        """Nobody mounts it; the step has it confirmed."""
-
-    def prepare_stand(self, holds: str) -> None:
-        """Nobody prepares it; the step has it confirmed."""
-
-    def work(self, task: Task) -> tuple[float, ...]:
-        """Return no readings."""
-        return ()
-
-
-@dataclass(frozen=True)
-class RunObservers:
-    """People and displays that follow a run while it runs."""
-
-    status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
-    announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
-    opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
-    person: Operator = field(default_factory=SilentOperator)  # at the terminal
-    staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre
-    held: HeldPrompt | None = None  # without one a held case ends
-    at_pause: Operator | None = None  # who answers a pause, if not the person
-    executor: OrderExecutor | None = None  # of a console that operates the case
 
 
 @contextlib.contextmanager
@@ -118,11 +73,11 @@ def _prepare(
 
             return prepare_case(request, folder, theatre, resumption, held)
         case CalibrationProcedure(recipe=plain):
-            from procedures.runs.calibrations import kind_of
+            from procedures.runs.calibrations import KINDS
             from procedures.steps.calibration.recipe import Recipe
 
             read = Recipe.read(plain)
-            kind = kind_of(read.of)
+            kind = KINDS[read.of]
             steps, title, in_use, recipe = read.steps, kind.title, kind.in_use, read
         case Measurement(steps=steps, title=title, in_use=in_use, recipe=recipe):
             pass

@@ -17,12 +17,16 @@ from procedures.engine.events import Seat as SeatEvent
 from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
-from procedures.operator.question import Question, Signature, Topic, misread
+from procedures.operator.question import Answer, Question, Signature, Topic
 from procedures.runs.orders import (
+    OPENING,
+    PAUSED,
+    RULE_OF,
+    WAITING,
     Abort,
     Acknowledge,
     AnswerQuestion,
-    AnyOrder,
+    CaseActivity,
     Claim,
     Next,
     Pause,
@@ -30,6 +34,7 @@ from procedures.runs.orders import (
     Renew,
     Resume,
     RunTo,
+    SentOrder,
     Stop,
 )
 
@@ -103,9 +108,7 @@ class _OpenQuestion:
 
     question: Question
     shown: str
-    answer: str | None = None
-    signature: Signature | None = None
-    readings: tuple[float, ...] | None = None
+    answer: Answer | None = None
     misread: int = 0  # how often, not yet in the journal
     acknowledged_by: str = ""  # who acknowledges faults while it stands
 
@@ -197,72 +200,92 @@ class OperatorStation:
 
     # The thread that reads orders
 
-    def take(self, order: AnyOrder) -> str:
+    def take(self, sent: SentOrder) -> str:
         """Take an order; returns why it is refused, or nothing."""
         with self._changed:
-            if order.nonce in self._nonces:
+            if sent.nonce in self._nonces:
                 return "this order was already given"
-            self._nonces.append(order.nonce)
+            self._nonces.append(sent.nonce)
             self._notice_lapse()
-            late = order.expires_s is not None and self._now_s() > order.expires_s
-            if late and not isinstance(order, Stop):
+            late = sent.expires_s is not None and self._now_s() > sent.expires_s
+            if late and not isinstance(sent.order, Stop):
                 return "the order came too late"
-            refused = self._refused(order)
+            refused = self._why_not_now(sent) or self._follow(sent)
             self._changed.notify_all()
             return refused
 
-    def _refused(self, order: AnyOrder) -> str:
-        match order:
-            case Claim(session=session, name=name):
-                if refused := self._seat.claim(session, name.strip()):
-                    return refused
-                self._tell_seat(session, name.strip())
-                return ""
-            case Renew(session=session):
-                self._seat.renew(session)
-                return ""
-            case Stop():
-                return self._stop(order.session)
-        if not self._seat.held_by(order.session):
-            return "you are not in the operator's seat"
-        if isinstance(order, Release):
-            self._vacate("the operator left the seat")
-            return ""
+    @property
+    def _state(self) -> CaseActivity:
         if self._engine is None:
-            return "the theatre is not open yet"
-        if isinstance(order, AnswerQuestion):
-            return self._answer(order)
-        return self._steer(order, self._engine)
+            return CaseActivity.OPENING
+        if self._question is not None:
+            return PAUSED if self._question.question.topic is Topic.PAUSE else CaseActivity.ASKING
+        return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
-    def _steer(self, order: Pause | Next | RunTo | Resume | Abort | Acknowledge, engine: Engine) -> str:
-        """Have a pause met, or note the order for when the engine next waits between steps."""
-        name, asked, upcoming = self._seat.holder, self._question, self._waiting_for
-        paused = asked is not None and asked.question.topic is Topic.PAUSE
-        match order:
-            case Pause() if upcoming is not None:
+    def _why_not_now(self, sent: SentOrder) -> str:
+        """Return why an order is refused whatever it asks for, by who gave it and in which state."""
+        rule, state = RULE_OF[type(sent.order)], self._state
+        if rule.seat and not self._seat.held_by(sent.session):
+            return "you are not in the operator's seat"
+        if state not in rule.from_console:
+            if state is OPENING:
+                return "the theatre is not open yet"
+            if state is WAITING:
                 return "no step is running"
+            return "the engine is not waiting for an order: a step is running, or a question is open"
+        if sent.upcoming is not None and sent.upcoming != self._waiting_for:
+            return f"out of date: the next step is now {self._waiting_for}"
+        return ""
+
+    def _follow(self, sent: SentOrder) -> str:
+        session, name, order = sent.session, self._seat.holder, sent.order
+        match order:
+            case Claim():
+                if refused := self._seat.claim(session, order.name.strip()):
+                    return refused
+                self._tell_seat(session, order.name.strip())
+            case Renew():
+                self._seat.renew(session)
+            case Release():
+                self._vacate("the operator left the seat")
+            case Stop():
+                return self._stop(session)
+            case AnswerQuestion():
+                return self._answer(order, session)
+            case _:
+                assert self._engine is not None, (
+                    "the rules let no other order pass before the theatre is open"
+                )
+                return self._steer(order, Signature(name, session, shown=""), self._engine)
+        return ""
+
+    def _steer(
+        self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
+    ) -> str:
+        """Have a pause met, or note the order for when the engine next waits between steps."""
+        asked, state = self._question, self._state
+        match order:
             case Pause():
-                engine.checkpoint.pause(f"{name} asked for a pause")
+                engine.checkpoint.pause(f"{by.by} asked for a pause")
                 return ""
-            case Abort() if paused:
-                self._settle(ABORT, Signature(name, order.session, shown=""))  # it quotes nothing
+            case Abort() if state is PAUSED:
+                self._settle(Answer(ABORT, signature=by))  # it quotes nothing
                 return ""
-            case Abort() if upcoming is None:
+            case Abort() if state is not WAITING:
                 engine.checkpoint.abort()
                 if asked is not None:
-                    self._settle(asked.question.silence)
-            case Acknowledge() if paused and asked is not None and asked.answer is None:
-                asked.acknowledged_by = name
+                    self._settle(Answer(asked.question.silence))
+            case Acknowledge() if asked is not None:
+                if asked.answer is not None:
+                    return "the pause is over"
+                asked.acknowledged_by = by.by
                 return ""
-            case Next() | RunTo() | Resume() | Acknowledge() if upcoming is None:
-                return "the engine is not waiting for an order: a step is running, or a question is open"
-            case Next(upcoming=seen) | RunTo(upcoming=seen) | Resume(upcoming=seen) if seen != upcoming:
-                return f"out of date: the next step is now {upcoming}"
-            case RunTo(step=step) if step not in map(str, engine.order.sequence):
-                return f"there is no step {step!r}"
-            case RunTo(step=step) if refused := engine.course.why_not_up_to(engine.order.find(step)):
-                return refused
-        self._pending = PendingOrder(order, name, self._vacated)
+            case RunTo(step=step):
+                if step not in map(str, engine.order.sequence):
+                    return f"there is no step {step!r}"
+                if refused := engine.course.why_not_up_to(engine.order.find(step)):
+                    return refused
+        self._pending = PendingOrder(order, by.by, self._vacated)
         return ""
 
     def _stop(self, session: str) -> str:
@@ -276,36 +299,26 @@ class OperatorStation:
         threading.Thread(target=engine.setting.workcell.stop, name="stop now").start()
         return ""
 
-    def _answer(self, order: AnswerQuestion) -> str:
+    def _answer(self, order: AnswerQuestion, session: str) -> str:
         asked = self._question
         if asked is None or asked.question.number != order.question or asked.answer is not None:
             return "that question is no longer open"
         question = asked.question
         if order.shown != asked.shown:
             return "the question shown is not the question asked"
-        if order.answer not in question.answers:
-            return f"{order.answer!r} is not an answer"
-        read_back = question.read_back
-        if read_back is not None and order.answer == question.answers[0]:
-            if not order.typed:
-                return f"type {read_back.what}"
-            if not read_back.fits(order.typed):
-                asked.misread += 1
-                return f"what was typed {read_back.wrong}"
-        if question.reads and order.answer == question.answers[0]:
-            if order.readings is None or len(order.readings) != len(question.reads):
-                return f"type {', '.join(question.reads)}"
-            if wrong := [why for one in order.readings if (why := misread(one, question.plausible_mm))]:
-                return "; ".join(wrong)
-            asked.readings = order.readings
+        by = Signature(self._seat.holder, session, asked.shown)
+        answer = Answer(order.answer, order.typed, order.readings, by)
+        asked.misread += question.is_misread(answer)
+        if refused := question.why_refused(answer):
+            return refused
         if question.topic is Topic.PAUSE:
             self._stopped = False
-        self._settle(order.answer, Signature(self._seat.holder, order.session, asked.shown))
+        self._settle(answer)
         return ""
 
-    def _settle(self, answer: str, signature: Signature | None = None) -> None:
+    def _settle(self, answer: Answer) -> None:
         if self._question is not None and self._question.answer is None:
-            self._question.answer, self._question.signature = answer, signature
+            self._question.answer = answer
 
     def _notice_lapse(self) -> None:
         if self._seat.lapsed:
@@ -327,7 +340,7 @@ class OperatorStation:
 
     # The engine's own thread
 
-    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> str | None:
+    def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> Answer | None:
         """Return the answer from the console: silence if the time ran out, None if the console has ended.
 
         `acknowledge` is called, at a pause, with the name of who acknowledges faults.
@@ -341,7 +354,7 @@ class OperatorStation:
                 while asked.answer is None and not self._gone:
                     left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
                     if left_s <= 0.0:
-                        return question.silence
+                        return Answer(question.silence)
                     self._changed.wait(left_s)
                     self._notice_lapse()
                     while asked.misread:
@@ -356,10 +369,6 @@ class OperatorStation:
                             self._changed.acquire()
             finally:
                 self._question = None
-        if asked.signature is not None:
-            question.signed(asked.signature)
-        if asked.readings is not None:
-            question.read(asked.readings)
         return asked.answer
 
     def await_seat(self) -> None:

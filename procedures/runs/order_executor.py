@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING
 
 from procedures.engine.display_feed import HOME, comes_next, publish_waiting
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import NOBODY, READ, Operator, Question, Room, Task, Topic
+from procedures.operator.question import NOBODY, READ, Answer, Operator, Question, Room, Task, Topic
 from procedures.runs.operator_station import OperatorStation, PendingOrder
 from procedures.runs.orders import Abort, Acknowledge, Next, Resume, RunTo
 from ronna_hw.command_line.messages import fail_with, tell
@@ -43,7 +43,7 @@ class ConsoleOperator:
         self._executor = executor
         self._script_at_pause = script_at_pause
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the answer; if the console ends meanwhile, that of the operator who takes its place."""
         self._executor.note_seat()
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
@@ -53,7 +53,7 @@ class ConsoleOperator:
         answer = self._station.ask(question, self._executor.acknowledge) if asked else None
         self._executor.note_seat()
         if answer is None:  # whoever takes its place reads in another way
-            return question.silence if waits or question.reads else self._otherwise.ask(question)
+            return Answer(question.silence) if waits or question.reads else self._otherwise.ask(question)
         return answer
 
 
@@ -97,7 +97,6 @@ class OrderExecutor:
         """
         if self._engine is None or not self.in_charge:
             return None
-        read: list[tuple[float, ...]] = []
         question = Question(
             Topic.READING,
             task.subject,
@@ -106,11 +105,11 @@ class OrderExecutor:
             timeout_s=None,
             reads=task.reads,
             plausible_mm=task.plausible_mm,
-            read=read.append,
         )
-        if self._engine.ask(question) != READ:
+        answer = self._engine.questions.ask(question)
+        if answer.word != READ:
             return None if self.station.gone else ()
-        return read[-1]
+        return answer.readings
 
     def acknowledge(self, by: str) -> None:
         """Recover the devices that are in fault; tell of those that cannot be recovered yet."""

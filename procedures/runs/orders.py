@@ -1,16 +1,28 @@
-"""Orders of an operator to a running case: one vocabulary for a page's buttons, a script and a test.
+"""Orders of an operator to a case: one vocabulary for prompt, script and page. `RULES` says which count when.
 
-An order names its session and what that session saw. If that is out of date, nothing is done; only a stop
-needs nothing. Each order has a nonce of its own and is carried out once.
+A session of the console sends an order together with what that session saw. If that is out of date, nothing
+is done; only a stop needs nothing. Each order sent has a nonce of its own and is carried out once.
 """
 
 from __future__ import annotations
 
-from typing import Annotated, Literal
+from collections.abc import Collection
+from dataclasses import dataclass
+from enum import Enum, auto
+from typing import Annotated, Any, Literal, Self
 from unicodedata import category
 
-from pydantic import AfterValidator, BaseModel, ConfigDict, Field, TypeAdapter
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    SerializerFunctionWrapHandler,
+    model_serializer,
+    model_validator,
+)
 
+from procedures.operator.checkpoint import ABORT, GO_ON
 from ronna_hw.bounded_input import check_json
 
 LONGEST_BYTES = 65_536  # of one order
@@ -32,82 +44,94 @@ def _shown_as_written(name: str) -> str:
 Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_shown_as_written)]
 
 
-class _Order(BaseModel):
+class Order(BaseModel):
     """Base of all orders."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
-    nonce: Nonce
-    expires_s: Finite | None = Field(default=None, description="Monotonic host time; too late after it.")
-    session: Annotated[str, Field(min_length=8, max_length=64)]
 
-
-class Claim(_Order):
+class Claim(Order):
     """Take the free seat under a name."""
 
     kind: Literal["claim"] = "claim"
     name: Name
 
 
-class Renew(_Order):
+class Renew(Order):
     """Stay in the seat."""
 
     kind: Literal["renew"] = "renew"
 
 
-class Release(_Order):
+class Release(Order):
     """Leave the seat."""
 
     kind: Literal["release"] = "release"
 
 
-class Next(_Order):
+class Next(Order):
     """Run the next step."""
 
     kind: Literal["next"] = "next"
-    upcoming: Short = Field(description="The step that was shown as next.")
 
 
-class RunTo(_Order):
+class Run(Order):
+    """Run a step that can start, or repeat one that is done."""
+
+    step: str
+
+
+class RunTo(Order):
     """Run the steps up to and including one."""
 
     kind: Literal["run_to"] = "run_to"
-    upcoming: Short = Field(description="The step that was shown as next.")
     step: Short
 
 
-class Pause(_Order):
+class Repeat(Order):
+    """Run a step again that is done."""
+
+    step: str
+
+
+class Home(Order):
+    """Bring the arm home."""
+
+
+class Pause(Order):
     """Rest at the next safe point."""
 
     kind: Literal["pause"] = "pause"
 
 
-class Resume(_Order):
-    """Run to the end of the case. A pause is ended by the answer to its question instead."""
+class Resume(Order):
+    """Run to the end of the case; at a prompt also continue a paused one.
+
+    A page ends a pause by the answer to its question instead.
+    """
 
     kind: Literal["resume"] = "resume"
-    upcoming: Short = Field(description="The step that was shown as next.")
 
 
-class Stop(_Order):
+class Stop(Order):
     """Bring the arm to rest now, as well as the link allows; then rest."""
 
     kind: Literal["stop"] = "stop"
 
 
-class Abort(_Order):
+class Abort(Order):
     """Retreat, park, and end the case."""
 
     kind: Literal["abort"] = "abort"
 
 
-class Acknowledge(_Order):
-    """Recover the devices that are in fault; moves nothing."""
+class Acknowledge(Order):
+    """Recover the devices that are in fault, in the name of who gives the order; moves nothing."""
 
     kind: Literal["acknowledge"] = "acknowledge"
 
 
-class AnswerQuestion(_Order):
+class AnswerQuestion(Order):
     """Answer the open question."""
 
     kind: Literal["answer"] = "answer"
@@ -117,23 +141,158 @@ class AnswerQuestion(_Order):
         description="Digest of what the operator was shown."
     )
     typed: Short | None = Field(default=None, description="What was read back.")
-    readings: Annotated[tuple[Finite, ...], Field(max_length=MOST_READINGS)] | None = Field(
+    readings: Annotated[tuple[Finite, ...], Field(max_length=MOST_READINGS, strict=False)] | None = Field(
         default=None, description="What was read off."
     )
 
 
-AnyOrder = (
+class ListSteps(Order):
+    """Show every step and its status."""
+
+
+class Why(Order):
+    """Show why a step cannot start, and what it asks; without a step, the next one."""
+
+    step: str | None = None
+
+
+class DryRun(Order):
+    """Show the motions of a step; without a step, those of the next one."""
+
+    step: str | None = None
+
+
+class Help(Order):
+    """List the commands."""
+
+
+class Quit(Order):
+    """Leave the case as it is."""
+
+
+class CaseActivity(Enum):
+    """What a case is doing when an order arrives."""
+
+    OPENING = auto()  # the theatre is not open yet
+    WAITING = auto()  # between steps
+    RUNNING = auto()
+    ASKING = auto()  # a question is open
+    PAUSED = auto()  # the question of a pause is open
+
+
+OPENING, WAITING, RUNNING, ASKING, PAUSED = CaseActivity
+OPEN = frozenset({WAITING, RUNNING, ASKING, PAUSED})
+ANY = OPEN | {OPENING}
+AT_REST = frozenset({WAITING, PAUSED})
+NEVER: frozenset[CaseActivity] = frozenset()
+
+
+@dataclass(frozen=True)
+class Rule:
+    """The command of an order, and the states in which it counts at a prompt and from the console.
+
+    From the console it needs the operator's seat, unless `seat` says otherwise. An argument in brackets may
+    be omitted.
+    """
+
+    order: type[Order]
+    at_prompt: Collection[CaseActivity]
+    from_console: Collection[CaseActivity]
+    command: str = ""
+    argument: str = ""
+    does: str = ""
+    seat: bool = True
+
+
+RULES = (
+    Rule(Claim, NEVER, ANY, seat=False),
+    Rule(Renew, NEVER, ANY, seat=False),
+    Rule(Release, NEVER, ANY),
+    Rule(AnswerQuestion, NEVER, OPEN),  # a question that is not open is refused as such
+    Rule(ListSteps, AT_REST, NEVER, "list", "", "every step and its status"),
+    Rule(Next, {WAITING}, {WAITING}, "next", "", "run the next step"),
+    Rule(Run, {WAITING}, NEVER, "run", "STEP", "run a step that can start"),
+    Rule(RunTo, {WAITING}, {WAITING}, "to", "STEP", "run up to and including a step"),
+    Rule(Repeat, {WAITING}, NEVER, "back", "STEP", "repeat a step; shows what that supersedes"),
+    Rule(Why, AT_REST, NEVER, "why", "[STEP]", "why a step cannot start now, and what it asks"),
+    Rule(DryRun, AT_REST, NEVER, "dry", "[STEP]", "the motions of a step; nothing moves"),
+    Rule(Pause, {WAITING}, OPEN - {WAITING}, "pause", "", "pause before the next step"),
+    Rule(
+        Stop,
+        {WAITING, RUNNING},  # the latter from a script, in which it overtakes other lines
+        ANY,
+        "stop",
+        "",
+        "stop the arm and pause, from a script while a step runs; typed, Ctrl-C twice",
+        seat=False,
+    ),
+    Rule(Resume, AT_REST, {WAITING}, "resume", "", "continue a paused case"),
+    Rule(
+        Home,
+        {WAITING},
+        NEVER,
+        "home",
+        "",
+        "instrument out, guide back, then park; not while a step is paused",
+    ),
+    Rule(
+        Acknowledge,
+        AT_REST,
+        AT_REST,
+        "acknowledge",
+        "YOUR-NAME",
+        "recover devices in fault; a paused step begins again",
+    ),
+    Rule(Abort, AT_REST, OPEN, "abort", "", "home, then end the case"),
+    Rule(Help, AT_REST, NEVER, "help", "", "this list"),
+    Rule(Quit, {WAITING}, NEVER, "quit", "", "leave the case; not possible while an instrument is inside"),
+)
+RULE_OF = {rule.order: rule for rule in RULES}
+COMMANDS = {rule.command: rule for rule in RULES if rule.command}
+PAUSE_ANSWERS = {Resume: GO_ON, Abort: ABORT}  # orders that answer the question of a pause at a prompt
+QUOTING_NEXT = (Next, RunTo, Resume)  # sent with the step that was shown as next
+ConsoleOrder = (
     Claim | Renew | Release | Next | RunTo | Pause | Resume | Stop | Abort | Acknowledge | AnswerQuestion
 )
-_ORDERS: TypeAdapter[AnyOrder] = TypeAdapter(Annotated[AnyOrder, Field(discriminator="kind")])
 
 
-def read_order(line: bytes | str) -> AnyOrder:
+class SentOrder(BaseModel):
+    """An order as a session sends it. In JSON the order's own fields stand beside the others."""
+
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
+
+    nonce: Nonce
+    expires_s: Finite | None = Field(default=None, description="Monotonic host time; too late after it.")
+    session: Annotated[str, Field(min_length=8, max_length=64)]
+    upcoming: Short | None = Field(default=None, description="The step that was shown as next.")
+    order: Annotated[ConsoleOrder, Field(discriminator="kind")]
+
+    @model_validator(mode="before")
+    @classmethod
+    def _gather_order(cls, given: Any) -> Any:
+        if not isinstance(given, dict) or isinstance(given.get("order"), Order):
+            return given
+        own = {name: value for name, value in given.items() if name in cls.model_fields and name != "order"}
+        return own | {"order": {name: value for name, value in given.items() if name not in own}}
+
+    @model_validator(mode="after")
+    def _require_upcoming(self) -> Self:
+        if isinstance(self.order, QUOTING_NEXT) != (self.upcoming is not None):
+            raise ValueError("only orders that begin steps quote the step shown as next, and must")
+        return self
+
+    @model_serializer(mode="wrap")
+    def _beside_each_other(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+        fields = plain(self)
+        return {**fields.pop("order"), **fields}
+
+
+def read_order(line: bytes | str) -> SentOrder:
     """Read an order from JSON. Raises ValueError for anything else."""
     content = line.encode() if isinstance(line, str) else line
     if len(content) > LONGEST_BYTES:
         raise ValueError(f"an order of {len(content)} bytes")
-    return _ORDERS.validate_json(check_json(content))
+    return SentOrder.model_validate_json(check_json(content))
 
 
 class Reply(BaseModel):

@@ -14,13 +14,13 @@ from typing import cast
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.cli.case.commands import AT_PAUSE
 from procedures.cli.case.operators import Alarms, TerminalOperator, TerminalRoom
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.engine import Engine
 from procedures.engine.events import EventStream
 from procedures.engine.questions import Questions
 from procedures.journal.journal import JOURNAL_FILE, read_journal
+from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Question, ReadBack, Task, Topic
 from ronna_hw.wire.room_tasks import DIALS
 
@@ -56,7 +56,7 @@ class Screen(io.StringIO):
 
 def ask(timeout_s: float = 5.0, read_back: ReadBack | None = None) -> str:
     question = Question(Topic.APPROACH, "over T1", VALUE, timeout_s=timeout_s, read_back=read_back)
-    return TerminalOperator().ask(question)
+    return TerminalOperator().ask(question).word
 
 
 @pytest.mark.hazard(36)
@@ -85,7 +85,7 @@ def test_answers_of_several_words_are_shown_in_quotes_and_may_be_typed_with_them
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, b"placed\n", b"'placed again'\n"))
     answers = ("placed again", "as it stands", "hold")
     question = Question(Topic.CART_PLACE, "the cart", "12 mm off", answers, timeout_s=5.0)
-    assert TerminalOperator().ask(question) == "placed again"
+    assert TerminalOperator().ask(question).word == "placed again"
     assert screen.getvalue().count("Type 'placed again', 'as it stands' or hold: ") == 2
 
 
@@ -146,7 +146,7 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     cell = RecordingCell(tmp_path)
     events = EventStream(lambda: 0.0)
     questions = Questions(TerminalOperator(), cell.journal, lambda: 0.0, events)
-    assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)) == "no"
+    assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)).word == "no"
     assert f"'63' {READ_BACK.wrong}. Answer from the start, or no to stop.\n" in screen.getvalue()
     assert "'Case 62' is not an answer: type yes or no in full." in screen.getvalue()
     misread, asked = read_journal(cell.folder / JOURNAL_FILE)
@@ -186,7 +186,7 @@ def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_bef
     alarms.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
     monkeypatch.setattr("sys.stderr", screen := ReadScreen(keyboard, faults, typed, b"no\n"))
     question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
-    assert TerminalOperator(alarms=alarms).ask(question) == "no"
+    assert TerminalOperator(alarms=alarms).ask(question).word == "no"
     shown = screen.getvalue().partition("Type yes or no: ")[2]
     assert shown.startswith(
         "\nthe arm is in fault (EKI-010), emergency stop: pressed. Whatever you answer, no mo"
@@ -211,7 +211,7 @@ def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before
     monkeypatch.setattr("sys.stderr", io.StringIO())
     prompt = Prompt("step> ", said.append, asking=lambda: nullcontext(at_prompt))
     prompt.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
-    assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)) == AT_PAUSE["abort"]
+    assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)).word == ABORT
     assert [line for line in said if "emergency stop: pressed. No motion and no step begins" in line]
 
 

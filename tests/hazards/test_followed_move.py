@@ -21,13 +21,14 @@ from prepared_results import (
 from scipy.spatial.transform import Rotation
 from watched_case import findings
 
-from procedures.cli.case.commands import COMMANDS
+from procedures.cli.case.commands import carry_out
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.journal.errors import StepRefused
 from procedures.operator.question import Topic
+from procedures.runs.orders import Run
 from procedures.steps.clinical import positioning, registration
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
@@ -100,7 +101,7 @@ def test_the_named_command_localizes_again_whether_or_not_the_localization_still
     before = engine.case.record_of(localization)
     assert (before is None) is (way_mm[0] > 5.0)
     assert "localize again: run global_localization." in PatientMoved.action
-    COMMANDS["run"].work(engine, "global_localization", lambda _line: None)
+    carry_out(engine, Run(step="global_localization"), lambda _line: None)
     assert engine.case.record_of(localization) not in (None, before)
 
 

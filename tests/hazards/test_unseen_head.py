@@ -18,7 +18,7 @@ from procedures.engine.events import Advisory
 from procedures.guards import sight_guard
 from procedures.guards.errors import PatientMoved
 from procedures.operator.errors import GuardUnmet
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from ronna_hw.devices.readings import Validity
 from ronna_hw.errors import DeviceError
 
@@ -45,12 +45,12 @@ def answering(cell: ClinicalCell, answer: str, meanwhile: Callable[[], None] = l
     """The operator answers the question about the unseen head."""
     otherwise = cell.operator.ask
 
-    def ask(question: Question) -> str:
+    def ask(question: Question) -> Answer:
         first = otherwise(question)
         if question.topic is not Topic.HEAD_UNSEEN:
             return first
         meanwhile()
-        return answer
+        return Answer(answer)
 
     cell.operator.ask = ask  # type: ignore[method-assign]
 
@@ -105,7 +105,7 @@ def test_a_long_pending_question_does_not_stop_the_motion_that_follows(tmp_path:
     answering(cell, "wait", show)
     ask = cell.operator.ask
 
-    def take_time(question: Question) -> str:
+    def take_time(question: Question) -> Answer:
         if question.topic is Topic.FIRST_MOTION:
             time.sleep(2.0 * UNSEEN_S)  # nothing else passes meanwhile
         return ask(question)
@@ -139,13 +139,13 @@ def test_work_at_an_unwatched_target_needs_consent(tmp_path: Path) -> None:
     shown: list[str] = []
     reader = engine.events.subscribe()
 
-    def cover_and_answer(question: Question) -> str:
+    def cover_and_answer(question: Question) -> Answer:
         if question.topic is Topic.AT_TARGET:
             before = cell.arm.stops  # it stands in hold
             cell.tracker.spheres_mm = NOTHING_MM
             eventually(lambda: any("too long" in str(one.what) for one in reader.read(0.1).events))
             shown.append(f"at once, after {cell.arm.stops - before} stops")
-        return "leave" if question.topic is Topic.HEAD_UNSEEN else answer(question)
+        return Answer("leave") if question.topic is Topic.HEAD_UNSEEN else answer(question)
 
     cell.operator.ask = cover_and_answer  # type: ignore[method-assign]
     with pytest.raises(GuardUnmet, match="PRO-017"):

@@ -23,7 +23,7 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import JUDGED
 from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.steps.clinical import global_localization
 from procedures.workcell import MountedTool
 from ronna_hw.config import WatchPatient
@@ -151,7 +151,7 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     def shown() -> bool:
         return any(isinstance(one.what, Advisory) for one in reader.read(0.1).events)
 
-    def move_and_answer(question: Question) -> str:
+    def move_and_answer(question: Question) -> Answer:
         if question.topic is Topic.AT_TARGET:
             cell.tracker.spheres_mm = MOVED_MM
             eventually(shown)

@@ -14,6 +14,7 @@ from procedures.engine.events import Event, Progress
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
 from procedures.runs.calibration_files import finished_figures, require_same_folder
 from procedures.runs.calibrations import (
+    KINDS,
     CalibrationKind,
     Looks,
     Result,
@@ -21,13 +22,13 @@ from procedures.runs.calibrations import (
     conclude,
     every_look_taken,
     finish_calibration,
-    kind_of,
     leave_files,
 )
 from procedures.runs.finishing import finalize_run, sealed_again
 from procedures.runs.folders import held_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import RunObservers, run_steps
+from procedures.runs.lifecycle import run_steps
+from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import make_ready, require_free_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Recipe
@@ -82,7 +83,7 @@ def resume_calibration(
     Raises the errors of `resume`, and those of the calibration itself.
     """
     folder = interrupted.folder
-    kind = kind_of(Recipe.read(request.calibration.recipe).of)
+    kind = KINDS[Recipe.read(request.calibration.recipe).of]
     if interrupted.finished:
         with sealed_again(interrupted):
             pass

@@ -1,15 +1,31 @@
-"""Commands for a case run by hand, one per line."""
+"""Orders of an operator at a prompt: read from a line, and carried out at once."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.journal.errors import StepRefused
-from procedures.operator.checkpoint import ABORT, GO_ON
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import YES, Question, Topic
+from procedures.runs.orders import (
+    COMMANDS,
+    Abort,
+    Acknowledge,
+    DryRun,
+    Help,
+    Home,
+    ListSteps,
+    Next,
+    Order,
+    Pause,
+    Repeat,
+    Resume,
+    Run,
+    RunTo,
+    Stop,
+    Why,
+)
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
@@ -17,20 +33,69 @@ if TYPE_CHECKING:
     from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
-LOOKING = ("list", "why", "dry", "help")  # also while the case is paused
-AT_PAUSE = {"resume": GO_ON, GO_ON: GO_ON, ABORT: ABORT}
 
 
-@dataclass(frozen=True)
-class Command:
-    """One command: its argument, its purpose, and its work."""
+def read_command(engine: Engine, command: str, argument: str) -> Order:
+    """Return the order of a command of `COMMANDS`. Raises PRO-005 for a step that does not exist."""
+    if command == "run" and argument.startswith("to "):
+        command, argument = "to", argument.removeprefix("to ").strip()
+    order = COMMANDS[command].order
+    if "step" not in order.model_fields or (not argument and order in (Why, DryRun)):
+        return order()
+    return order.model_validate({"step": str(engine.order.find(argument))})
 
-    argument: str
-    does: str
-    work: Callable[[Engine, str, Say], None]
+
+def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
+    """Carry out an order at a prompt; `by` is the name given with it. Raises the errors of steps."""
+    find = engine.order.find
+    match order:
+        case ListSteps():
+            _list(engine, say)
+        case Next():
+            if engine.upcoming is None:
+                say(_nothing_upcoming(engine))
+            else:
+                engine.run_step(engine.upcoming)
+        case Run(step=step) if not engine.case.stands(find(step)):
+            engine.run_step(find(step))
+        case Run(step=step) | Repeat(step=step):
+            _repeat(engine, find(step), say)
+        case RunTo(step=step):
+            if refused := engine.course.why_not_up_to(find(step)):
+                say(f"{refused}; back {step} repeats it" if engine.case.stands(find(step)) else refused)
+            else:
+                engine.run_to(find(step))
+        case Why(step=step):
+            key = engine.upcoming if step is None else find(step)
+            if key is None:
+                say(_nothing_upcoming(engine))
+            else:
+                _why(engine, key, say)
+        case DryRun(step=step):
+            _dry_run(engine, _named(engine, step), say)
+        case Pause():
+            engine.checkpoint.pause()
+            say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
+        case Stop():
+            say("no step is running and the arm is at rest; quit leaves the case")
+        case Resume():
+            _resume(engine, say)
+        case Home():
+            engine.retreat_home()
+            say("the arm is parked")
+        case Acknowledge():
+            _acknowledge(engine, by, say)
+        case Abort():
+            if not engine.machine.ended:
+                engine.leave_head()
+            engine.abort()
+            raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
+        case Help():
+            for name, rule in COMMANDS.items():
+                say(f"{f'{name} {rule.argument}'.strip():<22} {rule.does}")
 
 
-def _list(engine: Engine, _argument: str, say: Say) -> None:
+def _list(engine: Engine, say: Say) -> None:
     width = max(len(engine.status(key)) for key in engine.order.sequence)
     for key in engine.order.sequence:
         spec = engine.order.spec(key)
@@ -38,34 +103,7 @@ def _list(engine: Engine, _argument: str, say: Say) -> None:
         say(f"{engine.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
 
 
-def _next(engine: Engine, _argument: str, say: Say) -> None:
-    if engine.upcoming is None:
-        say(_nothing_upcoming(engine))
-        return
-    engine.run_step(engine.upcoming)
-
-
-def _run(engine: Engine, argument: str, say: Say) -> None:
-    if argument.startswith("to "):
-        _to(engine, argument.removeprefix("to ").strip(), say)
-        return
-    key = engine.order.find(argument)
-    if engine.case.stands(key):
-        _back(engine, argument, say)
-    else:
-        engine.run_step(key)
-
-
-def _to(engine: Engine, argument: str, say: Say) -> None:
-    key = engine.order.find(argument)
-    if refused := engine.course.why_not_up_to(key):
-        say(f"{refused}; back {key} repeats it" if engine.case.stands(key) else refused)
-        return
-    engine.run_to(key)
-
-
-def _back(engine: Engine, argument: str, say: Say) -> None:
-    key = engine.order.find(argument)
+def _repeat(engine: Engine, key: StepKey, say: Say) -> None:
     if not engine.case.stands(key):
         raise StepRefused(f"{key} is not done, so it cannot be repeated", action="Use run or to instead.")
     if not engine.why_refused(key):
@@ -76,8 +114,9 @@ def _back(engine: Engine, argument: str, say: Say) -> None:
     engine.run_step(key)
 
 
-def _skip(engine: Engine, argument: str, _say: Say) -> None:
-    key = _named(engine, argument)
+def why_not_skipped(engine: Engine, step: str) -> str:
+    """Return why no step can be skipped, in the words for this one. Raises PRO-005 for an unknown step."""
+    key = _named(engine, step or None)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]
     needed = "needs" if len(readers) == 1 else "need"
@@ -86,16 +125,10 @@ def _skip(engine: Engine, argument: str, _say: Say) -> None:
         if readers
         else "the case cannot finish without its result"
     )
-    raise StepRefused(
-        f"{key} cannot be skipped: {why}", action="A trajectory can be left out when the case asks about it."
-    )
+    return f"{key} cannot be skipped: {why}. A trajectory can be left out when the case asks about it."
 
 
-def _why(engine: Engine, argument: str, say: Say) -> None:
-    key = engine.order.find(argument) if argument else engine.upcoming
-    if key is None:
-        say(_nothing_upcoming(engine))
-        return
+def _why(engine: Engine, key: StepKey, say: Say) -> None:
     if engine.case.stands(key):
         say(f"{key} is done and its result is valid; back {key} repeats it")
         return
@@ -107,11 +140,10 @@ def _why(engine: Engine, argument: str, say: Say) -> None:
         say(f"  asks {question}")
 
 
-def _dry(engine: Engine, argument: str, say: Say) -> None:
+def _dry_run(engine: Engine, key: StepKey, say: Say) -> None:
     from procedures.steps.dry_run import planned_motions
 
-    key = _named(engine, argument)
-    _why(engine, str(key), say)
+    _why(engine, key, say)
     if not engine.order.spec(key).moves:
         say("this step moves nothing")
         return
@@ -123,16 +155,7 @@ def _dry(engine: Engine, argument: str, say: Say) -> None:
         say(f"  {motion}")
 
 
-def _pause(engine: Engine, _argument: str, say: Say) -> None:
-    engine.checkpoint.pause()
-    say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
-
-
-def _stop(_engine: Engine, _argument: str, say: Say) -> None:
-    say("no step is running and the arm is at rest; quit leaves the case")
-
-
-def _resume(engine: Engine, _argument: str, say: Say) -> None:
+def _resume(engine: Engine, say: Say) -> None:
     withdrawn = engine.checkpoint.withdraw_pause()
     state = "the pause is withdrawn" if withdrawn else "nothing is paused"
     if engine.checkpoint.firm:
@@ -141,40 +164,22 @@ def _resume(engine: Engine, _argument: str, say: Say) -> None:
     say("; ".join((state, *(faults or ("next or to continues",)))))
 
 
-def _home(engine: Engine, _argument: str, say: Say) -> None:
-    engine.retreat_home()
-    say("the arm is parked")
-
-
-def _acknowledge(engine: Engine, argument: str, say: Say) -> None:
-    if not argument:
+def _acknowledge(engine: Engine, by: str, say: Say) -> None:
+    if not by:
         raise UsageMistake("acknowledge needs your name", action="Type: acknowledge YOUR-NAME.")
-    if argument in engine.setting.workcell.devices:
+    if by in engine.setting.workcell.devices:
         raise UsageMistake(
-            f"{argument} is a device, expected the name of the person who acknowledges",
+            f"{by} is a device, expected the name of the person who acknowledges",
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
-    recovered = engine.faults.acknowledge(argument)
+    recovered = engine.faults.acknowledge(by)
     done = [f"{role}, {fault}" for role, fault in recovered.items()]
-    say(f"acknowledged by {argument}: {'; '.join(done)}" if done else "no device is in fault")
+    say(f"acknowledged by {by}: {'; '.join(done)}" if done else "no device is in fault")
 
 
-def _abort(engine: Engine, _argument: str, _say: Say) -> None:
-    if not engine.machine.ended:
-        engine.leave_head()
-    engine.abort()
-    raise OperatorAborted("the operator ended the procedure", action="Start a new run when ready.")
-
-
-def _help(_engine: Engine, _argument: str, say: Say) -> None:
-    for name, command in COMMANDS.items():
-        say(f"{f'{name} {command.argument}'.strip():<22} {command.does}")
-    say(f"{'quit':<22} leave the case; not possible while an instrument is inside")
-
-
-def _named(engine: Engine, argument: str) -> StepKey:
-    if argument:
-        return engine.order.find(argument)
+def _named(engine: Engine, step: str | None) -> StepKey:
+    if step is not None:
+        return engine.order.find(step)
     if engine.upcoming is None:
         raise StepRefused(_nothing_upcoming(engine), action="Name a step.")
     return engine.upcoming
@@ -182,24 +187,3 @@ def _named(engine: Engine, argument: str) -> StepKey:
 
 def _nothing_upcoming(engine: Engine) -> str:
     return "the case is finished" if engine.over else "every step is done; home brings the arm home"
-
-
-COMMANDS: dict[str, Command] = {
-    "list": Command("", "every step and its status", _list),
-    "next": Command("", "run the next step", _next),
-    "run": Command("STEP", "run a step that can start", _run),
-    "to": Command("STEP", "run up to and including a step", _to),
-    "back": Command("STEP", "repeat a step; shows what that supersedes", _back),
-    "skip": Command("[STEP]", "refused: every result is needed later", _skip),
-    "why": Command("[STEP]", "why a step cannot start now, and what it asks", _why),
-    "dry": Command("[STEP]", "the motions of a step; nothing moves", _dry),
-    "pause": Command("", "pause before the next step", _pause),
-    "stop": Command(
-        "", "stop the arm and pause, from a script while a step runs; typed, Ctrl-C twice", _stop
-    ),
-    "resume": Command("", "continue a paused case", _resume),
-    "home": Command("", "instrument out, guide back, then park; not while a step is paused", _home),
-    "acknowledge": Command("YOUR-NAME", "recover devices in fault; a paused step begins again", _acknowledge),
-    "abort": Command("", "home, then end the case", _abort),
-    "help": Command("", "this list", _help),
-}

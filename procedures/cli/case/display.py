@@ -26,7 +26,7 @@ from procedures.engine.events import Event
 from procedures.runs.case_outcome import run_case, unfinished
 from procedures.runs.finishing import Finalized, finalize_run
 from procedures.runs.folders import held_run, run_folder
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell

@@ -15,8 +15,8 @@ from typing import TYPE_CHECKING
 from typer import style
 
 from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.operator.question import YES, Question, Task, misread, words
-from procedures.runs.lifecycle import RunObservers
+from procedures.operator.question import YES, Answer, Question, Task, misread, words
+from procedures.runs.observers import RunObservers
 from ronna_hw.text import printable, printable_lines, typed_number
 
 if TYPE_CHECKING:
@@ -130,13 +130,14 @@ class TerminalOperator:
         self._asking = asking
         self._alarms = Alarms() if alarms is None else alarms
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Show the value and wait for one of the answers, typed whole; other input is asked again.
 
         The answer that goes on counts only with the value to be read back, within the same time.
         """
+        silence = Answer(question.silence)
         if not sys.stdin.isatty():
-            return question.silence
+            return silence
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking() as write:
@@ -144,26 +145,26 @@ class TerminalOperator:
             self._alarms.begin()
             misread_before = 0
             while typed := _typed(write, words(question.answers), ends_s, self._alarms):
-                if (answer := typed.lower().strip("'")) not in question.answers:
+                if (word := typed.lower().strip("'")) not in question.answers:
                     _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
                     continue
-                if answer != question.answers[0] or read_back is None:
-                    return answer
+                if word != question.answers[0] or read_back is None:
+                    return Answer(word)
                 if not (typed := _typed(write, read_back.what, ends_s, self._alarms)):
                     break
                 if read_back.fits(typed):
-                    return answer
+                    return Answer(word, typed)
                 question.misread()
                 misread_before += 1
                 wrong = f"{typed!r} {read_back.wrong.rstrip('.')}."
                 if misread_before == MOST_MISREAD:
-                    _say(f"{wrong} {MOST_MISREAD} wrong values count as {question.silence!r}.")
-                    return question.silence
-                _say(f"{wrong} Answer from the start, or {words((question.silence,))} to stop.")
+                    _say(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
+                    return silence
+                _say(f"{wrong} Answer from the start, or {words((silence.word,))} to stop.")
             if ends_s is not None and time.monotonic() >= ends_s:
                 sys.stderr.write("\n")  # the prompt is still there
-                _say(f"No answer within {question.timeout_s:g} s counts as {question.silence!r}.")
-            return question.silence
+                _say(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
+            return silence
 
 
 class TerminalRoom:

@@ -8,22 +8,23 @@ from collections.abc import Callable, Iterable
 from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.commands import AT_PAUSE, COMMANDS, LOOKING, Say
+from procedures.cli.case.commands import Say, carry_out, read_command, why_not_skipped
 from procedures.cli.case.operators import Alarms, Asking, WritePrompt, awaited, forget_typed, undisturbed
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
 from procedures.journal.errors import StepRefused
-from procedures.operator.checkpoint import ABORT
+from procedures.operator.checkpoint import GO_ON
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question
+from procedures.operator.question import Answer, Question
 from procedures.runs.lifecycle import leave_head_if_agreed
+from procedures.runs.orders import COMMANDS, PAUSE_ANSWERS, PAUSED, Abort, Acknowledge, Next, Quit, Resume
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import fail_with, on_terminal
 from ronna_hw.errors import RonnaError
 
 if TYPE_CHECKING:
-    from procedures.cli.case.stepping import PipedLines
+    from procedures.cli.case.piped_lines import PipedLines
     from procedures.engine.engine import Engine
 
 HELD = (
@@ -31,10 +32,16 @@ HELD = (
     "abort, quit"
 )
 TO_CONTINUE = "No motion and no step begins before it is acknowledged by name; why shows what to do."
-PAUSED = "paused> "
-ACKNOWLEDGE = "acknowledge"
-AT_PAUSE_CHOICES = f"{' | '.join(AT_PAUSE)} | {ACKNOWLEDGE} YOUR-NAME | {' | '.join(LOOKING)}"
-QUIT = ("quit", "q")
+AT_PAUSE = {rule.command: rule for rule in COMMANDS.values() if PAUSED in rule.at_prompt}
+ENDING_PAUSE = {GO_ON: GO_ON} | {
+    name: PAUSE_ANSWERS[rule.order] for name, rule in AT_PAUSE.items() if rule.order in PAUSE_ANSWERS
+}
+AT_PAUSE_CHOICES = " | ".join(
+    (
+        *ENDING_PAUSE,
+        *(f"{name} {rule.argument}".strip() for name, rule in AT_PAUSE.items() if name not in ENDING_PAUSE),
+    )
+)
 MEANT = {"exit": "quit", "continue": "resume"}  # else the nearest might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
@@ -84,56 +91,72 @@ class Prompt:
         """
         self.attach(engine)
         while (line := self._command(engine)) is not None:
-            name, _, argument = line.strip().partition(" ")
+            name, argument = _command_of(line)
+            if name not in COMMANDS:
+                self._say(self._unknown(name, argument, COMMANDS, "help lists the commands"))
+                continue
+            order = COMMANDS[name].order
             if _too_much(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
-            elif name in QUIT:
+            elif order is Quit:
                 if engine.instrument_in is None:
                     self._tell_way_on(engine)
                     return False
                 self._say(
                     f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
                 )
-            elif self._resumes and (name == "resume" or (name == "next" and engine.upcoming is None)):
+            elif self._resumes and (order is Resume or (order is Next and engine.upcoming is None)):
                 return True  # with nothing upcoming, the way home is next
             else:
-                self._carry_out(engine, name, argument.strip())
+                self._carry_out(engine, name, argument)
                 if self._resumes and engine.machine.ended:
                     return True
         return False
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Ask at a pause: `resume`, `abort`, or a command that moves nothing. The end of input ends all."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             forget_typed()
         self._say(f"{question.subject}; {question.value}")
         self._say(AT_PAUSE_CHOICES)
-        while (line := self._line(PAUSED)) is not None:
-            name, _, argument = line.strip().partition(" ")
+        while (line := self._line("paused> ")) is not None:
+            name, argument = _command_of(line)
             if _too_much(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
-            elif name in AT_PAUSE:
-                return AT_PAUSE[name]
-            elif self._engine is not None and name in (ACKNOWLEDGE, *LOOKING):
+            elif name in ENDING_PAUSE:
+                return Answer(ENDING_PAUSE[name])
+            elif self._engine is not None and name in AT_PAUSE:
                 try:
-                    COMMANDS[name].work(self._engine, argument.strip(), self._say)
+                    carry_out(
+                        self._engine, read_command(self._engine, name, argument), self._say, by=argument
+                    )
                 except RonnaError as mistake:
                     fail_with(mistake)
+            elif name in COMMANDS:
+                self._say(f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}")
             else:
-                rests = f"{name} is not available while the case is paused; {AT_PAUSE_CHOICES}"
-                known = (*AT_PAUSE, ACKNOWLEDGE, *LOOKING)
-                self._say(rests if name in COMMANDS else _unknown(name, known, AT_PAUSE_CHOICES))
-        return question.silence
+                self._say(self._unknown(name, argument, (*ENDING_PAUSE, *AT_PAUSE), AT_PAUSE_CHOICES))
+        return Answer(question.silence)
+
+    def _unknown(self, name: str, argument: str, known: Iterable[str], choices: str) -> str:
+        """Return the reply to an unknown word."""
+        if name == "skip" and self._engine is not None:  # is often expected: every result is needed later
+            try:
+                return f"there is no command 'skip': {why_not_skipped(self._engine, argument)}"
+            except RonnaError as mistake:
+                return f"there is no command 'skip': {mistake}"
+        words = list(known)
+        meant = name.lower()
+        near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
+        said = f"there is no command {name!r}" if name else "nothing was typed"
+        return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
-        command = COMMANDS.get(name)
-        if command is None:
-            self._say(_unknown(name, (*COMMANDS, *QUIT), "help lists the commands"))
-            return
+        order = COMMANDS[name].order
         try:
-            command.work(engine, argument, self._say)
+            carry_out(engine, read_command(engine, name, argument), self._say, by=argument)
         except OperatorAborted:
-            if name != ABORT:  # which has left the head before
+            if order is not Abort:  # which has left the head before
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:
@@ -144,7 +167,7 @@ class Prompt:
             else:
                 fail_with(error)
         else:
-            if name == ACKNOWLEDGE and not engine.faults.now:
+            if order is Acknowledge and not engine.faults.now:
                 self._say(f"the arm is at rest; {self._way_on}")
         self._after()
 
@@ -199,16 +222,12 @@ class Prompt:
             is_typed = is_typed and not news
 
 
+def _command_of(line: str) -> tuple[str, str]:
+    """Return the command and the argument of a line."""
+    name, _, argument = line.strip().partition(" ")
+    return "quit" if name == "q" else name, argument.strip()
+
+
 def _too_much(name: str, argument: str) -> bool:
     """Whether words follow a command that takes no argument."""
-    alone = name in (*AT_PAUSE, *QUIT) or (name in COMMANDS and not COMMANDS[name].argument)
-    return alone and bool(argument.strip())
-
-
-def _unknown(name: str, known: Iterable[str], choices: str) -> str:
-    """Return the reply to an unknown word."""
-    words = list(known)
-    meant = name.lower()
-    near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
-    said = f"there is no command {name!r}" if name else "nothing was typed"
-    return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
+    return bool(argument) and (name in ENDING_PAUSE or (name in COMMANDS and not COMMANDS[name].argument))

@@ -17,7 +17,8 @@ from procedures.engine.errors import FaultOfRun, RecoveryRefused
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import finalize_run, sealed_again
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import RunObservers, open_run
+from procedures.runs.lifecycle import open_run
+from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import (
     held_interrupted_run,
     make_ready,

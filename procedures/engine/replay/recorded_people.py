@@ -10,7 +10,7 @@ from procedures.engine.errors import NotRecorded
 from procedures.engine.replay.recorded_answers import RecordedAnswers
 from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import GO_ON
-from procedures.operator.question import Question, Task, Topic
+from procedures.operator.question import Answer, Question, Task, Topic
 from ronna_hw.devices.capabilities import ByteSink
 from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, activated
 from ronna_hw.devices.robot import OperatingMode
@@ -45,14 +45,14 @@ class RecordedOperator:
                 return topic == Topic.FIRST_MOTION and asked_after == motions
         return False
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         """Return the recorded answer to the next question of that name. Raises PRO-024 without one."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
-                return str(line["answer"])
+                return Answer(str(line["answer"]))
         if question.topic is Topic.PAUSE:  # a guard asked in its place
-            return GO_ON
+            return Answer(GO_ON)
         raise NotRecorded(f"the run did not ask {question.name}: {question.subject}")
 
 

@@ -16,7 +16,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec, order_of
 from procedures.journal.results import StepResult
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.outline import SphereImage, SphereStatus
@@ -198,7 +198,7 @@ class ClinicalCell(RecordingCell):
         engine = self.engine(order_of(specs, TRAJECTORIES, localizes_per_trajectory=not once))
         ask = engine.questions.ask
 
-        def only_planned(question: Question) -> str:
+        def only_planned(question: Question) -> Answer:
             if engine.running is not None and engine.running.name in CLINICAL_NAMES:
                 planned = planned_questions(engine.order.spec(engine.running))
                 assert question.topic in {*ANYWHERE, *(one.topic for one in planned)}, str(engine.running)

@@ -23,7 +23,7 @@ from run_again import broken_off, opened_again
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder, Scope, StepSpec, order_of
 from procedures.journal.results import StepResult
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.steps.clinical import at_target, confirmation, positioning, retreat
 from procedures.steps.clinical.set_up import DeviceIdentity
@@ -83,7 +83,7 @@ def left_with_an_instrument_inside(
     """Killed while someone works through the guide."""
     ask = cell.operator.ask
 
-    def killed(question: Question) -> str:
+    def killed(question: Question) -> Answer:
         if question.topic is Topic.DURA:
             raise MemoryError
         return ask(question)

@@ -17,7 +17,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
-from procedures.operator.question import Question, Task, Topic
+from procedures.operator.question import Answer, Question, Task, Topic
 from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
@@ -234,12 +234,16 @@ class RecordingOperator:
         self.answers: dict[Topic, str] = {}
         self.meanwhile: Callable[[Question], object] = lambda _question: None
 
-    def ask(self, question: Question) -> str:
+    def ask(self, question: Question) -> Answer:
         self.asked.append(question)
         self.meanwhile(question)
         if question.topic in self.refusing:
-            return question.silence
-        return self.answers.get(question.topic, question.answers[0])
+            return Answer(question.silence)
+        return Answer(self.answers.get(question.topic, question.answers[0]))
+
+    def word(self, question: Question) -> str:
+        """The word of the answer, as the engine passes it on."""
+        return self.ask(question).word
 
 
 @dataclass
@@ -332,7 +336,7 @@ class RecordingCell:
         self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
-        agree = RecordingOperator().ask
+        agree = RecordingOperator().word
         resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
         self.workcell.supervised.ask_before(resting, agree)  # until an engine asks
 

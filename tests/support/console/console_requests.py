@@ -18,7 +18,7 @@ from console.app import add_order_routes
 from console.guard import Guard, Sessions
 from console.hub import Hub
 from procedures.runs.operator_station import OperatorStation
-from procedures.runs.orders import AnyOrder, Reply
+from procedures.runs.orders import Reply, SentOrder
 
 PORT = 8765
 HOST = f"127.0.0.1:{PORT}"
@@ -52,7 +52,7 @@ class Console:
         app.add_route("/", self._page, methods=["GET"])
         self.app = Guard(app, self.sessions, PORT)  # type: ignore[arg-type]  # Starlette names its scope otherwise
 
-        async def send(order: AnyOrder) -> None:
+        async def send(order: SentOrder) -> None:
             self.hub.reply(Reply(nonce=order.nonce, refused=self.desk.take(order)))
 
         self.hub.connect(send)

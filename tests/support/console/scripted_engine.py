@@ -76,10 +76,10 @@ def _reply(ours: socket.socket) -> None:
     """Until the other side has gone."""
     with contextlib.suppress(OSError, ValueError), ours.makefile("rb") as lines:
         for line in lines:
-            order = read_order(line)
-            if isinstance(order, Claim):
-                _event(ours, Seat(holder=order.name))
-            ours.sendall(Reply(nonce=order.nonce).model_dump_json().encode() + b"\n")
+            sent = read_order(line)
+            if isinstance(sent.order, Claim):
+                _event(ours, Seat(holder=sent.order.name))
+            ours.sendall(Reply(nonce=sent.nonce).model_dump_json().encode() + b"\n")
 
 
 def _send(ours: socket.socket, over: threading.Event, content: Iterable[Happening]) -> None:

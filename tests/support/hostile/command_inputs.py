@@ -27,7 +27,7 @@ from console.planning.structure_panel import import_structure
 from procedures.calibration.pose_set import calibration_looks
 from procedures.cli.calibrating.calibration import computed
 from procedures.planning.marker_sites import head_of_scene, propose_template
-from procedures.runs.calibrations import kind_of
+from procedures.runs.calibrations import KINDS
 from procedures.runs.orders import read_order
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.runs.request_checks import check_fault_script, never_began
@@ -130,7 +130,7 @@ def _looks() -> tuple[bytes, ...]:
 def _calibration(path: Path) -> None:
     """As a file of each kind; of few looks nothing is computed."""
     for of in Calibrated:
-        kind = kind_of(of)
+        kind = KINDS[of]
         with contextlib.suppress(RonnaError):
             computed(
                 kind, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), kind.read_looks(path)

@@ -21,7 +21,7 @@ from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram
 from drivers.ndi_polaris.command_link import CommandLink, open_ascii, unit_error
 from drivers.ndi_polaris.tool_loading import list_handles, request_handle
 from drivers.ndi_polaris.unit import read_identity, read_parameter, whole_number
-from procedures.cli.case.stepping import LONGEST_LINE, READ_AHEAD, lines_from
+from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
 from procedures.cli.tool.records import DIALS, read_gauge
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.control_port import ControlPortClient

@@ -24,7 +24,7 @@ from procedures.calibration.errors import (
     Unobservable,
 )
 from procedures.calibration.validity import require_together
-from procedures.runs.calibrations import ARM, arm_records
+from procedures.runs.calibrations import ARM
 from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
@@ -56,7 +56,7 @@ def test_the_record_makes_predicted_errors_smaller_without_any_setting(
     identified: tuple[LookingArm, ArmLooks, ArmResult],
 ) -> None:
     _, _, result = identified
-    written = ArmCalibration.model_validate(arm_records(result)["arm"])
+    written = ArmCalibration.model_validate(ARM.records_of(result)["arm"])
     sizes = ErrorSizes.stated(ProcedureSettings(), written)
     assert sizes.links < 0.4
     assert sizes.tool_mm < 0.05

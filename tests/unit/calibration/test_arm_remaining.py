@@ -14,7 +14,7 @@ from procedures.calibration.arm_calibration import ArmResult, calibrate_arm
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
-from procedures.runs.calibrations import arm_records
+from procedures.runs.calibrations import ARM
 from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
 from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm, by_deviation
 from ronna_hw.bounded_input import parse_toml
@@ -74,7 +74,7 @@ def test_the_record_holds_the_covariance_of_the_fit_in_its_own_units(result: Arm
 
 
 def test_the_record_survives_a_file_of_sane_size_unchanged(result: ArmResult) -> None:
-    text = tomli_w.dumps(arm_records(result)["arm"])
+    text = tomli_w.dumps(ARM.records_of(result)["arm"])
     assert len(text) < 60_000
     assert text.count("\n") < 250
     read = {name: _tuples(value) for name, value in parse_toml(text).items()}

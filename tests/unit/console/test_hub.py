@@ -26,7 +26,7 @@ from procedures.engine.events import (
     Pose,
     Seat,
 )
-from procedures.runs.orders import AnyOrder, Reply, read_order
+from procedures.runs.orders import Reply, SentOrder, read_order
 
 OPERATOR = Session(Role.OPERATOR, "session-1")
 
@@ -163,7 +163,7 @@ def test_a_claim_is_known_though_its_reply_overtakes_what_came_before_it() -> No
     hub = Hub(Path())
     hub.take(event(1, Seat(holder="Ana")))
 
-    async def carry_out(order: AnyOrder) -> None:
+    async def carry_out(order: SentOrder) -> None:
         hub.reply(Reply(nonce=order.nonce))
 
     hub.connect(carry_out)

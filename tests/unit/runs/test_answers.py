@@ -10,10 +10,10 @@ import pytest
 from recording_cell import mini_theatre_file
 
 from procedures.engine.errors import AnswersUnfit
-from procedures.operator.question import Question, ReadBack, Topic
-from procedures.runs.answers import AnsweringOperator, Answers, operator_selection, read_answers
+from procedures.operator.question import Answer, Question, ReadBack, Topic
+from procedures.runs.answers import AnsweringOperator, Answers, read_answers
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers, operator_selection
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.steps.catalogue import ANSWER_WORDS
 
@@ -21,12 +21,12 @@ APPROACH = Question(Topic.APPROACH, "move to T1", "10 mm", trajectory="T1")
 
 
 class Person:
-    def ask(self, question: Question) -> str:
-        return "person"
+    def ask(self, question: Question) -> Answer:
+        return Answer("person")
 
 
 def answered(question: Question, **content: object) -> str:
-    return AnsweringOperator(Answers.model_validate(content), Person()).ask(question)
+    return AnsweringOperator(Answers.model_validate(content), Person()).ask(question).word
 
 
 def test_an_answer_for_one_trajectory_takes_precedence_over_the_general_one() -> None:
@@ -78,7 +78,7 @@ def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
     patient = replace(moves, topic=Topic.PATIENT)
     operator = AnsweringOperator(Answers(default="first", answers={"patient": "yes"}), Person(), Person())
-    assert [operator.ask(question) for question in (moves, patient)] == ["person", "person"]
+    assert [operator.ask(question).word for question in (moves, patient)] == ["person", "person"]
 
 
 @pytest.mark.hazard(36)
@@ -89,9 +89,9 @@ def test_a_file_does_not_answer_a_question_with_a_read_back() -> None:
 def test_on_real_devices_a_file_answers_no_question_that_a_person_must(topic: Topic, default: str) -> None:
     answers = Answers.model_validate({"default": default, "answers": {str(topic): "yes"}})
     question = Question(topic, "go on", "the arm moves")
-    assert AnsweringOperator(answers, Person(), person=Person()).ask(question) == "person"
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(question).word == "person"
     tool = Question(Topic.TOOL_CHANGE, "mount the guide", "tool 2")
-    assert AnsweringOperator(answers, Person(), person=Person()).ask(tool) != "person"
+    assert AnsweringOperator(answers, Person(), person=Person()).ask(tool).word != "person"
 
 
 @pytest.mark.hazard(36)
@@ -102,7 +102,7 @@ def test_a_pause_on_real_devices_is_answered_where_it_is_asked_without_a_file(tm
     operator = operator_selection(
         replace(request, answers=Answers(default="first")), RunObservers(at_pause=Person())
     )
-    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "person"
+    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))).word == "person"
 
 
 @pytest.mark.hazard(36)
@@ -124,7 +124,7 @@ def test_a_file_confirms_no_motion_of_a_real_arm(tmp_path: Path, simulated: bool
     request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=path)
     moves = replace(APPROACH, read_back=ReadBack("how many mm", "10"))
     assert (
-        operator_selection(replace(request, answers=Answers(default="first")), RunObservers()).ask(moves)
+        operator_selection(replace(request, answers=Answers(default="first")), RunObservers()).ask(moves).word
         == answer
     )
 
@@ -141,7 +141,7 @@ def test_the_accept_option_answers_for_the_findings_only_and_comes_before_a_file
         replace(request, answers=by_file), RunObservers(), Resumption(left, accepted)
     )
     findings = Question(Topic.RESUME, "resume the case", "no differences")
-    assert [operator.ask(question) for question in (findings, APPROACH)] == answers
+    assert [operator.ask(question).word for question in (findings, APPROACH)] == answers
 
 
 @pytest.mark.parametrize(("at_terminal", "answer"), [(True, "no"), (False, "yes")])
@@ -149,9 +149,9 @@ def test_a_step_is_repeated_without_asking_only_when_nobody_is_at_the_terminal(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, at_terminal: bool, answer: str
 ) -> None:
     """Whoever sits at this terminal says nothing."""
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
     operator = operator_selection(RunRequest(procedure=CaseProcedure()), RunObservers())
-    assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")) == answer
+    assert operator.ask(Question(Topic.REPEAT, "repeat image", "supersedes 01-image")).word == answer
 
 
 @pytest.mark.parametrize(("at_terminal", "said"), [(True, ""), (False, "nobody can answer")])
@@ -162,7 +162,7 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
     at_terminal: bool,
     said: str,
 ) -> None:
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: at_terminal)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: at_terminal)
     operator_selection(
         RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml"),
         RunObservers(),
@@ -175,7 +175,7 @@ def test_a_case_on_a_theatre_file_without_a_terminal_warns_that_nobody_can_answe
 def test_acknowledging_does_not_warn_that_nobody_can_answer(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    monkeypatch.setattr("procedures.runs.answers.on_terminal", lambda _stream: False)
+    monkeypatch.setattr("procedures.runs.observers.on_terminal", lambda _stream: False)
     request = RunRequest(procedure=CaseProcedure(case=tmp_path), config=tmp_path / "theatre.toml")
     left = cast(InterruptedRun, None)  # not looked at
     operator_selection(

@@ -17,7 +17,7 @@ from waiting import eventually
 from procedures.cli.case.options import ConsoleOptions
 from procedures.runs import console_link
 from procedures.runs.operator_station import LEASE_S, OperatorStation
-from procedures.runs.orders import Claim
+from procedures.runs.orders import Claim, SentOrder
 from ronna_hw.command_line import messages
 from ronna_hw.command_line.errors import UsageMistake
 
@@ -69,7 +69,7 @@ def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
 
     try:
         console.follow(engine.events)
-        desk.take(Claim(nonce="nonce-01", session="session-ana", name="Ana"))
+        desk.take(SentOrder(nonce="nonce-01", session="session-ana", order=Claim(name="Ana")))
         eventually(lambda: is_heard(b'"holder":"Ana"'))
         now_s[0] = LEASE_S + 1.0
         eventually(lambda: is_heard(b'"holder":"","reason":"the operator\'s page has not responded'))

@@ -43,7 +43,7 @@ from procedures.runs import case_outcome, lifecycle
 from procedures.runs.case_outcome import finished
 from procedures.runs.engine_setup import MovedCart
 from procedures.runs.interrupted_run import read_interrupted_run
-from procedures.runs.lifecycle import RunObservers
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.way_out import head_moved_since, surround
 from procedures.steps.branches import HOLD

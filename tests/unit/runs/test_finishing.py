@@ -16,7 +16,8 @@ from procedures.reporting import report
 from procedures.runs.engine_setup import EngineInput
 from procedures.runs.finishing import finalize_run, leave_report, seal_run
 from procedures.runs.interrupted_run import Resumption, read_interrupted_run
-from procedures.runs.lifecycle import RunObservers, open_engine
+from procedures.runs.lifecycle import open_engine
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.clock import ClockUnavailable

@@ -12,12 +12,12 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
-from procedures.cli.case.commands import COMMANDS
+from procedures.cli.case.commands import carry_out
 from procedures.engine.events import Seat
 from procedures.engine.events.event_types import shown_digest
 from procedures.engine.questions import as_shown
 from procedures.journal.journal import JOURNAL_FILE, read_journal
-from procedures.operator.question import Question, ReadBack, Signature, Topic
+from procedures.operator.question import Answer, Question, ReadBack, Signature, Topic
 from procedures.runs.answers import ScriptedOperator
 from procedures.runs.operator_station import LEASE_S, OperatorStation, PendingOrder
 from procedures.runs.order_executor import OrderExecutor
@@ -41,7 +41,12 @@ class Stand:
         self.desk = OperatorStation(waits=waits, now_s=self.clock)
         self.engine = RecordingCell(folder).engine(plain_order())
         self.desk.attach(self.engine)
+        self.answered: list[Answer | None] = []  # with signatures and readings
         self._count = 0
+
+    @property
+    def signatures(self) -> list[Signature | None]:
+        return [answer and answer.signature for answer in self.answered]
 
     def give(self, kind: str, session: str = ANA, **more: Any) -> str:
         self._count += 1
@@ -51,7 +56,13 @@ class Stand:
     def ask(self, question: Question) -> list[str | None]:
         """Ask on a thread of its own; what came of it stands in the list when it is answered."""
         answers: list[str | None] = []
-        threading.Thread(target=lambda: answers.append(self.desk.ask(question)), daemon=True).start()
+
+        def ask() -> None:
+            answer = self.desk.ask(question)
+            self.answered.append(answer)
+            answers.append(answer and answer.word)
+
+        threading.Thread(target=ask, daemon=True).start()
         eventually(lambda: self.desk.open_question is not None)
         return answers
 
@@ -84,8 +95,7 @@ def test_the_desk_is_in_charge_before_the_seat_is_taken_only_if_the_case_waits_f
 
 
 def test_an_answer_counts_only_with_the_digest_of_the_question_and_is_signed(stand: Stand) -> None:
-    signatures: list[Signature] = []
-    asked = question(signed=signatures.append)
+    asked = question()
     answers = stand.ask(asked)
     wrong = {"question": 1, "answer": "yes", "shown": "0" * 64}
     assert stand.give("answer", **wrong) == "the question shown is not the question asked"
@@ -94,7 +104,7 @@ def test_an_answer_counts_only_with_the_digest_of_the_question_and_is_signed(sta
     assert answers == []
     assert stand.give("answer", question=1, answer="yes", shown=shown(asked)) == ""
     eventually(lambda: answers == ["yes"])
-    assert signatures == [Signature("Ana", ANA, shown(asked))]
+    assert stand.signatures == [Signature("Ana", ANA, shown(asked))]
 
 
 def test_an_affirmative_answer_needs_the_correct_read_back(stand: Stand) -> None:
@@ -116,13 +126,13 @@ def test_the_unit_may_be_typed_with_the_read_back() -> None:
 
 
 def test_an_implausible_reading_is_refused(stand: Stand) -> None:
-    read: list[tuple[float, ...]] = []
-    asked = question(reads=("x in mm",), plausible_mm=(-10.0, 10.0), read=read.append)
+    asked = question(reads=("x in mm",), plausible_mm=(-10.0, 10.0))
     answers = stand.ask(asked)
     given = {"question": 1, "answer": "yes", "shown": shown(asked)}
     assert stand.give("answer", **given, readings=[100.0]) == "100 is implausible: expected -10 to 10"
     assert stand.give("answer", **given, readings=[0.1]) == ""
-    eventually(lambda: (answers, read) == (["yes"], [(0.1,)]))
+    eventually(lambda: answers == ["yes"])
+    assert [answer and answer.readings for answer in stand.answered] == [(0.1,)]
 
 
 def test_a_late_order_is_refused_but_a_late_stop_is_not(stand: Stand) -> None:
@@ -162,8 +172,7 @@ def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Sta
 def test_a_question_expires_unsigned_while_its_operators_page_is_suspended_and_waking_does_not_reopen_it(
     stand: Stand,
 ) -> None:
-    signatures: list[Signature] = []
-    asked = question(signed=signatures.append)
+    asked = question()
     answers, given = stand.ask(asked), {"question": 1, "answer": "yes", "shown": shown(asked)}
     stand.clock.now_s += LEASE_S + 1.0
     assert stand.give("answer", **given) == "you are not in the operator's seat"
@@ -172,7 +181,7 @@ def test_a_question_expires_unsigned_while_its_operators_page_is_suspended_and_w
     eventually(lambda: answers == ["no"])
     assert stand.give("claim", name="Ana") == ""
     assert stand.give("answer", **given) == "that question is no longer open"
-    assert signatures == []
+    assert stand.signatures == [None]
 
 
 def test_of_two_simultaneous_claims_exactly_one_is_refused(tmp_path: Path) -> None:
@@ -214,16 +223,14 @@ def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_th
 
 
 def test_an_abort_signs_no_answer_to_a_question_that_its_page_may_not_show(stand: Stand) -> None:
-    signatures: list[Signature] = []
-    answers = stand.ask(question(signed=signatures.append))
+    answers = stand.ask(question())
     stand.give("abort")
     eventually(lambda: answers == ["no"])
-    assert signatures == []
-    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), signed=signatures.append)
+    pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))
     answers = stand.ask(pause)
     stand.give("abort")
     eventually(lambda: answers == ["abort"])
-    assert signatures == [Signature("Ana", ANA, shown="")]
+    assert stand.signatures == [None, Signature("Ana", ANA, shown="")]
 
 
 @pytest.mark.parametrize(
@@ -245,10 +252,10 @@ def test_a_script_does_not_continue_a_case_that_a_person_stopped(
     stand = Stand(tmp_path)  # nobody is in the seat
     operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
-    assert operator.ask(pause) == "continue"
+    assert operator.ask(pause).word == "continue"
     stand.give("stop", BEN)
     answers: list[str] = []
-    threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
+    threading.Thread(target=lambda: answers.append(operator.ask(pause).word), daemon=True).start()
     eventually(lambda: stand.desk.open_question is not None)
     given = {"question": 1, "answer": "continue", "shown": shown(pause)}
     assert stand.give("answer", BEN, **given) == "you are not in the operator's seat"
@@ -265,14 +272,14 @@ def test_a_console_that_ends_before_its_stop_is_met_leaves_no_script_to_continue
     operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)
     stand.desk.leave()
-    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))) == "abort"
+    assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))).word == "abort"
 
 
 @pytest.mark.hazard(32)
 def test_a_stop_between_steps_is_not_withdrawn_by_a_line_of_a_script(stand: Stand) -> None:
     stand.give("stop", BEN)
     said: list[str] = []
-    COMMANDS["resume"].work(stand.engine, "", said.append)
+    carry_out(stand.engine, Resume(), said.append)
     assert said[0].startswith("the arm was stopped: that is asked about when the next step begins")
     assert stand.engine.checkpoint.wanted
 
@@ -286,7 +293,7 @@ def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(
     stand.give("stop", BEN)
     answers: list[str] = []
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
-    threading.Thread(target=lambda: answers.append(operator.ask(pause)), daemon=True).start()
+    threading.Thread(target=lambda: answers.append(operator.ask(pause).word), daemon=True).start()
     eventually(lambda: stand.desk.open_question is not None)
     stand.desk.leave()
     eventually(lambda: answers == ["abort"])

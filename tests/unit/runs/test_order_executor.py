@@ -26,7 +26,8 @@ from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import Topic
 from procedures.runs.console_link import check_console
-from procedures.runs.lifecycle import RunObservers, run_to_end
+from procedures.runs.lifecycle import run_to_end
+from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
 from procedures.runs.orders import read_order

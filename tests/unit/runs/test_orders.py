@@ -7,18 +7,33 @@ import pytest
 from procedures.engine.events import Questioned
 from procedures.engine.events.event_types import shown_digest
 from procedures.operator.question import Evidence
-from procedures.runs.orders import LONGEST_BYTES, Stop, read_order
+from procedures.runs.orders import COMMANDS, LONGEST_BYTES, PAUSED, SentOrder, Stop, read_order
 
 GOOD = '"nonce":"nonce-0001","session":"session-1"'
 
 
 def test_a_valid_order_is_read() -> None:
-    assert read_order(f'{{"kind":"stop",{GOOD}}}') == Stop(nonce="nonce-0001", session="session-1")
+    assert read_order(f'{{"kind":"stop",{GOOD}}}') == SentOrder(
+        nonce="nonce-0001", session="session-1", order=Stop()
+    )
+
+
+def test_an_order_is_written_as_it_is_read() -> None:
+    text = f'{{"kind":"answer","question":1,"answer":"yes","shown":"{"0" * 64}","readings":[0.5,1],{GOOD}}}'
+    assert read_order(read_order(text).model_dump_json()) == read_order(text)
+
+
+def test_the_commands_of_a_prompt_keep_their_words_and_only_looks_and_answers_count_in_a_pause() -> None:
+    assert " ".join(COMMANDS) == (
+        "list next run to back why dry pause stop resume home acknowledge abort help quit"
+    )
+    paused = [name for name, rule in COMMANDS.items() if PAUSED in rule.at_prompt]
+    assert paused == ["list", "why", "dry", "resume", "acknowledge", "abort", "help"]
 
 
 @pytest.mark.parametrize("name", ["Ana Novak", "王\u3000伟", "Ana\u00a0N.", "علی\u200cرضا", "O'Brien-Šimić"])
 def test_the_names_of_people_are_taken(name: str) -> None:
-    assert read_order(f'{{"kind":"claim","name":"{name}",{GOOD}}}').kind == "claim"
+    assert read_order(f'{{"kind":"claim","name":"{name}",{GOOD}}}').order.kind == "claim"
 
 
 @pytest.mark.parametrize(
@@ -28,6 +43,11 @@ def test_the_names_of_people_are_taken(name: str) -> None:
         "[]",
         f'{{"kind":"jog",{GOOD}}}',
         f'{{"kind":"stop","more":1,{GOOD}}}',
+        f'{{"kind":"stop","order":{{}},{GOOD}}}',
+        f'{{"kind":"stop","upcoming":"image",{GOOD}}}',
+        f'{{"kind":"next",{GOOD}}}',
+        f'{{"kind":"home",{GOOD}}}',
+        f'{{"kind":"acknowledge","by":"Ben",{GOOD}}}',
         '{"kind":"stop","session":"session-1"}',
         f'{{"kind":"answer","question":"1","answer":"yes","shown":"{"0" * 64}",{GOOD}}}',
         f'{{"kind":"answer","question":1,"answer":"yes","shown":"short",{GOOD}}}',

@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from clinical_case import ClinicalCell
 
-from procedures.cli.case.commands import COMMANDS
+from procedures.cli.case.commands import carry_out, read_command
 from procedures.operator.question import Topic
 from procedures.steps import branches
 from procedures.steps.branches import BRANCHES, Branch, Ending
@@ -17,7 +17,8 @@ from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
 
 def said(tmp_path: Path, command: str, argument: str = "") -> list[str]:
     lines: list[str] = []
-    COMMANDS[command].work(ClinicalCell(tmp_path).begin(*CLINICAL_STEPS), argument, lines.append)
+    engine = ClinicalCell(tmp_path).begin(*CLINICAL_STEPS)
+    carry_out(engine, read_command(engine, command, argument), lines.append)
     return lines
 
 

@@ -102,7 +102,7 @@ def refused(cell: RecordingCell) -> None:
 
 
 def cut_short(cell: RecordingCell) -> None:
-    declining = RecordingOperator(Topic.PAUSE).ask
+    declining = RecordingOperator(Topic.PAUSE).word
     resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
     cell.workcell.supervised.ask_before(resting, declining)
     cell.arm.interruptions = 1
@@ -164,7 +164,7 @@ def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: Reco
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
     cell.workcell.go(AWAY)
-    declining = RecordingOperator(Topic.FIRST_MOTION).ask
+    declining = RecordingOperator(Topic.FIRST_MOTION).word
     cell.workcell.supervised.begin_anew()
     resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
     cell.workcell.supervised.ask_before(resting, declining)

@@ -49,7 +49,7 @@ def cell(tmp_path: Path) -> RecordingCell:
     cell.workcell.check_mounted(MountedTool.GUIDE)
     cell.workcell.set_home()
     cell.arm.joints_rad = START
-    have_asked(cell, cell.operator.ask)
+    have_asked(cell, cell.operator.word)
     return cell
 
 
@@ -160,7 +160,7 @@ def test_after_a_stop_the_question_states_the_remaining_motion(cell: RecordingCe
 @pytest.mark.parametrize("kind", ["insert", "withdraw"])
 def test_a_guide_pushed_aside_during_a_stop_does_not_continue(cell: RecordingCell, kind: str) -> None:
     cell.arm.interruptions = 1
-    answer = cell.operator.ask
+    answer = cell.operator.word
 
     def push(question: Question) -> str:
         if question.topic is Topic.PAUSE:

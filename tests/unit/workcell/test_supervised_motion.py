@@ -14,7 +14,7 @@ from recording_cell import HOME, RecordingArm, RecordingCell, RecordingOperator
 from procedures.engine.engine import Engine
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.operator.errors import NotConfirmed, OperatorAborted
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import InstrumentInGuide
 from ronna_hw.devices.errors import MotionInterrupted
@@ -92,7 +92,7 @@ def test_a_stopped_motion_resumes_from_the_current_position_if_the_operator_agre
 def test_a_stop_during_the_first_question_holds_the_arm_until_it_is_answered(cell: RecordingCell) -> None:
     engine, ask, at_pause = supervised(cell), cell.operator.ask, []
 
-    def stopping(question: Question) -> str:
+    def stopping(question: Question) -> Answer:
         if question.topic is Topic.FIRST_MOTION and not at_pause:
             engine.checkpoint.pause("somebody stopped the arm")
             cell.arm.state = Lifecycle.HOLD

@@ -6,6 +6,8 @@ import tomllib
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import cast
 
 import pytest
 import typer
@@ -23,6 +25,7 @@ from procedures.reporting.calibration_figures import Figure, RecordFigures
 from procedures.runs.calibrations import ARM, computed, conclude
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Calibrated, Recipe
+from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.named_scenes import named_scene
@@ -50,10 +53,11 @@ def test_remarks_on_the_measurements_are_reported_also_if_these_yield_no_calibra
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
-    kind = replace(ARM, observed=lambda _case: looks, remarks=lambda _case: ("30 x no sphere in view",))
+    result = ObservedSpheres(observed=looks, remarks=("30 x no sphere in view",))
+    case = cast(Case, SimpleNamespace(get=lambda _kind: SimpleNamespace(result=result)))
     request = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30))
     with pytest.raises(TooFewPoses):
-        conclude(kind, request, Case(tmp_path), tmp_path)
+        conclude(ARM, request, case, tmp_path)
     assert capsys.readouterr().err == "30 x no sphere in view\n"
 
 
@@ -61,7 +65,7 @@ class Computed(Exception):
     """The computation was begun."""
 
 
-def begun(*_: object) -> None:
+def begun(*_: object, **_more: object) -> None:
     raise Computed
 
 

@@ -14,13 +14,13 @@ from plain_steps import plain_order
 from recording_cell import RecordingCell
 from waiting import eventually
 
+from procedures.cli.case.piped_lines import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.cli.case.prompt import Prompt
-from procedures.cli.case.stepping import LONGEST_LINE, TOO_LONG, PipedLines, lines_from
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.order import Outcome
 from procedures.journal.results import StepResult
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 
 LIMIT_S = 10.0
 
@@ -54,8 +54,8 @@ class Script:
         self.lines = PipedLines()
         self.prompt = Prompt("step> ", said.append, piped=self.lines)
 
-    def ask(self, question: Question) -> str:
-        return self.prompt.ask(question) if question.topic is Topic.PAUSE else question.answers[0]
+    def ask(self, question: Question) -> Answer:
+        return self.prompt.ask(question) if question.topic is Topic.PAUSE else Answer(question.answers[0])
 
     def at(self, engine: Engine) -> None:
         self.lines.attach(engine)

@@ -17,8 +17,9 @@ from procedures.engine.order import Outcome
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question, Topic
-from procedures.runs.lifecycle import RunObservers, run_to_end
+from procedures.operator.question import Answer, Question, Topic
+from procedures.runs.lifecycle import run_to_end
+from procedures.runs.observers import RunObservers
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 
 
@@ -78,10 +79,13 @@ def test_back_repeats_the_step_and_the_case_continues_from_there(
 
 
 def test_skip_is_refused_and_names_the_step_that_needs_the_result(
-    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    Typed(monkeypatch, "skip image").at(cell.engine(plain_order()))
-    assert "image cannot be skipped: localization needs its result" in capsys.readouterr().err
+    typed = Typed(monkeypatch, "skip image", "help")
+    typed.at(cell.engine(plain_order()))
+    refused = "there is no command 'skip': image cannot be skipped: localization needs its result."
+    assert typed.said[0].startswith(refused)
+    assert not any(line.startswith("skip") for line in typed.said)
 
 
 def test_resume_withdraws_a_pause_that_has_not_begun(
@@ -102,8 +106,8 @@ class Pauses:
 
     prompt: Prompt
 
-    def ask(self, question: Question) -> str:
-        return self.prompt.ask(question) if question.topic is Topic.PAUSE else question.answers[0]
+    def ask(self, question: Question) -> Answer:
+        return self.prompt.ask(question) if question.topic is Topic.PAUSE else Answer(question.answers[0])
 
 
 def paused(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, *lines: str) -> Engine:
@@ -127,7 +131,7 @@ def test_a_fault_acknowledged_in_a_pause_has_its_step_begun_again(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     class Stopped(Pauses):
-        def ask(self, question: Question) -> str:
+        def ask(self, question: Question) -> Answer:
             if question.topic is Topic.PAUSE:
                 cell.arm.state = Lifecycle.FAULT
             return super().ask(question)

@@ -15,7 +15,8 @@ from procedures.cli.procedure import app
 from procedures.journal.journal import JOURNAL_FILE, ONLY_LEAVING, Entry, Journal, read_journal
 from procedures.runs.engine_setup import EngineInput
 from procedures.runs.interrupted_run import Resumption, read_interrupted_run
-from procedures.runs.lifecycle import RunObservers, open_engine
+from procedures.runs.lifecycle import open_engine
+from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from procedures.runs.theatre_lock import held_theatre

@@ -36,7 +36,7 @@ from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.planning import line_of_sight
 from procedures.planning.errors import NotReachable
 from procedures.steps.clinical import at_target, ct_import, positioning, retreat
@@ -273,7 +273,7 @@ def test_an_offset_registration_offsets_the_guide_by_the_same_amount(cell: Clini
 @pytest.mark.hazard(37)
 def test_nothing_moves_if_the_tool_is_exchanged_while_the_question_is_open(cell: ClinicalCell) -> None:
     class Exchanger(RecordingOperator):
-        def ask(self, question: Question) -> str:
+        def ask(self, question: Question) -> Answer:
             cell.arm.mounted = STEREO_HEAD
             return super().ask(question)
 

@@ -28,7 +28,7 @@ from procedures.guards.errors import BaseShifted
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
-from procedures.operator.question import Question, Topic
+from procedures.operator.question import Answer, Question, Topic
 from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
@@ -437,7 +437,7 @@ def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_pl
     cell.operator.refusing = (Topic.GUARD,)
     ask = cell.operator.ask
 
-    def push(question: Question) -> str:
+    def push(question: Question) -> Answer:
         if question.topic is Topic.SKIN:
             cell.tracker.frame_shift_mm = (0.0, 0.0, pushed_mm)
         return ask(question)

@@ -1,0 +1,121 @@
+"""People and displays that take part in a run, and who answers each of its questions."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterable, Set
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Protocol
+
+from procedures.operator.question import Operator, Room, Task, Topic
+from procedures.runs.answers import AnsweringOperator, ByTopic, ScriptedOperator, SilentOperator, is_rehearsal
+from procedures.runs.request import CaseProcedure, RunRequest
+from ronna_hw.command_line.messages import on_terminal, tell
+from ronna_hw.errors import RonnaError
+
+if TYPE_CHECKING:
+    from procedures.engine.engine import Engine
+    from procedures.runs.interrupted_run import Resumption
+    from procedures.runs.order_executor import OrderExecutor
+
+ALL_TOPICS = frozenset(Topic)
+NOBODY_ANSWERS = (
+    "warning: standard input is not a terminal, so nobody can answer questions: run at a terminal, "
+    "with --console, or with --answers FILE"
+)
+NO_PERSON = (
+    "warning: standard input is not a terminal, so nobody can answer what only a person may on real devices: "
+    "run at a terminal or with --console"
+)
+Rule = tuple[Operator | None, Set[Topic], bool]  # who answers which topics, and whether they are there
+
+
+class HeldPrompt(Protocol):
+    """A prompt at which a person decides how a held case continues."""
+
+    def tell_held(self, engine: Engine, error: RonnaError) -> None:
+        """Show what holds the case, and how to continue."""
+        ...
+
+    def follow(self, engine: Engine) -> bool:
+        """Carry out commands; whether the case continues."""
+        ...
+
+
+class UnattendedRoom:
+    """A room without staff: nobody acts, and nothing is read off."""
+
+    def announce(self, step: str) -> None:
+        """Nobody listens."""
+
+    def change_tool(self, number: int, description: str) -> None:
+        """Nobody mounts it; the step has it confirmed."""
+
+    def prepare_stand(self, holds: str) -> None:
+        """Nobody prepares it; the step has it confirmed."""
+
+    def work(self, task: Task) -> tuple[float, ...]:
+        """Return no readings."""
+        return ()
+
+
+@dataclass(frozen=True)
+class RunObservers:
+    """People and displays that follow a run while it runs."""
+
+    status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
+    announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
+    opened: Callable[[Engine], None] = lambda _engine: None  # before the first step
+    person: Operator = field(default_factory=SilentOperator)  # at the terminal
+    staff: Callable[[bool], Room] = lambda _simulated: UnattendedRoom()  # of a configured theatre
+    held: HeldPrompt | None = None  # without one a held case ends
+    at_pause: Operator | None = None  # who answers a pause, if not the person
+    executor: OrderExecutor | None = None  # of a console that operates the case
+
+
+def operator_selection(
+    request: RunRequest, observers: RunObservers, resumption: Resumption | None = None
+) -> Operator:
+    """Select the operator of each topic, and of the topics that a file of answers does not list.
+
+    On real devices the person answers what is deliberate or read back, whatever the file says. An operator at
+    the console takes the place of all of them while the console is in charge.
+    """
+    answers, person, prompt = request.answers, observers.person, observers.at_pause
+    configured = request.config is not None
+    at_terminal = on_terminal(sys.stdin) and on_terminal(sys.stderr)
+    accepted = resumption is not None and resumption.accepted
+    file_answers_all = answers is not None and is_rehearsal(request.config)
+    if (
+        isinstance(request.procedure, CaseProcedure)  # a measurement may ask nothing
+        and configured
+        and not (file_answers_all or at_terminal or observers.executor or prompt)
+        and (resumption is None or resumption.asks)
+    ):
+        tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
+    script = ScriptedOperator()
+    without_file = _first_of(
+        (
+            (prompt, {Topic.PAUSE}, True),
+            (script, {Topic.RESUME}, accepted),
+            (person, {Topic.RESUME}, resumption is not None),
+            (person, ALL_TOPICS, configured),
+            (person, {Topic.PAUSE, Topic.REPEAT}, at_terminal),
+            (script, ALL_TOPICS, True),  # in a simulated theatre of its own
+        )
+    )
+    operator = without_file
+    if answers is not None:
+        by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
+        # `--accept` is the later word.
+        operator = _first_of(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
+    if observers.executor is None:
+        return operator
+    in_person = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
+    return observers.executor.operator(operator, script_at_pause=not in_person)
+
+
+def _first_of(rules: Iterable[Rule]) -> Operator:
+    """Return an operator by whom each topic is answered by the first rule that applies to it."""
+    present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
+    return ByTopic({topic: next(one for one, topics in present if topic in topics) for topic in Topic})
