@@ -14,13 +14,32 @@ from functools import cached_property
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
-from procedures.engine.order import LeftOut, StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
 
 R = TypeVar("R", bound=StepResult)
+
+
+@dataclass(frozen=True)
+class StepKey:
+    """One step of a case: a name, and its trajectory if it has one."""
+
+    name: str
+    trajectory: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.trajectory}" if self.trajectory else self.name
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A trajectory that a result leaves out of the case."""
+
+    trajectory: str
+    reason: str
+    by: StepKey  # the step whose standing result says so; repeated, it may take the trajectory in again
 
 
 @dataclass(frozen=True)

@@ -11,10 +11,9 @@ from itertools import chain, count
 from pathlib import Path
 from typing import TYPE_CHECKING, Protocol, TypeVar, cast
 
-from procedures.engine.case import Case, Stored
+from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
-from procedures.engine.order import StepKey, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
@@ -129,7 +128,7 @@ class StepContext:
     """One step's view of its case."""
 
     key: StepKey
-    spec: StepSpec[StepResult]
+    reads: tuple[type[StepResult], ...]  # results that the step declares to read
     trajectories: tuple[str, ...]
     left_out: Mapping[str, str]  # trajectories that stay left out whatever this step does, and why
     setting: CaseSetting
@@ -148,7 +147,7 @@ class StepContext:
         return self._asked_for(model).result
 
     def _asked_for(self, model: type[R]) -> Stored[R]:
-        if model not in self.spec.reads:
+        if model not in self.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         return self._read_from_case(model, self.key.trajectory)
 

@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from copy import copy
 from typing import TYPE_CHECKING
 
+from procedures.engine.case import StepKey
 from procedures.engine.course import CaseProgress
-from procedures.engine.order import StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock

@@ -8,14 +8,14 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
-from procedures.engine.case import Case, Stored
+from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.context import CaseSetting, StepContext
 from procedures.engine.course import CaseProgress, unusable_inputs
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
 from procedures.engine.machine import RECOVERY, ProcedureMachine
-from procedures.engine.order import CaseOrder, Outcome, StepKey
+from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.questions import Questions, have_done, have_instrument_out
 from procedures.engine.run_folder import Recorder, close_run
 from procedures.journal.errors import JournalNotWritable, StepRefused
@@ -181,7 +181,7 @@ class Engine:
         """A step's view of the case."""
         return StepContext(
             key=key,
-            spec=self.order.spec(key),
+            reads=self.order.spec(key).reads,
             trajectories=self.order.trajectories,
             left_out=self.case.left_out_besides(key),
             setting=self.setting,

@@ -9,12 +9,11 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.engine.case import Case
+from procedures.engine.case import Case, StepKey
 from procedures.engine.context import CaseSetting, this_second
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory, EventStream
 from procedures.engine.events.event_file import EventFile
-from procedures.engine.order import StepKey
 from procedures.engine.replay.recorded_answers import opening_line, section_follower
 from procedures.guards import (
     GuideDisplacement,

@@ -10,9 +10,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.order import StepKey
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE, taking_out
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused

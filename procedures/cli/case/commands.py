@@ -13,8 +13,8 @@ from procedures.operator.question import YES, Question, Topic
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
+    from procedures.engine.case import StepKey
     from procedures.engine.engine import Engine
-    from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
 LOOKING = ("list", "why", "dry", "help")  # also while the case is paused

@@ -10,11 +10,11 @@ from datetime import datetime
 from enum import StrEnum
 from pathlib import Path
 
-from procedures.engine.case import Case
+from procedures.engine.case import Case, StepKey
 from procedures.engine.context import CaseSetting, ClinicalInput, StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded
-from procedures.engine.order import CaseOrder, StepKey, StepSpec
+from procedures.engine.order import CaseOrder, StepSpec
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedAnswers
 from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom, replayed
 from procedures.engine.run_folder import RunFolder, step_key

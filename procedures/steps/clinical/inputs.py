@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
+from procedures.engine.case import StepKey
 from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
-from procedures.engine.order import StepKey
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.journal.results import StepResult

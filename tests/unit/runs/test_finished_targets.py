@@ -26,9 +26,10 @@ from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
+from procedures.engine.case import StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import Outcome, Scope, StepKey
+from procedures.engine.order import Outcome, Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE
