@@ -76,6 +76,7 @@ class Case:
         It is valid only once accepted, after the journal has it.
         """
         self._written += 1
+        named = (stored.result.names_series() for stored in self._standing.values())
         name = "-".join(part for part in (f"{self._written:02d}", key.name, key.trajectory) if part)
         record = Record(
             identifier=name,
@@ -84,16 +85,11 @@ class Case:
             payload=result.model_dump(mode="json", by_alias=True),
             version=result.version,
             run=self.run,
-            series=result.names_series() or self._series,
+            series=result.names_series() or next(filter(None, named), None),
             trajectory=key.trajectory,
         )
         write_record(record, self.folder / RECORDS_FOLDER)
         return Stored(record, result)
-
-    @property
-    def _series(self) -> str | None:
-        named = (stored.result.names_series() for stored in self._standing.values())
-        return next((series for series in named if series), None)
 
     def superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
         """Return the records that a new result of that step supersedes: its former result and descendants.

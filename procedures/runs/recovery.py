@@ -244,7 +244,7 @@ def _step_of(record: Record) -> StepKey:
 def _way_out(engine: Engine) -> bool:
     """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    engine.have_instrument_out()
+    engine.questions.have_instrument_out()
     following = engine.upcoming
     if (
         workcell.place.on_axis

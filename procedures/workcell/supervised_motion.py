@@ -116,16 +116,13 @@ class SupervisedMotion:
         for device in devices:
             if device.state is not Lifecycle.CONFIGURED:
                 continue
-            words = device.to_confirm if isinstance(device, ConfirmedStart) else None
-            if isinstance(device, ConfirmedStart) and words is not None and self._confirm_start(words):
-                device.confirm_start(OPERATOR)
-                self._start_arm(device)
-            else:
-                device.activate()
-
-    def _confirm_start(self, words: str) -> bool:
-        self._confirmed = False
-        return self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words))
+            if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
+                self._confirmed = False
+                if self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words)):
+                    device.confirm_start(OPERATOR)
+                    self._start_arm(device)
+                    continue
+            device.activate()
 
     def _start_arm(self, arm: Device) -> None:
         def drive() -> ArmReading:

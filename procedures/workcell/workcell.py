@@ -120,14 +120,6 @@ class Workcell:
         """The tool found mounted at the last check."""
         return self.mount.tool
 
-    def check_mounted(self, tool: MountedTool) -> int:
-        """Read the tool's number from the controller's inputs. Raises PRO-009 if another tool is mounted."""
-        return self.mount.check(tool)
-
-    def identify_mounted(self) -> MountedTool:
-        """Identify the mounted tool by the controller's inputs; UNKNOWN unless it is one of ours."""
-        return self.mount.identify()
-
     def reported_tool_number(self) -> int:
         """Number reported by the controller's inputs now; 0 is none."""
         return self._arm.read_tool_identity().number
@@ -308,7 +300,7 @@ class Workcell:
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
         self._require_outside(MotionKind.INSERT)
-        self.check_mounted(MountedTool.GUIDE)
+        self.mount.check(MountedTool.GUIDE)
         return self.supervised.carry_out(self.inserting(insertion))
 
     def hold(self) -> None:

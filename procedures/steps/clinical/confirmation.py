@@ -34,7 +34,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     """
     for model in context.reads:
         context.result(model)
-    context.workcell.check_mounted(MountedTool.GUIDE)
+    context.workcell.mount.check(MountedTool.GUIDE)
     remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
     guide = _guide(context, remain)
     link = link_health(context) if context.workcell.streaming else None

@@ -11,8 +11,8 @@ from contextlib import suppress
 from pathlib import Path
 
 from procedures.engine.case import StepKey
-from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
+from procedures.engine.setting import ClinicalInput
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.journal.results import StepResult

@@ -58,7 +58,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     context.result(CheckedTool)
-    mounted = workcell.check_mounted(MountedTool.GUIDE)
+    mounted = workcell.mount.check(MountedTool.GUIDE)
     _require_guide_in_seat(context)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             ],
             trajectory,
         )
-    workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
+    workcell.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
     if by_home:
         check_room(context, f"before {trajectory}")
         workcell.start()

@@ -127,7 +127,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
     if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm
-        context.workcell.identify_mounted()
+        context.workcell.mount.identify()
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)

@@ -90,7 +90,7 @@ def _checked(context: StepContext) -> Outcome[CheckedTool]:
     workcell = context.workcell
     context.result(MountedGuide)
     context.have_instrument_out()  # of an earlier attempt
-    workcell.check_mounted(MountedTool.GUIDE)
+    workcell.mount.check(MountedTool.GUIDE)
     check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)

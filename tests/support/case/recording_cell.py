@@ -12,9 +12,9 @@ from typing import Any, cast
 import tomli_w
 
 from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
+from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Question, Task, Topic

@@ -48,7 +48,7 @@ def test_a_pose_has_both_ends_of_each_moving_body(cell: RecordingCell) -> None:
 def test_the_cameras_are_not_drawn_after_a_fault_while_the_mounted_head_is_unchecked(
     cell: RecordingCell,
 ) -> None:
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     cell.workcell.surround(AROUND)
     view = BodyView(cell.workcell)
     assert len(view.at(POSE).tool_mm) == 3

@@ -22,7 +22,7 @@ from ronna_hw.frames import Transform
 def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state, cell.arm.mounted = Lifecycle.ACTIVE, GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     engine = cell.engine(plain_order())
     here = tool_pose(HOME, cell)
@@ -127,7 +127,7 @@ def test_what_is_kept_of_a_fault_says_what_happened_and_no_longer_what_to_do(
 
 @pytest.mark.hazard(37)
 def test_the_tool_on_a_recovered_arm_counts_as_unchecked(cell: RecordingCell) -> None:
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")

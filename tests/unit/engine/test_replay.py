@@ -15,13 +15,14 @@ from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
 from drivers.kuka_rsi.errors import MotionStopped
-from procedures.engine.context import ClinicalInput, StepContext
+from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
 from procedures.engine.replay.recorded_people import KEPT
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
@@ -212,7 +213,7 @@ def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: P
 @pytest.mark.hazard(2)
 def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
-        context.workcell.check_mounted(MountedTool.GUIDE)
+        context.workcell.mount.check(MountedTool.GUIDE)
         moves(context)
         return looks(context)
 
@@ -230,7 +231,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
     with pytest.raises(Killed):
         recorded.run("approach:T1")
     restarted(recorded)
-    recorded.engine.have_instrument_out()  # no line rules it out
+    recorded.engine.questions.have_instrument_out()  # no line rules it out
     recorded.run("approach:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
@@ -248,7 +249,7 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     recorded.run(*CASE[:2])
     restarted(recorded)
     recorded.cell.workcell.instrument.assume_inside("T1")
-    recorded.engine.have_instrument_out()
+    recorded.engine.questions.have_instrument_out()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 

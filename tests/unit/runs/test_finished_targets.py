@@ -285,7 +285,7 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     again, engine, left = opened_again(cell, engine.order)
     assert not engine.over
     again.workcell.take_up(left.arm, HOME_RAD)
-    again.workcell.identify_mounted()
+    again.workcell.mount.identify()
     assert head_moved_since(engine)
     engine.accept()
     near_rad: list[JointVector | None] = []

@@ -360,7 +360,7 @@ def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_ste
 def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()), runs=False)
     cell.operator = case.executor.operator(cell.operator)  # type: ignore[assignment]
-    case.engine.questions = Questions(cell.operator, cell.journal, cell.clock.now_s, case.engine.events)
+    case.engine.questions = Questions(cell.setting(), cell.journal, case.engine.events)
     with running(case):
         case.await_waiting()
         case.give("claim", name="Ana")

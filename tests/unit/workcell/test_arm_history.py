@@ -32,7 +32,7 @@ FARTHER: JointVector = (HOME[0] + 0.2, *HOME[1:])
 def cell(cell: RecordingCell) -> RecordingCell:
     """With the guide mounted, at home."""
     cell.arm.mounted = GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     return cell
 

@@ -46,7 +46,7 @@ def cell(tmp_path: Path) -> RecordingCell:
     cell = RecordingCell(tmp_path, operator=RecordingOperator())
     cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
     cell.opened.replace_device("robot.master", cell.arm)
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     cell.arm.joints_rad = START
     have_asked(cell, cell.operator.ask)

@@ -31,7 +31,7 @@ def supervised(cell: RecordingCell, *refusing: Topic) -> Engine:
     """An engine over a cell at home with the stereo head mounted, whose arm is active."""
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     cell.workcell.set_home()
     return cell.engine(plain_order())
 
@@ -241,7 +241,7 @@ def test_the_arm_stays_off_without_confirmation(tmp_path: Path) -> None:
 def test_the_first_motion_still_needs_its_own_confirmation(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.set_home()
-    cell.workcell.identify_mounted()
+    cell.workcell.mount.identify()
     cell.workcell.start()
     cell.workcell.go_home()
     assert [one.topic for one in cell.operator.asked] == [Topic.UNVERIFIED, Topic.FIRST_MOTION]

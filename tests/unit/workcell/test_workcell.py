@@ -39,7 +39,7 @@ def motions(cell: RecordingCell) -> list[tuple[str, object]]:
 
 def with_guide(cell: RecordingCell) -> None:
     cell.arm.mounted = GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
 
 
@@ -274,7 +274,7 @@ def test_nothing_is_inserted_with_a_tool_other_than_the_guide(cell: RecordingCel
     with_guide(cell)
     made = insertion(cell)
     cell.arm.mounted = 1
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     with pytest.raises(WrongTool, match="PRO-009"):
         cell.workcell.insert(made)
     assert cell.arm.motions == []
