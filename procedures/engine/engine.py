@@ -87,10 +87,6 @@ class Engine:
         """The trajectory in which an instrument is beyond the entry, or may be."""
         return self.setting.workcell.place.instrument_may_be_inside
 
-    def status(self, key: StepKey) -> str:
-        """Return the status of a step; see `CaseProgress.status`."""
-        return self.course.status(key)
-
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
         if self.machine.ended:

@@ -15,8 +15,8 @@ from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
-from procedures.workcell.arm_history import ArmLog
-from procedures.workcell.motions import MotionKind, PlannedMotion, in_a_question, motion_facts
+from procedures.workcell.arm_history import ArmLog, MotionKind
+from procedures.workcell.motions import PlannedMotion, in_a_question, motion_facts
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState

@@ -16,14 +16,22 @@ from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
-from procedures.workcell.arm_history import UNMOVED, ArmHistory, ArmLog, Instrument
-from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
+from procedures.workcell.arm_history import (
+    UNMOVED,
+    ArmHistory,
+    ArmLog,
+    ArmPlace,
+    Insertion,
+    MotionKind,
+    Where,
+    stands_at,
+)
 from procedures.workcell.device_views import ArmView, DeviceView
 from procedures.workcell.errors import InstrumentInside
-from procedures.workcell.motions import MotionKind, PlannedMotion
+from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tools import CarriedTool, MountedTool, Sides, ToolMount, calibrated_arm
+from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount, calibrated_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair

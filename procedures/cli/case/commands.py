@@ -31,11 +31,11 @@ class Command:
 
 
 def _list(engine: Engine, _argument: str, say: Say) -> None:
-    width = max(len(engine.status(key)) for key in engine.order.sequence)
+    width = max(len(engine.course.status(key)) for key in engine.order.sequence)
     for key in engine.order.sequence:
         spec = engine.order.spec(key)
         asks = f"; asks {', '.join(spec.asks)}" if spec.asks and not engine.case.stands(key) else ""
-        say(f"{engine.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
+        say(f"{engine.course.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
 
 
 def _next(engine: Engine, _argument: str, say: Say) -> None:

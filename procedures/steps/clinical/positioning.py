@@ -35,7 +35,7 @@ from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
-from procedures.workcell.arm_place import stands_at
+from procedures.workcell.arm_history import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform

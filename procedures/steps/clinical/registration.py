@@ -304,11 +304,6 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
     )
 
 
-def _outside(context: StepContext) -> tuple[str, ...]:
-    """The guide is on no axis: with it mounted, the head is measured at home."""
-    return context.workcell.place.why_held
-
-
 STEP = StepSpec(
     RegisteredRobot,
     "Register the CT to the robot",
@@ -317,5 +312,5 @@ STEP = StepSpec(
     asks=(Topic.REGISTRATION,),
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
-    preconditions=_outside,
+    preconditions=lambda context: context.workcell.place.why_held,  # a mounted guide looks from home
 )

@@ -263,7 +263,7 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     cell = ClinicalCell(tmp_path)
     engine = rolling(cell, FIRST, AT_ONE)
     engine.run_to()
-    assert {engine.status(key) for key in engine.order.sequence} == {"done", "finished"}
+    assert {engine.course.status(key) for key in engine.order.sequence} == {"done", "finished"}
     broken_off(cell)
     monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: engine.order)
     monkeypatch.setattr(case_outcome, "outcome_as_recorded", lambda _request, left: left)

@@ -15,8 +15,7 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
-from procedures.workcell.arm_place import Where
+from procedures.workcell.arm_history import TRAIL, ArmHistory, Where, arm_history
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout

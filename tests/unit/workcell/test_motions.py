@@ -18,8 +18,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import ArmHistory
-from procedures.workcell.arm_place import ArmPlace, Where
+from procedures.workcell.arm_history import ArmHistory, ArmPlace, Where
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.motions import MotionFacts
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
