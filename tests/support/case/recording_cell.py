@@ -332,9 +332,12 @@ class RecordingCell:
         self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
-        agree = RecordingOperator().ask
-        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
-        self.workcell.supervised.ask_before(resting, agree)  # until an engine asks
+        self.have_asked(RecordingOperator().ask)  # until an engine asks
+
+    def have_asked(self, ask: Callable[[Question], str]) -> None:
+        """Have the workcell ask before its motions, without an engine."""
+        resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), self.clock)
+        self.workcell.supervised.ask_before(resting, ask)
 
     @property
     def calibrations(self) -> Calibrations:

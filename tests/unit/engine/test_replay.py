@@ -80,6 +80,11 @@ class Recorded:
             except GateFailed:
                 continue
 
+    def end(self) -> None:
+        """End the run before it is replayed."""
+        self.engine.close("left")
+        self.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+
     def replayed(self, order: CaseOrder | None = None) -> list[ReplayedRecord]:
         self.engine.close("left")
         clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
@@ -88,8 +93,7 @@ class Recorded:
 
     def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
         """Change every recorded answer."""
-        self.engine.close("left")
-        self.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+        self.end()
         path = self.folder / READINGS_FOLDER / READINGS_FILE
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         for line in lines:
@@ -360,8 +364,7 @@ def test_a_replay_opens_no_connection_and_does_not_change_the_run(
 ) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE)
-    recorded.engine.close("left")
-    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    recorded.end()
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
     def refuse(*_: object, **__: object) -> None:
@@ -448,8 +451,7 @@ def test_a_damaged_first_line_is_refused(tmp_path: Path, opening: object) -> Non
 def test_a_line_torn_by_a_kill_is_skipped_when_the_run_was_continued(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE[:3])
-    recorded.engine.close("left")
-    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    recorded.end()
     path = tmp_path / READINGS_FOLDER / READINGS_FILE
     with path.open("a") as file:
         file.write('{"section": 7, "dev')

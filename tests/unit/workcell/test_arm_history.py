@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
@@ -101,9 +99,7 @@ def refused(cell: RecordingCell) -> None:
 
 
 def cut_short(cell: RecordingCell) -> None:
-    declining = RecordingOperator(Topic.PAUSE).ask
-    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, declining)
+    cell.have_asked(RecordingOperator(Topic.PAUSE).ask)
     cell.arm.interruptions = 1
     with pytest.raises(OperatorAborted):
         cell.workcell.go(AWAY)
@@ -163,10 +159,8 @@ def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: Reco
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
     cell.workcell.go(AWAY)
-    declining = RecordingOperator(Topic.FIRST_MOTION).ask
     cell.workcell.supervised.begin_anew()
-    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, declining)
+    cell.have_asked(RecordingOperator(Topic.FIRST_MOTION).ask)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
     assert not cell.workcell.place.on_axis
