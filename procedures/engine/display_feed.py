@@ -259,7 +259,6 @@ class DeviceWatch:
             self._bodies.publish(self._events, last=last)
 
     def _publish_volume(self, role: str, device: DeviceView) -> None:
-        """Publish the measuring volume of a tracker, once it is known."""
         if role in self._bounded or not isinstance(device, BoundedTracker):
             return
         if sections_mm := device.volume_sections_mm:

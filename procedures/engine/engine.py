@@ -9,8 +9,8 @@ from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
 from procedures.engine.case import Case, StepKey, Stored
+from procedures.engine.case_progress import CaseProgress, unusable_inputs
 from procedures.engine.context import StepContext
-from procedures.engine.course import CaseProgress, unusable_inputs
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState

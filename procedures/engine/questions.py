@@ -129,7 +129,7 @@ class Questions:
                 f"an instrument is still in {place}: nothing moves",
                 action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
             )
-        instrument.is_out()
+        instrument.record_removal()
 
 
 def taking_out(place: str) -> str:

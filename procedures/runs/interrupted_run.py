@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from procedures.engine.case import Case, StepKey, Stored
-from procedures.engine.course import CaseProgress
+from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line

@@ -131,10 +131,10 @@ def _take_up_arm(
             f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
-        workcell.instrument.assume_inside(IN_GAUGE)
+        workcell.instrument.record_assumed(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
     elif workcell.instrument.inside is None and guide_at_divot(engine):
-        workcell.instrument.assume_inside(IN_DIVOT)
+        workcell.instrument.record_assumed(IN_DIVOT)
         comparison.warn("the guide is at the divot, which is assumed to be raised")
 
 

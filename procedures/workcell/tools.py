@@ -158,15 +158,15 @@ class WorkedStages:
         """Last setting of the depth stop at a trajectory, or None."""
         return self._log.history.stops.get(trajectory)
 
-    def stop_is_set(self, trajectory: str, stop: Stop) -> None:
+    def record_stop(self, trajectory: str, stop: Stop) -> None:
         """Record that the depth stop was set, read and confirmed."""
         self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
 
-    def begins(self, trajectory: str, task: str) -> None:
+    def record_begin(self, trajectory: str, task: str) -> None:
         """Record that a stage begins."""
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
 
-    def is_done(self, trajectory: str, task: str) -> None:
+    def record_done(self, trajectory: str, task: str) -> None:
         """Record that somebody confirmed a stage as done."""
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=True)
 
@@ -186,16 +186,16 @@ class Instrument:
         """Trajectory, gauge or divot in which it is or may be; None while it is out."""
         return self._log.history.place.instrument_may_be_inside
 
-    def goes_in(self, trajectory: str) -> None:
+    def record_insertion(self, trajectory: str) -> None:
         """Record that it goes in."""
         self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
 
-    def is_out(self) -> None:
+    def record_removal(self) -> None:
         """Record that somebody confirmed that it is out."""
         if self.inside is not None:
             self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
 
-    def assume_inside(self, trajectory: str) -> None:
+    def record_assumed(self, trajectory: str) -> None:
         """Record that it may be inside although no earlier line says so."""
         self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
 

@@ -101,7 +101,6 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
 
 
 def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
-    """Joints of the poses within reach."""
     head = workcell.flange_from(MountedTool.STEREO_HEAD)
     frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     reference = workcell.flange_pose(workcell.home_rad) @ head

@@ -184,7 +184,6 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
 
 
 def _before_readings(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
-    """Looks before the first reading."""
     workcell = context.workcell
     calibrations = workcell.calibrations
     return TipLooks(
@@ -223,7 +222,7 @@ class _Reading:
         workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
         workcell.hold()  # hands raise the divot: only the next motion may move the arm
-        workcell.instrument.goes_in(IN_DIVOT)
+        workcell.instrument.record_insertion(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
             Task(
                 DIALS,

@@ -167,7 +167,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ONE_SIDE, from_afar=number == 0)
         workcell.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
-        workcell.instrument.goes_in(IN_GAUGE)
+        workcell.instrument.record_insertion(IN_GAUGE)
         readings.append(context.have_done(task))
         if number == 0:
             read_s = context.setting.clock.now_s()

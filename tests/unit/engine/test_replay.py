@@ -246,13 +246,13 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     def goes_in(context: StepContext) -> Outcome[Localization]:
         moves(context)  # refused while it is inside
         if not context.done_before:
-            context.workcell.instrument.goes_in("T1")
+            context.workcell.instrument.record_insertion("T1")
         return looks(context)
 
     recorded = Recorded(tmp_path, localization=goes_in)
     recorded.run(*CASE[:2])
     restarted(recorded)
-    recorded.cell.workcell.instrument.assume_inside("T1")
+    recorded.cell.workcell.instrument.record_assumed("T1")
     recorded.engine.questions.have_instrument_out()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
@@ -283,7 +283,7 @@ def test_a_replay_permits_homing_when_a_guard_ended_the_step_before_the_instrume
         context.setting.memory.keep(1)
         context.progress(0.5, "before it goes in")
         if first:
-            context.workcell.instrument.goes_in("T1")
+            context.workcell.instrument.record_insertion("T1")
             raise GateFailed("it never came as far")
         return outcome
 

@@ -63,16 +63,16 @@ def inserted(cell: RecordingCell) -> None:
 def worked(cell: RecordingCell) -> None:
     inserted(cell)
     instrument = cell.workcell.instrument
-    instrument.stages.stop_is_set("T1", {"mm": 120.5})
-    instrument.stages.begins("T1", "drill")
-    instrument.goes_in("T1")
-    instrument.stages.is_done("T1", "drill")
-    instrument.stages.begins("T1", "insert")
+    instrument.stages.record_stop("T1", {"mm": 120.5})
+    instrument.stages.record_begin("T1", "drill")
+    instrument.record_insertion("T1")
+    instrument.stages.record_done("T1", "drill")
+    instrument.stages.record_begin("T1", "insert")
 
 
 def taken_out(cell: RecordingCell) -> None:
     worked(cell)
-    cell.workcell.instrument.is_out()
+    cell.workcell.instrument.record_removal()
 
 
 def withdrawn(cell: RecordingCell) -> None:
@@ -171,7 +171,7 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
     cell: RecordingCell,
 ) -> None:
     worked(cell)
-    cell.workcell.instrument.is_out()
+    cell.workcell.instrument.record_removal()
     assert cell.workcell.history.instrument_out
     restarted = {"entry": Entry.RESTARTED, "torn_bytes": 120}
     assert not cell.workcell.history.after(restarted).instrument_out
@@ -179,7 +179,7 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
 
 def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
     withdrawn(cell)
-    cell.workcell.instrument.assume_inside("T1")
+    cell.workcell.instrument.record_assumed("T1")
     assert cell.workcell.place.instrument_may_be_inside == "T1"
     assert not cell.workcell.history.instrument_out
 

@@ -223,7 +223,7 @@ def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> Non
 @pytest.mark.hazard(44)
 def test_the_arm_does_not_start_with_an_instrument_in_the_guide(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
-    cell.workcell.instrument.goes_in("T1")
+    cell.workcell.instrument.record_insertion("T1")
     with pytest.raises(InstrumentInGuide, match="start the arm"):
         cell.workcell.start()
     assert (cell.operator.asked, cell.arm.calls) == ([], [])

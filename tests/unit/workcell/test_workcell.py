@@ -262,10 +262,10 @@ def test_after_a_failed_approach_the_guide_is_still_known_to_be_on_its_axis(
 @pytest.mark.parametrize("what", ["withdraw", *OTHER_MOTIONS])
 def test_while_an_instrument_is_in_the_guide_nothing_moves_at_all(cell: RecordingCell, what: str) -> None:
     inserted(cell)
-    cell.workcell.instrument.goes_in("T1")
+    cell.workcell.instrument.record_insertion("T1")
     with nothing_moves(cell, InstrumentInGuide, r"TOOL-001.*an instrument is in the guide, and in T1"):
         {**OTHER_MOTIONS, "withdraw": lambda cell: cell.workcell.withdraw("T1")}[what](cell)
-    cell.workcell.instrument.is_out()
+    cell.workcell.instrument.record_removal()
     cell.workcell.withdraw("T1")
 
 
