@@ -42,7 +42,7 @@ def describe_fault(role: str, seen: LastKnown[object]) -> str:
     Its cause is reported even if it is in order again, so that nobody searches for it in vain.
     """
     if seen.fault is None:
-        return f"the {role} is in fault"
+        return summarize_fault(role, seen)
     facts = _facts(seen.fault, seen.says)
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
     way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
