@@ -273,7 +273,7 @@ def _workcell_of(
     resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)
     workcell.supervised.ask_before(resting, agree)
     workcell.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    workcell.mount.check(MountedTool.STEREO_HEAD)
     return workcell
 
 

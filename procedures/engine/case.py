@@ -14,13 +14,32 @@ from functools import cached_property
 from pathlib import Path
 from typing import Generic, TypeVar, cast
 
-from procedures.engine.order import LeftOut, StepKey
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
 from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
 
 R = TypeVar("R", bound=StepResult)
+
+
+@dataclass(frozen=True)
+class StepKey:
+    """One step of a case: a name, and its trajectory if it has one."""
+
+    name: str
+    trajectory: str | None = None
+
+    def __str__(self) -> str:
+        return f"{self.name}:{self.trajectory}" if self.trajectory else self.name
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A trajectory that a result leaves out of the case."""
+
+    trajectory: str
+    reason: str
+    by: StepKey  # the step whose standing result says so; repeated, it may take the trajectory in again
 
 
 @dataclass(frozen=True)
@@ -57,6 +76,7 @@ class Case:
         It is valid only once accepted, after the journal has it.
         """
         self._written += 1
+        named = (stored.result.names_series() for stored in self._standing.values())
         name = "-".join(part for part in (f"{self._written:02d}", key.name, key.trajectory) if part)
         record = Record(
             identifier=name,
@@ -65,16 +85,11 @@ class Case:
             payload=result.model_dump(mode="json", by_alias=True),
             version=result.version,
             run=self.run,
-            series=result.names_series() or self._series,
+            series=result.names_series() or next(filter(None, named), None),
             trajectory=key.trajectory,
         )
         write_record(record, self.folder / RECORDS_FOLDER)
         return Stored(record, result)
-
-    @property
-    def _series(self) -> str | None:
-        named = (stored.result.names_series() for stored in self._standing.values())
-        return next((series for series in named if series), None)
 
     def superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
         """Return the records that a new result of that step supersedes: its former result and descendants.

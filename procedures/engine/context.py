@@ -6,122 +6,28 @@ import hashlib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field
-from datetime import UTC, datetime
 from itertools import chain, count
 from pathlib import Path
-from typing import TYPE_CHECKING, Protocol, TypeVar, cast
+from typing import TYPE_CHECKING, TypeVar
 
-from procedures.engine.case import Case, Stored
+from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.errors import WrongResult
 from procedures.engine.events import EventStream, Progress
-from procedures.engine.order import StepKey, StepSpec
+from procedures.engine.questions import Questions
+from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import YES, Evidence, Operator, Question, ReadBack, Room, Task, Topic
-from procedures.strategies.strategy import Strategy
-from ronna_hw.clock import Clock
-from ronna_hw.config import ProcedureSettings
+from procedures.operator.question import YES, Evidence, Question, ReadBack, Task, Topic
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.manifest import PICTURES_FOLDER, input_hashes
 from ronna_hw.records import Record, write_whole
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
-    from ronna_hw.collision_config import CollisionConfig
 
-T = TypeVar("T")
 R = TypeVar("R", bound=StepResult)
 D = TypeVar("D")
-
-
-class CaseMemory:
-    """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
-
-    def __init__(self) -> None:
-        self._kept: dict[type[object], object] = {}
-
-    def keep(self, value: object) -> None:
-        """Keep an object in place of another of its type."""
-        self._kept[type(value)] = value
-
-    def find(self, kind: type[T]) -> T | None:
-        """Return the kept object of a type, if any."""
-        return cast("T | None", self._kept.get(kind))
-
-    def drop(self, kind: type[object]) -> None:
-        """Drop the object of a type."""
-        self._kept.pop(kind, None)
-
-    def clear(self) -> None:
-        """Drop everything, as after a restart."""
-        self._kept.clear()
-
-
-@dataclass(frozen=True)
-class ClinicalInput:
-    """CT, plan and strategy of a case; a calibration has none."""
-
-    series: Path  # folder of the CT series
-    plan: Path
-    strategy: Strategy
-    measure_targets: bool = False  # on a phantom
-    plan_sha256: str | None = None  # of the plan as it was held when the case was opened
-
-    @property
-    def place(self) -> Path:
-        """File of the cart's proposed position, next to the plan, if there is one."""
-        return self.plan.with_name("place.json")
-
-
-def this_second() -> datetime:
-    """Return the present time as records are dated."""
-    return datetime.now(UTC).replace(microsecond=0)
-
-
-@dataclass(frozen=True)
-class CaseSetting:
-    """Workcell, people and settings that all steps of a procedure share."""
-
-    workcell: Workcell
-    clock: Clock
-    operator: Operator
-    room: Room
-    settings: ProcedureSettings
-    surroundings: CollisionConfig  # the theatre file's bodies around the arm
-    clinical: ClinicalInput | None = None
-    memory: CaseMemory = field(default_factory=CaseMemory)
-    arm_not_home: str | None = None  # that another run left the arm away from home, and what brings it there
-    today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
-    starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
-    began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
-
-
-class StepSupport(Protocol):
-    """Services of the engine for a running step."""
-
-    checkpoint: Checkpoint
-    events: EventStream
-
-    def ask(self, question: Question) -> str:
-        """Return the operator's answer, recorded."""
-        ...
-
-    def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have the room's staff do a task; return the readings, recorded."""
-        ...
-
-    def have_instrument_out(self) -> None:
-        """Have an instrument taken out, if one may be in the guide."""
-        ...
-
-    def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record a finding that stops nothing; of `targets`, with them."""
-        ...
-
-    def void(self, key: StepKey, reason: RonnaError) -> None:
-        """Void a valid result and its descendants."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -129,12 +35,16 @@ class StepContext:
     """One step's view of its case."""
 
     key: StepKey
-    spec: StepSpec[StepResult]
+    reads: tuple[type[StepResult], ...]  # results that the step declares to read
     trajectories: tuple[str, ...]
     left_out: Mapping[str, str]  # trajectories that stay left out whatever this step does, and why
     setting: CaseSetting
     _case: Case
-    _support: StepSupport
+    _questions: Questions
+    _checkpoint: Checkpoint
+    _events: EventStream
+    _find: Callable[[str, Sequence[str]], None]
+    _void: Callable[[StepKey, RonnaError], None]
     _read: dict[str, Record] = field(default_factory=dict)
     _pictures: dict[str, str] = field(default_factory=dict)
     _inputs: dict[str, str] = field(default_factory=dict)
@@ -148,7 +58,7 @@ class StepContext:
         return self._asked_for(model).result
 
     def _asked_for(self, model: type[R]) -> Stored[R]:
-        if model not in self.spec.reads:
+        if model not in self.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         return self._read_from_case(model, self.key.trajectory)
 
@@ -241,16 +151,16 @@ class StepContext:
 
     def progress(self, share: float, text: str) -> None:
         """Publish how far the step is, 0..1, and what it is doing; rests here if a pause is wanted."""
-        self._support.events.publish(Progress(step=str(self.key), share=share, text=text))
-        self._support.checkpoint.here(f"{self.key}, {text}")
+        self._events.publish(Progress(step=str(self.key), share=share, text=text))
+        self._checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
         """Watch the patient while the block runs and the arm rests, as during a motion."""
-        return self._support.checkpoint.watching(what, False)
+        return self._checkpoint.watching(what, False)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
         """Record a finding that stops nothing; of `targets`, with them."""
-        self._support.find(text, targets)
+        self._find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
         """Return the identifier of a valid result; see `result`."""
@@ -284,11 +194,11 @@ class StepContext:
         """Void the valid result of a step for every trajectory; see `void`."""
         for trajectory in (None, *self.trajectories):
             if self._case.stands(key := StepKey(model.kind, trajectory)):
-                self._support.void(key, reason)
+                self._void(key, reason)
 
     def void(self, model: type[R], reason: RonnaError) -> None:
         """Void a result and its descendants, without a new one."""
-        self._support.void(StepKey(model.kind), reason)
+        self._void(StepKey(model.kind), reason)
 
     def confirm(
         self,
@@ -308,12 +218,12 @@ class StepContext:
 
     def have_done(self, task: Task) -> tuple[float, ...]:
         """Have the room's staff do a task, and record the readings; raises PRO-002 without them."""
-        return self._support.have_done(task)
+        return self._questions.have_done(task)
 
     def have_instrument_out(self) -> None:
         """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
-        self._support.have_instrument_out()
+        self._questions.have_instrument_out()
 
     def choose(self, question: Question) -> str:
         """Have the operator choose one of a question's answers, and record it."""
-        return self._support.ask(question)
+        return self._questions.ask(question)

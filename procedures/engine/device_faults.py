@@ -7,8 +7,8 @@ from contextlib import contextmanager
 from copy import copy
 from typing import TYPE_CHECKING
 
-from procedures.engine.course import CaseProgress
-from procedures.engine.order import StepKey
+from procedures.engine.case import StepKey
+from procedures.engine.case_progress import CaseProgress
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from ronna_hw.clock import Clock
@@ -36,20 +36,20 @@ def in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown
     return ((role, known) for role, known in seen if known.state is Lifecycle.FAULT)
 
 
-def as_it_stands(role: str, seen: LastKnown[object]) -> str:
+def describe_fault(role: str, seen: LastKnown[object]) -> str:
     """Describe a device in fault by its present state, with advice.
 
     Its cause is reported even if it is in order again, so that nobody searches for it in vain.
     """
     if seen.fault is None:
-        return f"the {role} is in fault"
+        return summarize_fault(role, seen)
     facts = _facts(seen.fault, seen.says)
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
     way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
-    return f"{in_short(role, seen)}. {way_on}"
+    return f"{summarize_fault(role, seen)}. {way_on}"
 
 
-def in_short(role: str, seen: LastKnown[object]) -> str:
+def summarize_fault(role: str, seen: LastKnown[object]) -> str:
     """Describe a device in fault without advice."""
     if seen.fault is None:
         return f"the {role} is in fault"
@@ -58,7 +58,7 @@ def in_short(role: str, seen: LastKnown[object]) -> str:
     return f"the {role} is in fault ({seen.fault.code}), {now}"
 
 
-def _what_happened(seen: LastKnown[object]) -> str:
+def _cause_of(seen: LastKnown[object]) -> str:
     """Return the fault without advice: it is kept, and read when it is over."""
     return UNKNOWN if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
 
@@ -79,7 +79,7 @@ def acknowledged(
         seen = device.observe()
         if seen.state is Lifecycle.FAULT:
             recover(role)
-            yield role, _what_happened(seen)
+            yield role, _cause_of(seen)
         elif seen.state is Lifecycle.CONNECTED:
             try:
                 recover(role)
@@ -111,17 +111,17 @@ class DeviceFaults:
     @property
     def now(self) -> dict[str, str]:
         """Devices in fault, by role, with the fault."""
-        return {role: _what_happened(seen) for role, seen in in_fault(self._workcell.devices)}
+        return {role: _cause_of(seen) for role, seen in in_fault(self._workcell.devices)}
 
     @property
     def described(self) -> dict[str, str]:
         """Devices in fault, by role, in words for a person: present state and advice."""
-        return {role: as_it_stands(role, seen) for role, seen in in_fault(self._workcell.devices)}
+        return {role: describe_fault(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     @property
     def in_short(self) -> dict[str, str]:
         """Devices in fault, by role, without advice."""
-        return {role: in_short(role, seen) for role, seen in in_fault(self._workcell.devices)}
+        return {role: summarize_fault(role, seen) for role, seen in in_fault(self._workcell.devices)}
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 for an arm in fault, with its present state."""

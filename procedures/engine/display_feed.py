@@ -28,7 +28,7 @@ from procedures.engine.events import (
 )
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.tools import MountedTool
-from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.clearance.live_watch import body_segments
 from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
@@ -181,18 +181,18 @@ def _as_event(bodies: Bodies) -> BodiesEvent:
     return BodiesEvent(
         moving=tuple(Body(name=name, radius_mm=radius_mm) for name, radius_mm in moving),
         fixed=tuple(
-            _fixed(name, capsule, is_head)
+            Body(
+                name=name,
+                radius_mm=capsule.radius_mm,
+                ends_mm=_rounded(capsule.start_mm, capsule.end_mm),
+                is_head=is_head,
+            )
             for name, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
         ),
         pairs=tuple(
             (pair.moving, pair.other) for pair in bodies.pairs if not (pair.enters_head and pair.is_head)
         ),
     )
-
-
-def _fixed(name: str, capsule: Capsule, is_head: bool) -> Body:
-    ends_mm = _rounded(capsule.start_mm, capsule.end_mm)
-    return Body(name=name, radius_mm=capsule.radius_mm, ends_mm=ends_mm, is_head=is_head)
 
 
 def _rounded(*points: tuple[float, float, float]) -> tuple[float, ...]:
@@ -259,7 +259,6 @@ class DeviceWatch:
             self._bodies.publish(self._events, last=last)
 
     def _publish_volume(self, role: str, device: DeviceView) -> None:
-        """Publish the measuring volume of a tracker, once it is known."""
         if role in self._bounded or not isinstance(device, BoundedTracker):
             return
         if sections_mm := device.volume_sections_mm:

@@ -8,22 +8,23 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 
-from procedures.engine.case import Case, Stored
-from procedures.engine.context import CaseSetting, StepContext
-from procedures.engine.course import CaseProgress, unusable_inputs
+from procedures.engine.case import Case, StepKey, Stored
+from procedures.engine.case_progress import CaseProgress, unusable_inputs
+from procedures.engine.context import StepContext
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
 from procedures.engine.machine import RECOVERY, ProcedureMachine
-from procedures.engine.order import CaseOrder, Outcome, StepKey
-from procedures.engine.questions import Questions, have_done, have_instrument_out
+from procedures.engine.order import CaseOrder, Outcome
+from procedures.engine.questions import Questions
 from procedures.engine.run_folder import Recorder, close_run
+from procedures.engine.setting import CaseSetting
 from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal, JournalValue
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import OperatorAborted
-from procedures.operator.question import Question, Task
+from procedures.operator.question import Question
 from procedures.workcell.errors import WrongTool
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
@@ -63,7 +64,7 @@ class Engine:
         self.setting = setting
         self.events = EventStream(setting.clock.now_s) if events is None else events
         self.machine = ProcedureMachine(order, recovering=recovering)
-        self.questions = Questions(setting.operator, journal, setting.clock.now_s, self.events)
+        self.questions = Questions(setting, journal, self.events)
         self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
         self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock, self._recheck_tool)
         self._journal = journal
@@ -85,10 +86,6 @@ class Engine:
     def instrument_in(self) -> str | None:
         """The trajectory in which an instrument is beyond the entry, or may be."""
         return self.setting.workcell.place.instrument_may_be_inside
-
-    def status(self, key: StepKey) -> str:
-        """Return the status of a step; see `CaseProgress.status`."""
-        return self.course.status(key)
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
         """Everything that keeps a step from beginning now; empty when it may begin."""
@@ -175,31 +172,27 @@ class Engine:
             if key == last or (last is not None and self.course.settled(last)):
                 return
 
-    # While a step runs: see `StepSupport`
+    # While a step runs
 
     def context(self, key: StepKey) -> StepContext:
         """A step's view of the case."""
         return StepContext(
             key=key,
-            spec=self.order.spec(key),
+            reads=self.order.spec(key).reads,
             trajectories=self.order.trajectories,
             left_out=self.case.left_out_besides(key),
             setting=self.setting,
             _case=self.case,
-            _support=self,
+            _questions=self.questions,
+            _checkpoint=self.checkpoint,
+            _events=self.events,
+            _find=self.find,
+            _void=self.void,
         )
 
     def ask(self, question: Question) -> str:
         """The word of the operator's answer, recorded."""
         return self.questions.ask(question).word
-
-    def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have the room's staff do a task, and return the readings."""
-        return have_done(self.setting, self._journal, task)
-
-    def have_instrument_out(self) -> None:
-        """Have an instrument taken out, if one may be in the guide."""
-        have_instrument_out(self.setting, self._journal, self.ask)
 
     def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
         """Record something that the operator should know and that stops nothing; of `targets`, with them."""
@@ -238,7 +231,7 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            self.have_instrument_out()
+            self.questions.have_instrument_out()
             workcell.compare_place()
             if not workcell.place.is_home:
                 if (on := workcell.place.axis) is not None:

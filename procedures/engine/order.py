@@ -8,14 +8,13 @@ from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import StrEnum
 from itertools import groupby
-from typing import TYPE_CHECKING, Generic, TypeVar
+from typing import Generic, TypeVar
 
+from procedures.engine.case import LeftOut, StepKey
+from procedures.engine.context import StepContext
 from procedures.engine.errors import UnknownStep
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
-
-if TYPE_CHECKING:
-    from procedures.engine.context import StepContext
 
 R_co = TypeVar("R_co", bound=StepResult, covariant=True)
 MOST_NEAR = 3  # names of steps that a mistyped one is answered with
@@ -35,26 +34,6 @@ class Scope(StrEnum):
     CASE = "case"  # once
     LOCALIZATION = "localization"  # as often as the strategy localizes: once, or for each trajectory
     TRAJECTORY = "trajectory"  # for each trajectory
-
-
-@dataclass(frozen=True)
-class StepKey:
-    """One step of a case: a name, and its trajectory if it has one."""
-
-    name: str
-    trajectory: str | None = None
-
-    def __str__(self) -> str:
-        return f"{self.name}:{self.trajectory}" if self.trajectory else self.name
-
-
-@dataclass(frozen=True)
-class LeftOut:
-    """A trajectory that a result leaves out of the case."""
-
-    trajectory: str
-    reason: str
-    by: StepKey  # the step whose standing result says so; repeated, it may take the trajectory in again
 
 
 @dataclass(frozen=True)

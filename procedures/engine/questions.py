@@ -3,19 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import asdict, replace
 from time import monotonic
-from typing import TYPE_CHECKING
 
 from procedures.engine.events import Answered, EventStream, Questioned
+from procedures.engine.setting import CaseSetting
 from procedures.journal.journal import Entry, Journal
 from procedures.operator.errors import NotConfirmed
-from procedures.operator.question import Answer, Operator, Question, Task, Topic
+from procedures.operator.question import Answer, Question, Task, Topic
 from ronna_hw.wire.room_tasks import OUT
 
-if TYPE_CHECKING:
-    from procedures.engine.context import CaseSetting
+IS_OUT, INSIDE = "out", "inside"
+# In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
+IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
 
 def as_shown(question: Question, number: int) -> Questioned:
@@ -35,15 +35,11 @@ def as_shown(question: Question, number: int) -> Questioned:
 
 
 class Questions:
-    """Asks the operator of a case, and records question and answer."""
+    """Asks the operator and the room's staff of a case, and records their answers and readings."""
 
-    def __init__(
-        self, operator: Operator, journal: Journal, now_s: Callable[[], float], events: EventStream
-    ) -> None:
-        """`now_s` is the theatre's time."""
-        self._operator = operator
+    def __init__(self, setting: CaseSetting, journal: Journal, events: EventStream) -> None:
+        self._setting = setting
         self._journal = journal
-        self._now_s = now_s
         self._events = events
         self._count = 0
         self.unanswered_s: float | None = None  # the time limit in which the last question had no answer
@@ -51,11 +47,11 @@ class Questions:
     def ask(self, question: Question) -> Answer:
         """Return the operator's answer; a word that is no answer counts as silence."""
         self._count += 1
-        asked_s, began_s = self._now_s(), monotonic()
+        asked_s, began_s = self._setting.clock.now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
         numbered = replace(question, number=self._count, misread=lambda: self._misread(question))
         try:
-            answer = self._operator.ask(numbered)
+            answer = self._setting.operator.ask(numbered)
             if answer.word not in question.answers:
                 answer = Answer(question.silence)
             limit_s = question.timeout_s
@@ -63,7 +59,7 @@ class Questions:
             signed = {} if answer.signature is None else asdict(answer.signature)
             self._journal.write(
                 Entry.CONFIRMATION,
-                self._now_s(),
+                self._setting.clock.now_s(),
                 topic=question.name,
                 subject=question.subject,
                 value=question.value,
@@ -79,63 +75,58 @@ class Questions:
 
     def _misread(self, question: Question) -> None:
         """Record a failed attempt, without what was typed: it may be another patient's."""
-        self._journal.write(Entry.MISREAD, self._now_s(), topic=question.name, subject=question.subject)
-
-
-IS_OUT, INSIDE = "out", "inside"
-# In place of a trajectory: where the mandrel is while the guide is checked or its tip calibrated.
-IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
-
-
-def have_done(setting: CaseSetting, journal: Journal, task: Task) -> tuple[float, ...]:
-    """Have a task done and return its readings; raises PRO-002 if they are missing or no numbers."""
-    began_s = setting.clock.now_s()
-    readings = setting.room.work(task)
-    if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
-        raise NotConfirmed(
-            f"the readings are not finite numbers: {task.subject}",
-            expected=", ".join(task.reads),
-            got=str(readings),
+        self._journal.write(
+            Entry.MISREAD, self._setting.clock.now_s(), topic=question.name, subject=question.subject
         )
-    journal.write(
-        Entry.WORK,
-        setting.clock.now_s(),
-        task=task.name,
-        subject=task.subject,
-        trajectory=task.trajectory,
-        readings=list(readings),
-        began_s=began_s,
-    )
-    if len(readings) != len(task.reads):
-        given = f"{len(readings)} of {len(task.reads)}" if readings else "no"
-        raise NotConfirmed(f"{given} readings were given: {task.subject}", expected=", ".join(task.reads))
-    return readings
 
-
-def have_instrument_out(setting: CaseSetting, journal: Journal, ask: Callable[[Question], str]) -> None:
-    """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
-    instrument = setting.workcell.instrument
-    if (place := instrument.inside) is None:
-        return
-    trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
-    have_done(setting, journal, Task(OUT, taking_out(place), trajectory))
-    done = f"the {_what(place)} is out of {place} and out of the guide"
-    if place == IN_DIVOT:
-        done = f"{place} is lowered, and hands are clear of it and of the guide"
-    question = Question(
-        Topic.INSTRUMENT_OUT,
-        done,
-        "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
-        (IS_OUT, INSIDE),
-        trajectory,
-        timeout_s=None,
-    )
-    if ask(question) != IS_OUT:
-        raise NotConfirmed(
-            f"an instrument is still in {place}: nothing moves",
-            action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
+    def have_done(self, task: Task) -> tuple[float, ...]:
+        """Have a task done and return its readings; raises PRO-002 if they are missing or no numbers."""
+        began_s = self._setting.clock.now_s()
+        readings = self._setting.room.work(task)
+        if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
+            raise NotConfirmed(
+                f"the readings are not finite numbers: {task.subject}",
+                expected=", ".join(task.reads),
+                got=str(readings),
+            )
+        self._journal.write(
+            Entry.WORK,
+            self._setting.clock.now_s(),
+            task=task.name,
+            subject=task.subject,
+            trajectory=task.trajectory,
+            readings=list(readings),
+            began_s=began_s,
         )
-    instrument.is_out()
+        if len(readings) != len(task.reads):
+            given = f"{len(readings)} of {len(task.reads)}" if readings else "no"
+            raise NotConfirmed(f"{given} readings were given: {task.subject}", expected=", ".join(task.reads))
+        return readings
+
+    def have_instrument_out(self) -> None:
+        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
+        instrument = self._setting.workcell.instrument
+        if (place := instrument.inside) is None:
+            return
+        trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
+        self.have_done(Task(OUT, taking_out(place), trajectory))
+        done = f"the {_what(place)} is out of {place} and out of the guide"
+        if place == IN_DIVOT:
+            done = f"{place} is lowered, and hands are clear of it and of the guide"
+        question = Question(
+            Topic.INSTRUMENT_OUT,
+            done,
+            "nothing moves while it is inside; afterwards the arm may move: stand clear before you answer",
+            (IS_OUT, INSIDE),
+            trajectory,
+            timeout_s=None,
+        )
+        if self.ask(question) != IS_OUT:
+            raise NotConfirmed(
+                f"an instrument is still in {place}: nothing moves",
+                action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
+            )
+        instrument.record_removal()
 
 
 def taking_out(place: str) -> str:

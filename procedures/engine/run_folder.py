@@ -10,9 +10,8 @@ from typing import Protocol, TypeVar
 
 from pydantic import ValidationError
 
-from procedures.engine.case import Stored, without_ancestors
-from procedures.engine.context import ClinicalInput
-from procedures.engine.order import StepKey
+from procedures.engine.case import StepKey, Stored, without_ancestors
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.journal.results import StepResult

@@ -5,6 +5,7 @@ from __future__ import annotations
 import shutil
 import time
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
 from procedures.engine.engine import Engine
@@ -70,19 +71,18 @@ def sight_guard(engine: Engine, void: Void) -> HeadInSight:
     return HeadInSight(setting.workcell, setting.clock, setting.memory, void)
 
 
+@dataclass
 class ArmLink:
     """The robot link: the arm's pose is fresh, and few cycles since the last checkpoint were late or lost."""
 
-    name = "robot link"
-
-    def __init__(self, workcell: Workcell) -> None:
-        self._workcell = workcell
-        self._since: LinkStatistics | None = None
-        self._verdict: str | None = None
+    workcell: Workcell
+    name: str = "robot link"
+    _since: LinkStatistics | None = None
+    _verdict: str | None = None
 
     def unmet(self) -> str | None:
         """Describe an old pose or a bad link."""
-        seen = self._workcell.arm.observe()
+        seen = self.workcell.arm.observe()
         if seen.state not in RUNNING:  # motions report a fault themselves
             self._since = self._verdict = None
             return None
@@ -94,7 +94,7 @@ class ArmLink:
         return self._quality()
 
     def _quality(self) -> str | None:
-        now = self._workcell.link_statistics()
+        now = self.workcell.link_statistics()
         since = self._since
         if since is None or now.cycles < since.cycles:
             self._since = now
@@ -112,42 +112,42 @@ class ArmLink:
         return self._verdict
 
 
+@dataclass
 class DiskSpace:
     """Free space where the run is written: suspend before the journal can no longer be written."""
 
-    name = "disk space"
-
-    def __init__(self, folder: Path, least_bytes: int = LEAST_FREE_BYTES) -> None:
-        self._folder = folder
-        self._least_bytes = least_bytes
+    folder: Path
+    least_bytes: int = LEAST_FREE_BYTES
+    name: str = "disk space"
 
     def unmet(self) -> str | None:
         """Describe too little free space."""
         try:
-            free = shutil.disk_usage(self._folder).free
+            free = shutil.disk_usage(self.folder).free
         except OSError as error:
             return f"the run folder cannot be read ({error.strerror}): mount it again"
-        if free >= self._least_bytes:
+        if free >= self.least_bytes:
             return None
         return (
-            f"{free // MEGABYTE} MB free where the run is written, {self._least_bytes // MEGABYTE} MB "
+            f"{free // MEGABYTE} MB free where the run is written, {self.least_bytes // MEGABYTE} MB "
             "required: delete files there that are no longer needed"
         )
 
 
+@dataclass
 class ToolStillMounted:
-    """The checked tool is still mounted, according to the controller while the arm's stream runs."""
+    """The checked tool is still mounted, according to the controller while the arm's stream runs.
 
-    name = "mounted tool"
+    `doubt_tool` is told when another tool is reported, and may end the step.
+    """
 
-    def __init__(self, workcell: Workcell, doubt_tool: Callable[[str], None]) -> None:
-        """`doubt_tool` is told when another tool is reported, and may end the step."""
-        self._workcell = workcell
-        self._doubt_tool = doubt_tool
+    workcell: Workcell
+    doubt_tool: Callable[[str], None]
+    name: str = "mounted tool"
 
     def unmet(self) -> str | None:
         """Describe the tool reported instead of the checked one."""
-        workcell = self._workcell
+        workcell = self.workcell
         expected = workcell.mount.checked_number
         if expected is None or workcell.arm.observe().state not in RUNNING:
             return None
@@ -159,7 +159,7 @@ class ToolStillMounted:
             return None
         reported = f"tool {mounted}" if mounted else "no tool"
         found = f"the controller reports {reported} instead of the {workcell.tool}"
-        self._doubt_tool(found)
+        self.doubt_tool(found)
         return f"{found}: mount the {workcell.tool} again"
 
 

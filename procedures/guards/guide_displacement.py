@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.engine.context import CaseMemory
+from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
 from procedures.workcell import Workcell

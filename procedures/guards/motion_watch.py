@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, field
 
-from procedures.engine.context import CaseMemory
+from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved
 from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.guards.head_frames import HeadFrames

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.engine.context import CaseMemory
+from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
 from procedures.guards.room_reading import FRAMES, RoomReading, ghosts_of, read_room
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES

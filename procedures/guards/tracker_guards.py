@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from statistics import median
 
-from procedures.engine.context import CaseMemory
+from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import MOST_UNSEEN_S, RoomWatch, check_now
 from procedures.operator.question import Topic
 from procedures.workcell import Workcell
@@ -52,27 +52,25 @@ def late_s(tracker: OpticalTracker) -> float | None:
     return usual_s if usual_s > LATE_S else None
 
 
+@dataclass
 class TrackerLink:
     """Guard of the delay of replies, whoever read them; while they are late it reads itself."""
 
-    name = "tracker link"
-
-    def __init__(self, tracker: OpticalTracker, memory: CaseMemory, now_s: Callable[[], float]) -> None:
-        """`now_s` is the theatre's time."""
-        self._tracker = tracker
-        self._memory = memory
-        self._now_s = now_s
-        self._looked_s = -math.inf
+    tracker: OpticalTracker
+    memory: CaseMemory
+    now_s: Callable[[], float]  # theatre time
+    name: str = "tracker link"
+    _looked_s: float = -math.inf
 
     def unmet(self) -> str | None:
         """Describe late replies, while a step reads or a guide approaches the head or is held there."""
-        if not self._in_use or late_s(self._tracker) is None:
+        if not self._in_use or late_s(self.tracker) is None:
             return None
-        if self._now_s() - self._looked_s >= BETWEEN_LOOKS_S:
+        if self.now_s() - self._looked_s >= BETWEEN_LOOKS_S:
             with contextlib.suppress(RonnaError):  # a lost reply; what lasts is latched by the tracker
                 self._look()
-            self._looked_s = self._now_s()
-        late = late_s(self._tracker)
+            self._looked_s = self.now_s()
+        late = late_s(self.tracker)
         if late is None:
             return None
         return (
@@ -83,55 +81,53 @@ class TrackerLink:
     @property
     def _in_use(self) -> bool:
         """Whether the tracker is needed now; nothing holds up the way out."""
-        if self._tracker.state is Lifecycle.CONFIGURED:
-            room = self._memory.find(RoomWatch)
+        if self.tracker.state is Lifecycle.CONFIGURED:
+            room = self.memory.find(RoomWatch)
             return room is not None and room.approached
-        return self._tracker.state is Lifecycle.ACTIVE
+        return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
         """Read until one reply is late again, or enough are not."""
-        with self._tracker.active() as tracker:
+        with self.tracker.active() as tracker:
             for _ in range(JUDGED):
                 tracker.read_frame()
                 if isinstance(tracker, TimedTracker) and tracker.replies_s[-1] > LATE_S:
                     return
 
 
+@dataclass
 class LineOfSight:
     """Guard of the sight of the reference frame; while it is lost, it reads frames itself."""
 
-    name = "line of sight"
-
-    def __init__(self, tracker: OpticalTracker, frame: str, now_s: Callable[[], float]) -> None:
-        """`frame` is the tracker's name for the reference frame, `now_s` the theatre's time."""
-        self._tracker = tracker
-        self._frame = frame
-        self._now_s = now_s
-        self._lost_since_s: float | None = None
+    tracker: OpticalTracker
+    frame: str  # the tracker's name for the reference frame
+    now_s: Callable[[], float]  # theatre time
+    name: str = "line of sight"
+    _lost_since_s: float | None = None
 
     def unmet(self) -> str | None:
         """Describe why the frame has no pose, once that has lasted."""
-        if self._tracker.state is not Lifecycle.ACTIVE or self._validity() is Validity.OK:
+        if self.tracker.state is not Lifecycle.ACTIVE or self._validity() is Validity.OK:
             self._lost_since_s = None
             return None
-        now_s = self._now_s()
+        now_s = self.now_s()
         if self._lost_since_s is None:
             self._lost_since_s = now_s
         if now_s - self._lost_since_s < FRAME_PATIENCE_S:
             return None
         with contextlib.suppress(RonnaError):  # a lost reply; what lasts is latched by the tracker
-            self._tracker.read_frame()
+            self.tracker.read_frame()
         if self._validity() is Validity.OK:
             self._lost_since_s = None
             return None
         return (
-            f"the tracker does not see the reference frame {self._frame} ({self._validity()}): clear "
+            f"the tracker does not see the reference frame {self.frame} ({self._validity()}): clear "
             "the line of sight between tracker and arm"
         )
 
     def _validity(self) -> Validity:
-        frame = self._tracker.observe().reading
-        return Validity.OK if frame is None else frame.tool(self._frame).validity
+        frame = self.tracker.observe().reading
+        return Validity.OK if frame is None else frame.tool(self.frame).validity
 
 
 @dataclass

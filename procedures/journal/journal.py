@@ -90,7 +90,6 @@ class Journal:
 
     @contextlib.contextmanager
     def _closed_on_error(self) -> Iterator[None]:
-        """Close the journal if opening it fails."""
         try:
             yield
         except JournalNotWritable:

@@ -11,8 +11,8 @@ from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 
 if TYPE_CHECKING:
-    from procedures.engine.context import ClinicalInput
     from procedures.engine.order import CaseOrder
+    from procedures.engine.setting import ClinicalInput
     from procedures.planning.plan_lock import HeldPlan
     from procedures.planning.plan_model import Plan
     from procedures.runs.engine_setup import EngineInput
@@ -27,7 +27,7 @@ def case_folder(case: CaseProcedure, folder: Path) -> Path:
 
 def clinical_input(case: CaseProcedure, folder: Path, plan: HeldPlan | None = None) -> ClinicalInput:
     """Return CT, plan and strategy of a run, with the hash of its plan as held."""
-    from procedures.engine.context import ClinicalInput
+    from procedures.engine.setting import ClinicalInput
     from procedures.strategies.catalogue import strategy_named
 
     place = case_folder(case, folder)
@@ -80,7 +80,7 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the steps of a case; `held` holds its plan."""
     from procedures.calibration.validity import options_of, require_valid
-    from procedures.engine.context import this_second
+    from procedures.engine.setting import this_second
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput

@@ -48,7 +48,7 @@ def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
     """Finish an interrupted case; one of which only the last line is missing needs no theatre."""
-    from procedures.engine.course import CaseProgress
+    from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_complete
 

@@ -218,7 +218,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     workcell = engine.setting.workcell
     changed = engine.case.find(MountedGuide, None) is not None
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
-    found = workcell.identify_mounted()
+    found = workcell.mount.identify()
     if found is expected:
         comparison.same(f"the {found}")
     elif exchange_begun and not workcell.place.on_axis:

@@ -9,13 +9,12 @@ from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting, this_second
+from procedures.engine.case import Case, StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory, EventStream
 from procedures.engine.events.event_file import EventFile
-from procedures.engine.order import StepKey
 from procedures.engine.replay.recorded_answers import opening_line, section_follower
+from procedures.engine.setting import CaseSetting, this_second
 from procedures.guards import (
     GuideDisplacement,
     TrackerLink,
@@ -47,8 +46,8 @@ from ronna_hw.software import this_software
 from ronna_hw.theatre import Theatre
 
 if TYPE_CHECKING:
-    from procedures.engine.context import ClinicalInput
     from procedures.engine.order import CaseOrder
+    from procedures.engine.setting import ClinicalInput
     from procedures.steps.calibration.recipe import Recipe
     from ronna_hw.config import Calibrations
 

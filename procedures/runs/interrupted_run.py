@@ -6,9 +6,9 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
-from procedures.engine.case import Case, Stored
-from procedures.engine.course import CaseProgress
-from procedures.engine.order import CaseOrder, StepKey
+from procedures.engine.case import Case, StepKey, Stored
+from procedures.engine.case_progress import CaseProgress
+from procedures.engine.order import CaseOrder
 from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
 from procedures.workcell.arm_history import ArmHistory, history_left_by

@@ -10,9 +10,9 @@ from __future__ import annotations
 import shlex
 from collections.abc import Sequence
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.order import StepKey
 from procedures.engine.questions import IN_DIVOT, IN_GAUGE, taking_out
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
@@ -131,10 +131,10 @@ def _take_up_arm(
             f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
     elif workcell.instrument.inside is None and guide_in_gauge(engine):
-        workcell.instrument.assume_inside(IN_GAUGE)
+        workcell.instrument.record_assumed(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
     elif workcell.instrument.inside is None and guide_at_divot(engine):
-        workcell.instrument.assume_inside(IN_DIVOT)
+        workcell.instrument.record_assumed(IN_DIVOT)
         comparison.warn("the guide is at the divot, which is assumed to be raised")
 
 
@@ -244,7 +244,7 @@ def _step_of(record: Record) -> StepKey:
 def _way_out(engine: Engine) -> bool:
     """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    engine.have_instrument_out()
+    engine.questions.have_instrument_out()
     following = engine.upcoming
     if (
         workcell.place.on_axis

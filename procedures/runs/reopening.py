@@ -8,8 +8,8 @@ from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
-from procedures.engine.context import ClinicalInput
 from procedures.engine.run_folder import close_run
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
 from procedures.reporting.files import KEPT_TRUTH, drop_unconfirmed_truth

@@ -10,9 +10,9 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.order import StepKey
 from procedures.engine.run_folder import typed
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
@@ -23,7 +23,7 @@ from procedures.steps.clinical.positioning import PositionedGuide, insertion_for
 from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.surroundings import surround_guide, surround_stereo_head
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_place import stands_at
+from procedures.workcell.arm_history import stands_at
 from procedures.workcell.ball_watcher import around_ball, in_free_room, stand_under
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.frames import Transform

@@ -170,35 +170,6 @@ WRONG_SPHERE = Branch(
     Ending.HOLD,
     (GateFailed,),
 )
-MOVED_SPHERE = Branch(
-    "the fit disagrees with its own error budget, and one sphere alone explains it",
-    "chi-square gate, then leaving out one sphere at a time",
-    ("registration",),
-    "the sphere is named; registration without it if the operator agrees",
-    Ending.ASK,
-    (GateFailed,),
-    Topic.MOVED_SPHERE,
-    (LEAVE_OUT, HOLD),
-)
-FIT_DISAGREES = Branch(
-    "the fit disagrees with its own error budget, and no single sphere explains it",
-    "chi-square gate, then leaving out one sphere at a time",
-    ("registration",),
-    "localize again",
-    Ending.HOLD,
-    (GateFailed,),
-)
-REFERENCE_MOVED = Branch(
-    "the patient's reference has moved: head, cart or tracker",
-    "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
-    "guide moves and while it is at its target",
-    ("relocalization", "tool_change", "positioning", "at_target", "retreat", "confirmation"),
-    "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
-    "the tracker localizes again. After a small move with the guide mounted, only the registrations "
-    "are void, and may follow the move",
-    Ending.HOLD,
-    (BaseShifted, PatientMoved),
-)
 CART_MISPLACED = Branch(
     "the cart is not where `ronna-plan place` proposed",
     "place.json of the case against the frame on the arm and the spheres, both as seen by the tracker",
@@ -218,6 +189,17 @@ CART_UNLOCKED = Branch(
     "nothing is localized and nothing moves; it is locked and leaned on again",
     Ending.HOLD,
     (CartNotLocked,),
+)
+REFERENCE_MOVED = Branch(
+    "the patient's reference has moved: head, cart or tracker",
+    "known spheres and the frame on the arm, at rest before and after motions; the spheres also while the "
+    "guide moves and while it is at its target",
+    ("relocalization", "tool_change", "positioning", "at_target", "retreat", "confirmation"),
+    "the arm stops; the localization is void: the arm goes home, the stereo head is mounted again and "
+    "the tracker localizes again. After a small move with the guide mounted, only the registrations "
+    "are void, and may follow the move",
+    Ending.HOLD,
+    (BaseShifted, PatientMoved),
 )
 CART_MOVED = Branch(
     "the cart or the tracker has moved; whatever depends on its position is void",
@@ -241,6 +223,24 @@ MOVE_FOLLOWED = Branch(
     (PatientMoved,),
     Topic.MOVE_FOLLOWED,
     (FOLLOW, HOLD),
+)
+MOVED_SPHERE = Branch(
+    "the fit disagrees with its own error budget, and one sphere alone explains it",
+    "chi-square gate, then leaving out one sphere at a time",
+    ("registration",),
+    "the sphere is named; registration without it if the operator agrees",
+    Ending.ASK,
+    (GateFailed,),
+    Topic.MOVED_SPHERE,
+    (LEAVE_OUT, HOLD),
+)
+FIT_DISAGREES = Branch(
+    "the fit disagrees with its own error budget, and no single sphere explains it",
+    "chi-square gate, then leaving out one sphere at a time",
+    ("registration",),
+    "localize again",
+    Ending.HOLD,
+    (GateFailed,),
 )
 BEYOND_MARGIN = Branch(
     "the predicted error at a target exceeds the plan's margin",
@@ -364,34 +364,4 @@ ABORTED = Branch(
     (OperatorAborted,),
 )
 
-BRANCHES = (
-    SPHERE_COUNT,
-    CT_DISAGREEMENT,
-    SIGHT_LOST,
-    GUARD_UNMET,
-    HEAD_UNSEEN,
-    AMBIGUOUS,
-    MIRRORED_CT,
-    UNMATCHED_SPHERE,
-    SPHERE_FAILED,
-    WRONG_SPHERE,
-    CART_MISPLACED,
-    CART_UNLOCKED,
-    REFERENCE_MOVED,
-    CART_MOVED,
-    MOVE_FOLLOWED,
-    MOVED_SPHERE,
-    FIT_DISAGREES,
-    BEYOND_MARGIN,
-    UNREACHABLE,
-    NOT_CLEAR_NOW,
-    ARM_FAULT,
-    KEPT_REGISTRATION,
-    WRONG_TOOL,
-    TOOL_BESIDE_GAUGE,
-    WRONG_STOP,
-    WORK_BEGUN,
-    GUIDE_PUSHED,
-    INSTRUMENT_INSIDE,
-    ABORTED,
-)
+BRANCHES = tuple(row for row in tuple(globals().values()) if isinstance(row, Branch))  # in this order

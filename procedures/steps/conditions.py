@@ -22,7 +22,7 @@ def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tupl
         reasons = []
         workcell = context.workcell
         if workcell.tool is MountedTool.UNKNOWN:
-            workcell.identify_mounted()
+            workcell.mount.identify()
         if workcell.tool is not tool:
             instead = remedy if workcell.tool is MountedTool.GUIDE else ""
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")

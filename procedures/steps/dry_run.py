@@ -9,9 +9,8 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting
-from procedures.engine.order import StepKey
+from procedures.engine.case import Case, StepKey
+from procedures.engine.setting import CaseSetting
 from procedures.planning.motions import BACK, HOME, LINE, MOVE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials

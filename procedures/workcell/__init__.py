@@ -1,6 +1,6 @@
 """The workcell: the only way in which procedures look and move."""
 
-from procedures.workcell.arm_place import Insertion
+from procedures.workcell.arm_history import Insertion
 from procedures.workcell.tools import MountedTool
 from procedures.workcell.workcell import Workcell
 

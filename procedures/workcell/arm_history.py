@@ -6,26 +6,175 @@ case therefore knows what the running one knew.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from enum import StrEnum
 from functools import reduce
 from typing import cast
 
+import numpy as np
+
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
-from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
-from procedures.workcell.errors import InstrumentInGuide
-from procedures.workcell.motions import MotionKind
+from procedures.journal.results import FramedPose, Values
+from procedures.strategies.trajectory import back_along_axis
+from procedures.workcell.errors import TipOffAxis
 from ronna_hw.clock import Clock
 from ronna_hw.config import MASTER
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
+from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
+# Nominal tip frame against the axis. A settled arm is within 0.05 mm; ten times that is beyond rounding, and
+# still less than what bends a needle.
+ON_AXIS_MM = 0.5
+ON_AXIS_RAD = math.radians(0.5)
+AT_PLACE_RAD = math.radians(0.1)  # far more than the arm's repeatability, far less than any motion
 # Places kept for the way back; without the first ones it could end where the way home is not clear. A
 # localized sphere adds six or seven, many more if it is searched for: 3 trajectories with 5 spheres each made
 # 92 between two visits of home, so 4 with 8 come near 200 without any search.
 TRAIL = 2000
 Stages = Mapping[str, Mapping[str, bool]]  # trajectory -> task -> whether it was confirmed as done
 Stop = Mapping[str, JournalValue]  # setting of a depth stop
+
+
+class JournalledAxis(Values):
+    """An insertion in the journal."""
+
+    held: FramedPose
+    travel_mm: float
+    arriving: tuple[int, ...] | None = None
+
+
+@dataclass(frozen=True)
+class Insertion:
+    """The line along which a guide may move near the head.
+
+    `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin; `travel_mm` the distance
+    along the axis from the start of the approach, where the retreat ends. `arriving` (+1 or -1) is the
+    direction in which each joint arrives there, if known.
+    """
+
+    trajectory: str
+    held: Transform
+    travel_mm: float
+    arriving: tuple[int, ...] | None = None
+
+    def as_plain(self) -> dict[str, JournalValue]:
+        """Plain values for the journal: all that is needed to find the way out again."""
+        axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm, arriving=self.arriving)
+        return axis.model_dump(mode="json")
+
+    @classmethod
+    def from_plain(cls, trajectory: str, axis: object) -> Insertion:
+        """Read an insertion back from the journal. Raises ValueError."""
+        read = JournalledAxis.model_validate(axis)
+        return cls(trajectory, read.held.transform, read.travel_mm, read.arriving)
+
+    @property
+    def start(self) -> Transform:
+        """The pose on the axis where the approach begins."""
+        return back_along_axis(self.held, self.travel_mm)
+
+    def beyond_start_mm(self, tool: Transform) -> float:
+        """Distance of a pose ROBOT <- TOOL along the axis; negative before the start of the approach."""
+        along_mm = self.start.inverse().apply(tool.translation_mm)[2]
+        return float(along_mm)
+
+    def check_on_axis(self, tool: Transform) -> None:
+        """Raise PRO-015 unless origin and direction of a pose ROBOT <- TOOL are on the axis."""
+        tip_mm = self.held.inverse().apply(tool.translation_mm)
+        off_mm = float(np.hypot(tip_mm[0], tip_mm[1]))
+        cosine = float(tool.rotation_matrix[:, 2] @ self.held.rotation_matrix[:, 2])
+        turned_rad = math.acos(min(1.0, max(-1.0, cosine)))
+        if off_mm > ON_AXIS_MM or turned_rad > ON_AXIS_RAD:
+            raise TipOffAxis(
+                f"the guide is not on the axis of {self.trajectory}",
+                limit=f"{ON_AXIS_MM:g} mm, {math.degrees(ON_AXIS_RAD):g} deg",
+                got=f"{off_mm:.2f} mm, {math.degrees(turned_rad):.2f} deg",
+            )
+
+
+class MotionKind(StrEnum):
+    """Kind of a motion, as named in the journal."""
+
+    START = "start"  # a confirmed start: an unverified controller is tested by a micro-move
+    GO = "go"
+    HOME = "home"
+    BACK = "back"
+    STEP = "step"
+    SETTLE = "settle"
+    LINE = "line"
+    INSERT = "insert"
+    WITHDRAW = "withdraw"
+
+
+class Where(StrEnum):
+    """Place of an arm according to the journal."""
+
+    HOME = "home"
+    AWAY = "away from home"
+    ON_AXIS = "on the axis of a trajectory"
+    MOVING = "moving"
+    UNKNOWN = "not known"
+
+
+@dataclass(frozen=True)
+class ArmPlace:
+    """Place of one arm, folded from the journal by `ArmHistory`.
+
+    `axis` is set from the intent to insert the guide to the end of its withdrawal, also during these motions
+    and after a kill in one. `instrument_may_be_inside` names a trajectory, the gauge or the divot; `assumed`
+    says that no line of the journal put it there.
+    """
+
+    where: Where = Where.UNKNOWN
+    axis: Insertion | None = None
+    withdrawn_from: str | None = None  # the trajectory that the guide left last, if it is on none
+    instrument_may_be_inside: str | None = None
+    assumed: bool = False
+    moved: bool = False  # by a motion of this run
+
+    @property
+    def is_home(self) -> bool:
+        """Whether the arm is at home."""
+        return self.where is Where.HOME
+
+    @property
+    def is_out(self) -> bool:
+        """Whether the arm may be away from home, by a motion of the run or by measurement."""
+        return not self.is_home and (self.moved or self.where is not Where.UNKNOWN)
+
+    @property
+    def trajectory(self) -> str | None:
+        """Trajectory on whose axis the guide is, or may be."""
+        return None if self.axis is None else self.axis.trajectory
+
+    @property
+    def on_axis(self) -> bool:
+        """Whether the guide is, or may be, on the axis of a trajectory."""
+        return self.axis is not None
+
+    @property
+    def why_held(self) -> tuple[str, ...]:
+        """Reason why only a retreat is possible; empty unless the guide is on an axis."""
+        if self.trajectory is None:
+            return ()
+        return (f"the guide is held in front of the entry of {self.trajectory}",)
+
+    @property
+    def instrument_in_words(self) -> str | None:
+        """State in words that an instrument is, or may be, inside; None if it is out."""
+        if (inside := self.instrument_may_be_inside) is None:
+            return None
+        return f"an instrument {'may still be' if self.assumed else 'is still'} in {inside}"
+
+
+def stands_at(
+    joints_rad: Sequence[float], place_rad: Sequence[float], within_rad: float = AT_PLACE_RAD
+) -> bool:
+    """Whether every joint is within a small angle of a place, by default `AT_PLACE_RAD`."""
+    return all(abs(here - there) < within_rad for here, there in zip(joints_rad, place_rad, strict=True))
 
 
 @dataclass(frozen=True)
@@ -204,70 +353,3 @@ class ArmLog:
     def is_home(self, joints_rad: JointVector) -> bool | None:
         """Whether these joints are those of home; None before there is a home."""
         return None if self.home_rad is None else stands_at(joints_rad, self.home_rad)
-
-
-class WorkedStages:
-    """Stages of work through the guide, by trajectory; they survive motions, failures and restarts.
-
-    A stage is journalled as begun before anybody works, and as done once that is confirmed.
-    """
-
-    def __init__(self, log: ArmLog) -> None:
-        self._log = log
-
-    def at(self, trajectory: str) -> Mapping[str, bool]:
-        """Whether each stage begun at a trajectory was confirmed as done, by task."""
-        return self._log.history.stages.get(trajectory, {})
-
-    def stop_at(self, trajectory: str) -> Stop | None:
-        """Last setting of the depth stop at a trajectory, or None."""
-        return self._log.history.stops.get(trajectory)
-
-    def stop_is_set(self, trajectory: str, stop: Stop) -> None:
-        """Record that the depth stop was set, read and confirmed."""
-        self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
-
-    def begins(self, trajectory: str, task: str) -> None:
-        """Record that a stage begins."""
-        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
-
-    def is_done(self, trajectory: str, task: str) -> None:
-        """Record that somebody confirmed a stage as done."""
-        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=True)
-
-
-class Instrument:
-    """The instrument in the guide: while it is, or may be, in an entry or in the gauge, nothing moves.
-
-    An insertion is journalled before it begins, a removal once it is confirmed.
-    """
-
-    def __init__(self, log: ArmLog) -> None:
-        self._log = log
-        self.stages = WorkedStages(log)
-
-    @property
-    def inside(self) -> str | None:
-        """Trajectory, gauge or divot in which it is or may be; None while it is out."""
-        return self._log.history.place.instrument_may_be_inside
-
-    def goes_in(self, trajectory: str) -> None:
-        """Record that it goes in."""
-        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
-
-    def is_out(self) -> None:
-        """Record that somebody confirmed that it is out."""
-        if self.inside is not None:
-            self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
-
-    def assume_inside(self, trajectory: str) -> None:
-        """Record that it may be inside although no earlier line says so."""
-        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
-
-    def require_out(self, what: str) -> None:
-        """Raise TOOL-001 while it is inside; `what` is the refused action."""
-        if self.inside is not None:
-            raise InstrumentInGuide(
-                f"{what}: an instrument is in the guide, and in {self.inside}",
-                expected="the instrument removed, and confirmed to be out",
-            )

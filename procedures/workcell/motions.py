@@ -8,30 +8,15 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from enum import StrEnum
 from typing import Protocol
 
 from procedures.journal.journal import JournalValue
 from procedures.operator.question import ReadBack
-from procedures.workcell.arm_place import Insertion
+from procedures.workcell.arm_history import Insertion, MotionKind
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.devices import JointMove, Motion, RobotArm
 from ronna_hw.vectors import JointVector
-
-
-class MotionKind(StrEnum):
-    """Kind of a motion, as named in the journal."""
-
-    START = "start"  # a confirmed start: an unverified controller is tested by a micro-move
-    GO = "go"
-    HOME = "home"
-    BACK = "back"
-    STEP = "step"
-    SETTLE = "settle"
-    LINE = "line"
-    INSERT = "insert"
-    WITHDRAW = "withdraw"
 
 
 @dataclass(frozen=True)

@@ -15,8 +15,8 @@ from procedures.journal.journal import Entry, JournalValue
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
-from procedures.workcell.arm_history import ArmLog
-from procedures.workcell.motions import MotionKind, PlannedMotion, in_a_question, motion_facts
+from procedures.workcell.arm_history import ArmLog, MotionKind
+from procedures.workcell.motions import PlannedMotion, in_a_question, motion_facts
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -116,16 +116,13 @@ class SupervisedMotion:
         for device in devices:
             if device.state is not Lifecycle.CONFIGURED:
                 continue
-            words = device.to_confirm if isinstance(device, ConfirmedStart) else None
-            if isinstance(device, ConfirmedStart) and words is not None and self._confirm_start(words):
-                device.confirm_start(OPERATOR)
-                self._start_arm(device)
-            else:
-                device.activate()
-
-    def _confirm_start(self, words: str) -> bool:
-        self._confirmed = False
-        return self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words))
+            if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
+                self._confirmed = False
+                if self._require_yes(Question(Topic.UNVERIFIED, "start the arm", words)):
+                    device.confirm_start(OPERATOR)
+                    self._start_arm(device)
+                    continue
+            device.activate()
 
     def _start_arm(self, arm: Device) -> None:
         def drive() -> ArmReading:

@@ -1,13 +1,15 @@
-"""The tool on an arm: its mount, by the controller's inputs, and its poses, by the arm's calibration."""
+"""The tool on an arm, its poses by the arm's calibration, and the instrument in its guide."""
 
 from __future__ import annotations
 
 import contextlib
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
 
-from procedures.workcell.errors import AnotherArm, WrongTool
+from procedures.journal.journal import Entry
+from procedures.workcell.arm_history import ArmLog, Stop
+from procedures.workcell.errors import AnotherArm, InstrumentInGuide, WrongTool
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kinematics import Kinematics
@@ -137,3 +139,70 @@ class CarriedTool:
             return pose
         flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
         return flange.to_transform() @ self.flange_from_tool
+
+
+class WorkedStages:
+    """Stages of work through the guide, by trajectory; they survive motions, failures and restarts.
+
+    A stage is journalled as begun before anybody works, and as done once that is confirmed.
+    """
+
+    def __init__(self, log: ArmLog) -> None:
+        self._log = log
+
+    def at(self, trajectory: str) -> Mapping[str, bool]:
+        """Whether each stage begun at a trajectory was confirmed as done, by task."""
+        return self._log.history.stages.get(trajectory, {})
+
+    def stop_at(self, trajectory: str) -> Stop | None:
+        """Last setting of the depth stop at a trajectory, or None."""
+        return self._log.history.stops.get(trajectory)
+
+    def record_stop(self, trajectory: str, stop: Stop) -> None:
+        """Record that the depth stop was set, read and confirmed."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
+
+    def record_begin(self, trajectory: str, task: str) -> None:
+        """Record that a stage begins."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
+
+    def record_done(self, trajectory: str, task: str) -> None:
+        """Record that somebody confirmed a stage as done."""
+        self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=True)
+
+
+class Instrument:
+    """The instrument in the guide: while it is, or may be, in an entry or in the gauge, nothing moves.
+
+    An insertion is journalled before it begins, a removal once it is confirmed.
+    """
+
+    def __init__(self, log: ArmLog) -> None:
+        self._log = log
+        self.stages = WorkedStages(log)
+
+    @property
+    def inside(self) -> str | None:
+        """Trajectory, gauge or divot in which it is or may be; None while it is out."""
+        return self._log.history.place.instrument_may_be_inside
+
+    def record_insertion(self, trajectory: str) -> None:
+        """Record that it goes in."""
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
+
+    def record_removal(self) -> None:
+        """Record that somebody confirmed that it is out."""
+        if self.inside is not None:
+            self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
+
+    def record_assumed(self, trajectory: str) -> None:
+        """Record that it may be inside although no earlier line says so."""
+        self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
+
+    def require_out(self, what: str) -> None:
+        """Raise TOOL-001 while it is inside; `what` is the refused action."""
+        if self.inside is not None:
+            raise InstrumentInGuide(
+                f"{what}: an instrument is in the guide, and in {self.inside}",
+                expected="the instrument removed, and confirmed to be out",
+            )

@@ -16,14 +16,22 @@ from procedures.journal.journal import Entry, Journal
 from procedures.operator.question import Topic
 from procedures.planning.tool_records import ToolRecords
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
-from procedures.workcell.arm_history import UNMOVED, ArmHistory, ArmLog, Instrument
-from procedures.workcell.arm_place import ArmPlace, Insertion, Where, stands_at
+from procedures.workcell.arm_history import (
+    UNMOVED,
+    ArmHistory,
+    ArmLog,
+    ArmPlace,
+    Insertion,
+    MotionKind,
+    Where,
+    stands_at,
+)
 from procedures.workcell.device_views import ArmView, DeviceView
 from procedures.workcell.errors import InstrumentInside
-from procedures.workcell.motions import MotionKind, PlannedMotion
+from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.stereo_look import Look, Sensors, look
 from procedures.workcell.supervised_motion import SupervisedMotion
-from procedures.workcell.tools import CarriedTool, MountedTool, Sides, ToolMount, calibrated_arm
+from procedures.workcell.tools import CarriedTool, Instrument, MountedTool, Sides, ToolMount, calibrated_arm
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.config import MASTER, Calibrations
 from ronna_hw.devices import JointMove, LineMove, OpticalTracker, RobotArm, StereoPair
@@ -119,14 +127,6 @@ class Workcell:
     def tool(self) -> MountedTool:
         """The tool found mounted at the last check."""
         return self.mount.tool
-
-    def check_mounted(self, tool: MountedTool) -> int:
-        """Read the tool's number from the controller's inputs. Raises PRO-009 if another tool is mounted."""
-        return self.mount.check(tool)
-
-    def identify_mounted(self) -> MountedTool:
-        """Identify the mounted tool by the controller's inputs; UNKNOWN unless it is one of ours."""
-        return self.mount.identify()
 
     def reported_tool_number(self) -> int:
         """Number reported by the controller's inputs now; 0 is none."""
@@ -308,7 +308,7 @@ class Workcell:
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
         self._require_outside(MotionKind.INSERT)
-        self.check_mounted(MountedTool.GUIDE)
+        self.mount.check(MountedTool.GUIDE)
         return self.supervised.carry_out(self.inserting(insertion))
 
     def hold(self) -> None:

@@ -132,7 +132,7 @@ def test_results_computed_from_another_ct_or_plan_move_nothing(
     with pytest.raises(StepRefused):
         engine.run_step(engine.order.find(POSITIONING))
     assert motions(cell) == []
-    assert engine.status(engine.order.find(RegisteredRobot.kind)) == "superseded"
+    assert engine.course.status(engine.order.find(RegisteredRobot.kind)) == "superseded"
 
 
 @pytest.mark.hazard(1)

@@ -28,7 +28,7 @@ DATING = {
     "procedures/journal/journal.py",
     "procedures/guards/default_guards.py",
     "procedures/engine/events/stream.py",
-    "procedures/engine/context.py",
+    "procedures/engine/setting.py",
     "procedures/runs/comparison.py",
     "ronna_hw/recording/flight_recorder.py",
     "procedures/reporting/report.py",

@@ -145,7 +145,8 @@ def test_a_wrong_read_back_is_shown_and_recorded_without_the_typed_text(
     monkeypatch.setattr("sys.stderr", screen := Screen(keyboard, *typed))
     cell = RecordingCell(tmp_path)
     events = EventStream(lambda: 0.0)
-    questions = Questions(TerminalOperator(), cell.journal, lambda: 0.0, events)
+    cell.operator = TerminalOperator()
+    questions = Questions(cell.setting(), cell.journal, events)
     assert questions.ask(Question(Topic.APPROACH, "over T1", VALUE, read_back=READ_BACK)).word == "no"
     assert f"'63' {READ_BACK.wrong}. Answer from the start, or no to stop.\n" in screen.getvalue()
     assert "'Case 62' is not an answer: type yes or no in full." in screen.getvalue()

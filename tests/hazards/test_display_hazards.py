@@ -9,8 +9,7 @@ import pytest
 from prepared_results import registered_robot
 
 from procedures.cli.case.display import show_outcome
-from procedures.engine.case import Case
-from procedures.engine.order import StepKey
+from procedures.engine.case import Case, StepKey
 from procedures.journal.journal import Entry, Journal
 from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, TargetTruth, Truth
 from procedures.reporting.report import write_report

@@ -15,8 +15,8 @@ from pydicom import dcmread
 from recording_cell import RecordingCell
 from spoiled_slices import every, setting
 
-from procedures.engine.case import Case
-from procedures.engine.order import StepKey, order_of
+from procedures.engine.case import Case, StepKey
+from procedures.engine.order import order_of
 from procedures.exchange import allowed_fields
 from procedures.exchange.allowed_fields import require_allowed
 from procedures.exchange.dicom_objects import name_patient

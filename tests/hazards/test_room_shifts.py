@@ -243,7 +243,9 @@ def test_nothing_moves_after_a_shift_and_the_localization_is_superseded(
     with pytest.raises(noticed):
         engine.run_to()
     assert cell.arm.motions == []
-    assert [engine.status(engine.order.find(name)) for name in ("global_localization", "correspondence")] == [
+    assert [
+        engine.course.status(engine.order.find(name)) for name in ("global_localization", "correspondence")
+    ] == [
         "next",
         "done",  # as given: a real one descends from it and goes as well
     ]

@@ -29,8 +29,8 @@ from procedures.runs.orders import (
 from ronna_hw.command_line.errors import UsageMistake
 
 if TYPE_CHECKING:
+    from procedures.engine.case import StepKey
     from procedures.engine.engine import Engine
-    from procedures.engine.order import StepKey
 
 Say = Callable[[str], None]
 
@@ -96,11 +96,11 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
 
 
 def _list(engine: Engine, say: Say) -> None:
-    width = max(len(engine.status(key)) for key in engine.order.sequence)
+    width = max(len(engine.course.status(key)) for key in engine.order.sequence)
     for key in engine.order.sequence:
         spec = engine.order.spec(key)
         asks = f"; asks {', '.join(spec.asks)}" if spec.asks and not engine.case.stands(key) else ""
-        say(f"{engine.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
+        say(f"{engine.course.status(key):<{width}}  {key!s:<24} {spec.title}{asks}")
 
 
 def _repeat(engine: Engine, key: StepKey, say: Say) -> None:

@@ -13,12 +13,12 @@ from pathlib import Path
 
 from pydantic import ValidationError
 
-from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded, ReplayDiffers
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, Verdict, replay
 from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.planning.plan_file import read_plan
 from procedures.steps.calibration.recipe import Recipe

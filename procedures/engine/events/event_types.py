@@ -22,10 +22,13 @@ Count = Annotated[int, Field(ge=0, lt=2**63)]  # of which a rate is computed: a 
 Ends = Annotated[tuple[float, ...], Field(min_length=6, max_length=6)]
 
 
-class _Happening(BaseModel):
+class _Plain(BaseModel):
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
+
+
+class _Happening(_Plain):
     """Base of all kinds of events."""
 
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
     signal: ClassVar[bool] = False
 
     @property
@@ -101,10 +104,8 @@ class Seat(_Happening):
     reason: str = Field(default="", description="Why it is free.")
 
 
-class OrderedStep(BaseModel):
+class OrderedStep(_Plain):
     """A step in the order of a case."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     step: str = Field(description="Such as `registration:T1`.")
     title: str
@@ -131,10 +132,8 @@ class Waiting(_Happening):
     unmet: tuple[str, ...] = Field(default=(), description="Why it cannot start.")
 
 
-class DeviceFact(BaseModel):
+class DeviceFact(_Plain):
     """A fact that a device reports, such as its operating mode, and whether a case can continue with it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     found: str
@@ -205,10 +204,8 @@ class Pose(_Happening):
         return self
 
 
-class Body(BaseModel):
+class Body(_Plain):
     """A capsule that motions are checked against; the ends of a moving one come with each pose."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     radius_mm: float
@@ -216,10 +213,8 @@ class Body(BaseModel):
     is_head: bool = False
 
 
-class CameraView(BaseModel):
+class CameraView(_Plain):
     """The view of a camera of the mounted tool, in the frame of the tool."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     name: str
     points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")
@@ -324,10 +319,8 @@ Happening = Annotated[
 ]
 
 
-class Event(BaseModel):
+class Event(_Plain):
     """One event with its number and its time, as readers receive it and the file of the run stores it."""
-
-    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
     version: int = VERSION
     number: int = Field(description="Counts all events of a run from 1.")

@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
-from procedures.engine.context import ClinicalInput
 from procedures.engine.errors import NotRecorded
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry
 from ronna_hw.bounded_input import parse_json, read_json_lines
 from ronna_hw.clock import Clock

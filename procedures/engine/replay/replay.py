@@ -11,13 +11,14 @@ from enum import StrEnum
 from pathlib import Path
 
 from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting, ClinicalInput, StepContext
+from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded
-from procedures.engine.order import CaseOrder, StepKey, StepSpec
+from procedures.engine.order import CaseOrder, StepSpec
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedAnswers
 from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom, replayed
 from procedures.engine.run_folder import RunFolder, step_key
+from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Journal, Line
 from procedures.journal.results import StepResult
@@ -214,7 +215,8 @@ class _Replay:
                 if one["entry"] == Entry.ACKNOWLEDGED:
                     self._engine.faults.acknowledge(str(one["by"]))
                 elif one["entry"] == Entry.VOIDED:
-                    self._void(step_key(one))
+                    # Seen by a watch or a guard; what the step saw itself is gone already.
+                    self._engine.course.void(step_key(one))
                 elif one["entry"] == Entry.RESTARTED:
                     self._rest()
                     self._engine.setting.memory.clear()
@@ -235,10 +237,6 @@ class _Replay:
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
-
-    def _void(self, key: StepKey) -> None:
-        """A watch or a guard saw what ended that result; where the step saw it itself, it is gone already."""
-        self._engine.course.void(key)
 
     def _rest(self) -> None:
         """Every device that was opened as it is when just configured; the next motion is a first one."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
@@ -67,17 +66,6 @@ class BallPlace(StepResult, kind="ball_place"):
         return PlannedLook(pose, (0.0, 0.0, 0.0))
 
 
-@dataclass(frozen=True)
-class StatedPlace:
-    """Position stated by the operator, robot frame."""
-
-    ball_mm: Numbers3
-
-    def run(self, _context: StepContext) -> Outcome[BallPlace]:
-        """Accept the position as stated."""
-        return Outcome(BallPlace(ball_mm=self.ball_mm, others_mm=()), "as stated")
-
-
 def run(context: StepContext) -> Outcome[BallPlace]:
     """Choose the isolated ball, seen by the tracker, that is nearest to the head. Raises CAL-009."""
     points = context.result(GlobalLocalization).points_mm
@@ -94,9 +82,8 @@ def run(context: StepContext) -> Outcome[BallPlace]:
 def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
     """Build the step; with a stated position, the tracker is not asked."""
     if stated_mm is not None:
-        return StepSpec(
-            BallPlace, "Use the given ball position", Phase.PREPARATION, StatedPlace(stated_mm).run
-        )
+        stated = Outcome(BallPlace(ball_mm=stated_mm, others_mm=()), "as stated")
+        return StepSpec(BallPlace, "Use the given ball position", Phase.PREPARATION, lambda _context: stated)
     return StepSpec(BallPlace, "Locate the ball", Phase.PREPARATION, run, reads=(GlobalLocalization,))
 
 

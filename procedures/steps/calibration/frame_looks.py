@@ -6,6 +6,7 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import partial
 
 from pydantic import Field
 
@@ -49,78 +50,70 @@ class ObservedFrame(StepResult, kind="frame_looks"):
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
-@dataclass(frozen=True)
-class FrameTurning:
-    """Number of looks to fit the frame with, and to validate it by."""
-
-    count: int
-    validation: int
-
-    def run(self, context: StepContext) -> Outcome[ObservedFrame]:
-        """Take the looks. Raises CAL-010, CAL-002 for too few poses, PRO-002 unless confirmed, DEV-003."""
-        context.result(CheckedSetUp)
-        workcell, calibrations = context.workcell, context.workcell.calibrations
-        plan = self._plan(workcell)
-        uses = assign_uses(self.count, self.validation)
-        total = len(uses)
-        context.confirm(
-            Topic.CALIBRATION,
-            f"The arm will rotate the frame {calibrations.tracker_frame.tool} about its present "
-            f"position, by up to {math.degrees(TILT_RAD):.0f} degrees in all directions, in {total} "
-            "poses. Nobody and nothing else may be within its reach",
-            f"{total} poses",
+def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[ObservedFrame]:
+    """Take the looks. Raises CAL-010, CAL-002 for too few poses, PRO-002 unless confirmed, DEV-003."""
+    context.result(CheckedSetUp)
+    workcell, calibrations = context.workcell, context.workcell.calibrations
+    plan = _reachable_turns(workcell, count + validation)
+    uses = assign_uses(count, validation)
+    total = len(uses)
+    context.confirm(
+        Topic.CALIBRATION,
+        f"The arm will rotate the frame {calibrations.tracker_frame.tool} about its present "
+        f"position, by up to {math.degrees(TILT_RAD):.0f} degrees in all directions, in {total} "
+        "poses. Nobody and nothing else may be within its reach",
+        f"{total} poses",
+    )
+    surroundings, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
+    workcell.start()
+    turning = _Turning(context)
+    turning.look_at(workcell.home_rad, Use.RETURN)
+    for number, joints in enumerate(plan):
+        if turning.taken == total:
+            break
+        turning.look_at(joints, uses[turning.taken])
+        if number % RETURN_AFTER == RETURN_AFTER - 1:
+            turning.look_at(workcell.home_rad, Use.RETURN)
+        context.progress(turning.taken / total, "rotating the reference frame")
+    turning.look_at(workcell.home_rad, Use.RETURN)
+    if turning.taken < LEAST_LOOKS:
+        raise TooFewPoses(
+            "too few poses show the reference frame",
+            expected=f"at least {LEAST_LOOKS}",
+            got=f"{turning.taken} of {len(plan)}; {turning.why_rejected}",
+            action="Clear the line of sight between tracker and frame, then calibrate again.",
         )
-        surroundings, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
-        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
-        workcell.start()
-        turning = _Turning(context)
-        turning.look_at(workcell.home_rad, Use.RETURN)
-        for number, joints in enumerate(plan):
-            if turning.taken == total:
-                break
-            turning.look_at(joints, uses[turning.taken])
-            if number % RETURN_AFTER == RETURN_AFTER - 1:
-                turning.look_at(workcell.home_rad, Use.RETURN)
-            context.progress(turning.taken / total, "rotating the reference frame")
-        turning.look_at(workcell.home_rad, Use.RETURN)
-        if turning.taken < LEAST_LOOKS:
-            raise TooFewPoses(
-                "too few poses show the reference frame",
-                expected=f"at least {LEAST_LOOKS}",
-                got=f"{turning.taken} of {len(plan)}; {turning.why_rejected}",
-                action="Clear the line of sight between tracker and frame, then calibrate again.",
-            )
-        observed = FrameLooks(
-            created=context.setting.began,
-            arm=workcell.arm.kinematics.name,
-            stereo_head=calibrations.stereo_head,
-            start=calibrations.tracker_frame,
-            arm_record=calibrations.arm,
-            looks=tuple(turning.looks),
-        )
-        missed = turning.rejected.total()
-        remarks = (f"{missed} of {missed + turning.taken} poses not measured: {turning.why_rejected}",)
-        return Outcome(
-            ObservedFrame(observed=observed, remarks=remarks if turning.rejected else ()),
-            f"{turning.taken} poses",
-        )
+    observed = FrameLooks(
+        created=context.setting.began,
+        arm=workcell.arm.kinematics.name,
+        stereo_head=calibrations.stereo_head,
+        start=calibrations.tracker_frame,
+        arm_record=calibrations.arm,
+        looks=tuple(turning.looks),
+    )
+    missed = turning.rejected.total()
+    remarks = (f"{missed} of {missed + turning.taken} poses not measured: {turning.why_rejected}",)
+    return Outcome(
+        ObservedFrame(observed=observed, remarks=remarks if turning.rejected else ()),
+        f"{turning.taken} poses",
+    )
 
-    def _plan(self, workcell: Workcell) -> Sequence[JointVector]:
-        """Joints of the poses within reach."""
-        head = workcell.flange_from(MountedTool.STEREO_HEAD)
-        frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
-        reference = workcell.flange_pose(workcell.home_rad) @ head
-        wanted = self.count + self.validation
-        planned = frame_poses(reference, frame, round(SPARE * wanted))
-        reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
-        if len(reached) < wanted:
-            raise PosesOutOfReach(
-                "too few poses of the reference frame are reachable",
-                expected=f"{wanted} poses",
-                got=f"{len(reached)} of {len(planned)}",
-                action="Move the arm to where it can rotate the mount in all directions, then repeat.",
-            )
-        return reached
+
+def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
+    head = workcell.flange_from(MountedTool.STEREO_HEAD)
+    frame = workcell.calibrations.tracker_frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
+    reference = workcell.flange_pose(workcell.home_rad) @ head
+    planned = frame_poses(reference, frame, round(SPARE * wanted))
+    reached = [joints for look in planned if (joints := reachable_joints(workcell, look)) is not None]
+    if len(reached) < wanted:
+        raise PosesOutOfReach(
+            "too few poses of the reference frame are reachable",
+            expected=f"{wanted} poses",
+            got=f"{len(reached)} of {len(planned)}",
+            action="Move the arm to where it can rotate the mount in all directions, then repeat.",
+        )
+    return reached
 
 
 @dataclass
@@ -178,7 +171,7 @@ def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
         ObservedFrame,
         "Rotate the reference frame in view of the tracker",
         Phase.OPERATION,
-        FrameTurning(count, validation).run,
+        partial(_turn_frame, count=count, validation=validation),
         reads=(CheckedSetUp,),
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),

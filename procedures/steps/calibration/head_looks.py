@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from functools import partial
 
 from pydantic import Field
 
@@ -102,53 +102,44 @@ class ObservedBall(StepResult, kind="ball_observation"):
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
-@dataclass(frozen=True)
-class BallObservation:
-    """Number of poses, and of visits to each orientation of the check."""
-
-    poses: int
-    visits: int
-
-    def run(self, context: StepContext) -> Outcome[ObservedBall]:
-        """Measure the ball. Raises PRO-002, STE-009 without a ball, CAL-010 or CAL-002 for too few looks."""
-        context.result(CheckedSetUp)
-        place, workcell = context.result(BallPlace), context.workcell
-        total = self.poses + self.visits * CHECK_ORIENTATIONS
-        purpose = f"{total} measurements from {self.poses + CHECK_ORIENTATIONS} poses"
-        watcher = bring_over_ball(context, place, purpose, self.poses)
-        plan = calibration_looks(place.reference, watcher.ball_mm, round(SPARE * self.poses))
-        seen = watcher.observe_all(
-            plan, self.poses, lambda count: context.progress(count / total, "measuring the ball")
+def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[ObservedBall]:
+    """Measure the ball. Raises PRO-002, STE-009 without a ball, CAL-010 or CAL-002 for too few looks."""
+    context.result(CheckedSetUp)
+    place, workcell = context.result(BallPlace), context.workcell
+    total = poses + visits * CHECK_ORIENTATIONS
+    purpose = f"{total} measurements from {poses + CHECK_ORIENTATIONS} poses"
+    watcher = bring_over_ball(context, place, purpose, poses)
+    plan = calibration_looks(place.reference, watcher.ball_mm, round(SPARE * poses))
+    seen = watcher.observe_all(
+        plan, poses, lambda count: context.progress(count / total, "measuring the ball")
+    )
+    for visit in range(visits):
+        for number in range(CHECK_ORIENTATIONS):
+            one = check_look(watcher, check_variants(place.reference, watcher.ball_mm, number), seen)
+            if one is not None:
+                seen.append(one)
+            done = poses + CHECK_ORIENTATIONS * visit + number
+            context.progress(done / total, "measuring the ball")
+    remarks = return_home_if_clear(context)
+    if watcher.rejected:
+        remarks.append(f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}")
+    checked = len({one.orientation for one in seen} - {None})
+    if checked < CHECK_ORIENTATIONS:
+        remarks.append(
+            f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations were measured"
         )
-        for visit in range(self.visits):
-            for number in range(CHECK_ORIENTATIONS):
-                one = check_look(watcher, check_variants(place.reference, watcher.ball_mm, number), seen)
-                if one is not None:
-                    seen.append(one)
-                done = self.poses + CHECK_ORIENTATIONS * visit + number
-                context.progress(done / total, "measuring the ball")
-        remarks = return_home_if_clear(context)
-        if watcher.rejected:
-            remarks.append(
-                f"{watcher.rejected.total()} measurements without a ball: {watcher.why_rejected()}"
-            )
-        checked = len({one.orientation for one in seen} - {None})
-        if checked < CHECK_ORIENTATIONS:
-            remarks.append(
-                f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations were measured"
-            )
-        if len(seen) < LEAST_POSES:
-            refuse_too_few(watcher, len(seen))
-        calibrations = workcell.calibrations
-        observed = ObservationSet(
-            created=context.setting.began,
-            serials=workcell.stereo.serials,
-            arm_variant=workcell.arm.kinematics.name,
-            start=calibrations.stereo_head,
-            tool_tip=calibrations.tool_tip,
-            observations=tuple(seen),
-        )
-        return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
+    if len(seen) < LEAST_POSES:
+        refuse_too_few(watcher, len(seen))
+    calibrations = workcell.calibrations
+    observed = ObservationSet(
+        created=context.setting.began,
+        serials=workcell.stereo.serials,
+        arm_variant=workcell.arm.kinematics.name,
+        start=calibrations.stereo_head,
+        tool_tip=calibrations.tool_tip,
+        observations=tuple(seen),
+    )
+    return Outcome(ObservedBall(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
@@ -157,7 +148,7 @@ def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
         ObservedBall,
         "Measure the ball",
         Phase.OPERATION,
-        BallObservation(poses, visits).run,
+        partial(_observe_ball, poses=poses, visits=visits),
         reads=(CheckedSetUp, BallPlace),
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),
@@ -193,55 +184,48 @@ class VisitedBaseline(StepResult, kind="baseline_visit"):
     looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
 
 
-@dataclass(frozen=True)
-class BaselineVisit:
-    """A baseline, and the number of visits to each of its orientations."""
-
-    baseline: Baseline
-    visits: int
-
-    def run(self, context: StepContext) -> Outcome[VisitedBaseline]:
-        """Measure the ball from the baseline's poses. Raises STE-010, CAL-008, CAL-001, PRO-002, STE-003."""
-        context.result(CheckedSetUp)
-        workcell, head = context.workcell, self.baseline.stereo_head
-        for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
-            check_serial(camera, serial)
-        in_use = workcell.calibrations.stereo_head
-        _require_same_cameras(in_use, head)
-        in_use.check_valid_at(context.setting.today())
-        arm = workcell.arm.kinematics.name
-        if self.baseline.arm_variant != arm:
-            raise GateFailed("the baseline is from another arm", expected=self.baseline.arm_variant, got=arm)
-        context.confirm(
-            Topic.CALIBRATION,
-            "The arm will move to the eight poses of the baseline; the ball must be where it was",
-            f"calibration {head.identifier} of {self.baseline.created:%Y-%m-%d %H:%M} UTC",
-        )
-        first = [
-            next(one for one in self.baseline.looks if one.orientation == orientation)
-            for orientation in self.baseline.orientations
-        ]
-        watcher = BallWatcher(workcell, self.baseline.ball_mm)
-        tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-        workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
-        workcell.start(cameras=True)
-        workcell.sensors.read_whole()
-        seen = []
-        for visit in range(self.visits):
-            for number, one in enumerate(first):
-                found = watcher.observe_at(one.joints_rad, one.orientation)
-                if found is not None:
-                    seen.append(found)
-                done = visit * len(first) + number + 1
-                context.progress(done / (self.visits * len(first)), "measuring the ball")
-        workcell.go_home()
-        if watcher.last is not None:
-            context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
-        if not seen:
-            raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
-        return Outcome(
-            VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
-        )
+def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Outcome[VisitedBaseline]:
+    """Measure the ball from the baseline's poses. Raises STE-010, CAL-008, CAL-001, PRO-002, STE-003."""
+    context.result(CheckedSetUp)
+    workcell, head = context.workcell, baseline.stereo_head
+    for camera, serial in zip((head.left, head.right), workcell.stereo.serials, strict=True):
+        check_serial(camera, serial)
+    in_use = workcell.calibrations.stereo_head
+    _require_same_cameras(in_use, head)
+    in_use.check_valid_at(context.setting.today())
+    arm = workcell.arm.kinematics.name
+    if baseline.arm_variant != arm:
+        raise GateFailed("the baseline is from another arm", expected=baseline.arm_variant, got=arm)
+    context.confirm(
+        Topic.CALIBRATION,
+        "The arm will move to the eight poses of the baseline; the ball must be where it was",
+        f"calibration {head.identifier} of {baseline.created:%Y-%m-%d %H:%M} UTC",
+    )
+    first = [
+        next(one for one in baseline.looks if one.orientation == orientation)
+        for orientation in baseline.orientations
+    ]
+    watcher = BallWatcher(workcell, baseline.ball_mm)
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
+    workcell.start(cameras=True)
+    workcell.sensors.read_whole()
+    seen = []
+    for visit in range(visits):
+        for number, one in enumerate(first):
+            found = watcher.observe_at(one.joints_rad, one.orientation)
+            if found is not None:
+                seen.append(found)
+            done = visit * len(first) + number + 1
+            context.progress(done / (visits * len(first)), "measuring the ball")
+    workcell.go_home()
+    if watcher.last is not None:
+        context.keep_picture(BALL_PICTURE, pair_picture(watcher.last))
+    if not seen:
+        raise NoSphere("the ball is not in view from any orientation", got=watcher.why_rejected())
+    return Outcome(
+        VisitedBaseline(calibration=head.identifier, looks=tuple(seen)), f"{len(seen)} measurements"
+    )
 
 
 def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCalibration) -> None:
@@ -262,7 +246,7 @@ def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
         VisitedBaseline,
         "Measure the ball again",
         Phase.OPERATION,
-        BaselineVisit(baseline, visits).run,
+        partial(_visit_baseline, baseline=baseline, visits=visits),
         reads=(CheckedSetUp,),
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),

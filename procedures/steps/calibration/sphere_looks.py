@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -68,125 +69,120 @@ class _Planned:
     look: SphereLook
 
 
-@dataclass(frozen=True)
-class SphereLooks:
-    """Number of looks to identify the arm with (0 for a check), and to validate it by."""
-
-    count: int
-    validation: int
-
-    def run(self, context: StepContext) -> Outcome[ObservedSpheres]:
-        """Measure the spheres. Raises CAL-009, CAL-010 for too few poses, CAL-014 for a check, PRO-002."""
-        set_up = context.result(CheckedSetUp)
-        workcell = context.workcell
-        if self.count == 0:
-            require_record(workcell.calibrations.arm)
-        remarks: list[str] = []
-        places = _places(context.result(GlobalLocalization).points_mm, workcell, remarks)
-        head = workcell.calibrations.stereo_head
-        model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
-        plan = self._plan(model, places, workcell)
-        planned = {one.look.sphere for one in plan}
-        remarks += [
-            f"{_named(place)} was left out: none of the planned poses is around it"
-            for number, place in enumerate(places)
-            if number not in planned
-        ]
-        context.confirm(
-            Topic.CALIBRATION,
-            f"The arm will measure {len(planned)} spheres from {len(plan)} poses around them. Nobody and "
-            "nothing else may be within its reach",
-            f"{len(plan)} measurements",
+def _measure_spheres(context: StepContext, count: int, validation: int) -> Outcome[ObservedSpheres]:
+    """Measure the spheres. Raises CAL-009, CAL-010 for too few poses, CAL-014 for a check, PRO-002."""
+    set_up = context.result(CheckedSetUp)
+    workcell = context.workcell
+    if count == 0:
+        require_record(workcell.calibrations.arm)
+    remarks: list[str] = []
+    places = _places(context.result(GlobalLocalization).points_mm, workcell, remarks)
+    head = workcell.calibrations.stereo_head
+    model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
+    plan = _plan_looks(model, places, workcell, count, validation)
+    planned = {one.look.sphere for one in plan}
+    remarks += [
+        f"{_named(place)} was left out: none of the planned poses is around it"
+        for number, place in enumerate(places)
+        if number not in planned
+    ]
+    context.confirm(
+        Topic.CALIBRATION,
+        f"The arm will measure {len(planned)} spheres from {len(plan)} poses around them. Nobody and "
+        "nothing else may be within its reach",
+        f"{len(plan)} measurements",
+    )
+    seen: list[SphereLook] = []
+    for number in sorted(planned):
+        mine = [one for one in plan if one.look.sphere == number]
+        seen += _look_at_sphere(
+            context, places[number], mine, len(seen) / len(plan), remarks, count + validation
         )
-        seen: list[SphereLook] = []
-        for number in sorted(planned):
-            mine = [one for one in plan if one.look.sphere == number]
-            seen += self._looks_at(context, places[number], mine, len(seen) / len(plan), remarks)
-        remarks += return_home_if_clear(context)
-        observed = ArmLooks(
-            created=context.setting.began,
-            arm=workcell.arm.kinematics.name,
-            arm_serial=set_up.identities["arm"].serial,
-            serials=workcell.stereo.serials,
-            stereo_head=head,
-            tool_tip=workcell.calibrations.tool_tip,
-            arm_record=workcell.calibrations.arm,
-            looks=tuple(seen),
-        )
-        return Outcome(
-            ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements"
-        )
+    remarks += return_home_if_clear(context)
+    observed = ArmLooks(
+        created=context.setting.began,
+        arm=workcell.arm.kinematics.name,
+        arm_serial=set_up.identities["arm"].serial,
+        serials=workcell.stereo.serials,
+        stereo_head=head,
+        tool_tip=workcell.calibrations.tool_tip,
+        arm_record=workcell.calibrations.arm,
+        looks=tuple(seen),
+    )
+    return Outcome(ObservedSpheres(observed=observed, remarks=tuple(remarks)), f"{len(seen)} measurements")
 
-    def _plan(self, model: ArmModel, places: Sequence[BallPlace], workcell: Workcell) -> tuple[_Planned, ...]:
-        """Choose the most telling looks, and evenly spread ones for validation."""
-        telling_count, judging_count = round(SPARE * self.count), math.ceil(SPARE * self.validation)
-        wanted = telling_count + judging_count
-        each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
-        reached = [
-            _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
-            for number, place in enumerate(places)
-            for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
-            if (joints := reachable_joints(workcell, look)) is not None
-        ]
-        if len(reached) < wanted:
-            raise PosesOutOfReach(
-                "too few poses around the spheres are reachable",
-                expected=f"{wanted} poses",
-                got=f"{len(reached)} of {each * len(places)}",
-            )
-        telling = choose_poses(model, arrays_of([one.look for one in reached]), telling_count)
-        rest = sorted(set(range(len(reached))) - set(telling.tolist()))
-        judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, judging_count)]
-        judged = [
-            _Planned(one.pose, one.look.model_copy(update={"validation": True}))
-            for one in (reached[number] for number in judging)
-        ]
-        return (*(reached[number] for number in telling), *judged)
 
-    def _looks_at(
-        self,
-        context: StepContext,
-        place: BallPlace,
-        plan: Sequence[_Planned],
-        done: float,
-        remarks: list[str],
-    ) -> list[SphereLook]:
-        workcell = context.workcell
-        watcher = BallWatcher(workcell, np.array(place.ball_mm))
-        tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-        workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
-        workcell.start(cameras=True)
-        workcell.sensors.read_whole()
-        try:
-            context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
-        except (LimitError, SphereNotInView) as error:
-            if workcell.arm.observe().state is not Lifecycle.ACTIVE:
-                raise  # tripped, not refused before it began
-            remarks.append(f"{_named(place)} was left out: {error.what}")
-            return []
-        seen: list[SphereLook] = []
-        by_pose = {id(one.pose): one.look for one in plan}
-        for step, pose in enumerate(order_by_orientation([one.pose for one in plan])):
-            planned = by_pose[id(pose)]
-            look = watcher.take(pose, planned.flanks)
-            if look is not None and look.point is not None:
-                seen.append(
-                    planned.model_copy(
-                        update={
-                            "joints_rad": workcell.joints_rad(),
-                            "point_mm": tuple(look.point.position_mm.tolist()),
-                            "covariance_mm2": tuple(map(tuple, look.point.covariance_mm2.tolist())),
-                        }
-                    )
+def _plan_looks(
+    model: ArmModel, places: Sequence[BallPlace], workcell: Workcell, count: int, validation: int
+) -> tuple[_Planned, ...]:
+    """Choose the most telling looks, and evenly spread ones for validation."""
+    telling_count, judging_count = round(SPARE * count), math.ceil(SPARE * validation)
+    wanted = telling_count + judging_count
+    each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
+    reached = [
+        _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
+        for number, place in enumerate(places)
+        for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
+        if (joints := reachable_joints(workcell, look)) is not None
+    ]
+    if len(reached) < wanted:
+        raise PosesOutOfReach(
+            "too few poses around the spheres are reachable",
+            expected=f"{wanted} poses",
+            got=f"{len(reached)} of {each * len(places)}",
+        )
+    telling = choose_poses(model, arrays_of([one.look for one in reached]), telling_count)
+    rest = sorted(set(range(len(reached))) - set(telling.tolist()))
+    judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, judging_count)]
+    judged = [
+        _Planned(one.pose, one.look.model_copy(update={"validation": True}))
+        for one in (reached[number] for number in judging)
+    ]
+    return (*(reached[number] for number in telling), *judged)
+
+
+def _look_at_sphere(
+    context: StepContext,
+    place: BallPlace,
+    plan: Sequence[_Planned],
+    done: float,
+    remarks: list[str],
+    total: int,
+) -> list[SphereLook]:
+    workcell = context.workcell
+    watcher = BallWatcher(workcell, np.array(place.ball_mm))
+    tool = workcell.flange_from(MountedTool.STEREO_HEAD)
+    workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
+    workcell.start(cameras=True)
+    workcell.sensors.read_whole()
+    try:
+        context.keep_picture(BALL_PICTURE, pair_picture(watcher.find(place.first_look)))
+    except (LimitError, SphereNotInView) as error:
+        if workcell.arm.observe().state is not Lifecycle.ACTIVE:
+            raise  # tripped, not refused before it began
+        remarks.append(f"{_named(place)} was left out: {error.what}")
+        return []
+    seen: list[SphereLook] = []
+    by_pose = {id(one.pose): one.look for one in plan}
+    for step, pose in enumerate(order_by_orientation([one.pose for one in plan])):
+        planned = by_pose[id(pose)]
+        look = watcher.take(pose, planned.flanks)
+        if look is not None and look.point is not None:
+            seen.append(
+                planned.model_copy(
+                    update={
+                        "joints_rad": workcell.joints_rad(),
+                        "point_mm": tuple(look.point.position_mm.tolist()),
+                        "covariance_mm2": tuple(map(tuple, look.point.covariance_mm2.tolist())),
+                    }
                 )
-            context.progress(
-                min(1.0, done + (step + 1) / (self.count + self.validation)), "measuring spheres"
             )
-        if watcher.rejected:
-            remarks.append(
-                f"{watcher.rejected.total()} measurements of {_named(place)} failed: {watcher.why_rejected()}"
-            )
-        return seen
+        context.progress(min(1.0, done + (step + 1) / total), "measuring spheres")
+    if watcher.rejected:
+        remarks.append(
+            f"{watcher.rejected.total()} measurements of {_named(place)} failed: {watcher.why_rejected()}"
+        )
+    return seen
 
 
 def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
@@ -195,7 +191,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
         ObservedSpheres,
         "Measure the spheres",
         Phase.OPERATION,
-        SphereLooks(count, validation).run,
+        partial(_measure_spheres, count=count, validation=validation),
         reads=(CheckedSetUp, GlobalLocalization),
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),

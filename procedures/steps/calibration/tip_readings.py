@@ -6,6 +6,7 @@ Head and tip visit the same orientations.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -58,75 +59,68 @@ class ObservedStand(StepResult, kind="stand_ball"):
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
-@dataclass(frozen=True)
-class StandBall:
-    """Number of orientations."""
-
-    count: int
-
-    def run(self, context: StepContext) -> Outcome[ObservedStand]:
-        """Measure the ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without a ball."""
-        context.result(CheckedSetUp)
-        place, workcell = context.result(BallPlace), context.workcell
-        plan = self._plan(place, BallWatcher(workcell, np.array(place.ball_mm)))
-        context.setting.room.prepare_stand(BALL)
-        context.confirm(
-            Topic.CALIBRATION,
-            "the stand is screwed down and its ball is seated",
-            f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
-        )
-        watcher = bring_over_ball(
-            context,
-            place,
-            f"{self.count} measurements of the stand's ball",
-            0,
-            ball="the stand's ball",
-            if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
-            "[procedure].",
-        )
-        looks: list[BallLook] = []
-        for planned in plan:
-            if len(looks) == self.count:
-                break
-            seen = watcher.take(planned, ONE_SIDE)
-            context.progress(len(looks) / self.count, "measuring the stand's ball")
-            if seen is None or seen.point is None:
-                continue
-            joints = workcell.joints_rad()
-            x, y, z = seen.point.position_mm.tolist()
-            looks.append(
-                BallLook(
-                    joints_rad=joints,
-                    robot_from_flange=pose_record(workcell.flange_pose(joints)),
-                    ball_mm=(x, y, z),
-                )
+def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
+    """Measure the ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without a ball."""
+    context.result(CheckedSetUp)
+    place, workcell = context.result(BallPlace), context.workcell
+    plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
+    context.setting.room.prepare_stand(BALL)
+    context.confirm(
+        Topic.CALIBRATION,
+        "the stand is screwed down and its ball is seated",
+        f"ball at {' '.join(f'{value:.0f}' for value in place.ball_mm)} mm in $ROBROOT, within 10 mm",
+    )
+    watcher = bring_over_ball(
+        context,
+        place,
+        f"{count} measurements of the stand's ball",
+        0,
+        ball="the stand's ball",
+        if_missing="Seat the ball on the stand, or correct its position: --ball X Y Z, or stand_mm in "
+        "[procedure].",
+    )
+    looks: list[BallLook] = []
+    for planned in plan:
+        if len(looks) == count:
+            break
+        seen = watcher.take(planned, ONE_SIDE)
+        context.progress(len(looks) / count, "measuring the stand's ball")
+        if seen is None or seen.point is None:
+            continue
+        joints = workcell.joints_rad()
+        x, y, z = seen.point.position_mm.tolist()
+        looks.append(
+            BallLook(
+                joints_rad=joints,
+                robot_from_flange=pose_record(workcell.flange_pose(joints)),
+                ball_mm=(x, y, z),
             )
-        workcell.go_home()
-        if len(looks) < self.count:
-            raise TooFewPoses(
-                "too few poses show the stand's ball",
-                expected=str(self.count),
-                got=f"{len(looks)}; {watcher.why_rejected()}",
-            )
-        left_out = watcher.rejected.total()
-        remarks = (
-            (f"{left_out} measurements of the ball failed: {watcher.why_rejected()}",) if left_out else ()
         )
-        return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
+    workcell.go_home()
+    if len(looks) < count:
+        raise TooFewPoses(
+            "too few poses show the stand's ball",
+            expected=str(count),
+            got=f"{len(looks)}; {watcher.why_rejected()}",
+        )
+    left_out = watcher.rejected.total()
+    remarks = (f"{left_out} measurements of the ball failed: {watcher.why_rejected()}",) if left_out else ()
+    return Outcome(ObservedStand(looks=tuple(looks), remarks=remarks), f"{len(looks)} measurements")
 
-    def _plan(self, place: BallPlace, watcher: BallWatcher) -> list[PlannedLook]:
-        wanted = round(SPARE * self.count)
-        looks = turned_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
-        reached = [look for look in looks if watcher.reaches(look.pose)]
-        if len(reached) < self.count:
-            raise PosesOutOfReach(
-                "too few poses around the stand are reachable",
-                expected=f"{self.count} poses",
-                got=f"{len(reached)} of {wanted}",
-                action="Put the stand nearer to the middle of the workspace, with free space around it.",
-            )
-        # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
-        return [*order_by_orientation(reached[: self.count]), *reached[self.count :]]
+
+def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[PlannedLook]:
+    wanted = round(SPARE * count)
+    looks = turned_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
+    reached = [look for look in looks if watcher.reaches(look.pose)]
+    if len(reached) < count:
+        raise PosesOutOfReach(
+            "too few poses around the stand are reachable",
+            expected=f"{count} poses",
+            got=f"{len(reached)} of {wanted}",
+            action="Put the stand nearer to the middle of the workspace, with free space around it.",
+        )
+    # The first ones are spread evenly; a chain of neighbours through all would leave out one side.
+    return [*order_by_orientation(reached[:count]), *reached[count:]]
 
 
 def _stated(context: StepContext) -> Outcome[BallPlace]:
@@ -151,7 +145,7 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
         ObservedStand,
         "Measure the stand's ball",
         Phase.OPERATION,
-        StandBall(count).run,
+        partial(_measure_stand, count=count),
         reads=(CheckedSetUp, BallPlace),
         moves=True,
         preconditions=carries(MountedTool.STEREO_HEAD),
@@ -164,50 +158,44 @@ class ReadTip(StepResult, kind="tip_readings"):
     observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
-@dataclass(frozen=True)
-class TipReadings:
-    """Number of orientations kept for validation."""
+def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
+    """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
+    context.result(CheckedSetUp)
+    context.have_instrument_out()  # of an earlier attempt
+    place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
+    number = exchange_tool(context, MountedTool.GUIDE)
+    context.setting.room.prepare_stand(DIVOT)
+    context.confirm(
+        Topic.CALIBRATION,
+        f"The arm will move the tip of tool {number} to where the ball was, in {len(stand.looks)} "
+        "orientations. Confirm that the divot is on the stand and lowered, the stand was not "
+        "moved, and nobody and nothing else is within the arm's reach",
+        f"{len(stand.looks)} orientations",
+    )
+    surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
+    workcell.surround(in_free_room(surroundings, guide, surroundings.guide, stand_under(place.ball_mm)))
+    workcell.start()
+    reading = _Reading(context, _before_readings(context, stand, validation))
+    for look in range(len(stand.looks)):
+        reading.take(look)
+        context.progress((look + 1) / len(stand.looks), "reading the dials")
+    workcell.go_home()
+    return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
-    validation: int
 
-    def run(self, context: StepContext) -> Outcome[ReadTip]:
-        """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
-        context.result(CheckedSetUp)
-        context.have_instrument_out()  # of an earlier attempt
-        place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
-        number = exchange_tool(context, MountedTool.GUIDE)
-        context.setting.room.prepare_stand(DIVOT)
-        context.confirm(
-            Topic.CALIBRATION,
-            f"The arm will move the tip of tool {number} to where the ball was, in {len(stand.looks)} "
-            "orientations. Confirm that the divot is on the stand and lowered, the stand was not "
-            "moved, and nobody and nothing else is within the arm's reach",
-            f"{len(stand.looks)} orientations",
-        )
-        surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
-        workcell.surround(in_free_room(surroundings, guide, surroundings.guide, stand_under(place.ball_mm)))
-        workcell.start()
-        reading = _Reading(context, self._observed(context, stand))
-        for look in range(len(stand.looks)):
-            reading.take(look)
-            context.progress((look + 1) / len(stand.looks), "reading the dials")
-        workcell.go_home()
-        return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
-
-    def _observed(self, context: StepContext, stand: ObservedStand) -> TipLooks:
-        """Looks before the first reading."""
-        workcell = context.workcell
-        calibrations = workcell.calibrations
-        return TipLooks(
-            created=context.setting.began,
-            arm=workcell.arm.kinematics.name,
-            stereo_head=calibrations.stereo_head,
-            start=calibrations.tool_tip,
-            arm_record=calibrations.arm,
-            looks=stand.looks,
-            readings=(),
-            validation=held_out_indices(len(stand.looks), self.validation),
-        )
+def _before_readings(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
+    workcell = context.workcell
+    calibrations = workcell.calibrations
+    return TipLooks(
+        created=context.setting.began,
+        arm=workcell.arm.kinematics.name,
+        stereo_head=calibrations.stereo_head,
+        start=calibrations.tool_tip,
+        arm_record=calibrations.arm,
+        looks=stand.looks,
+        readings=(),
+        validation=held_out_indices(len(stand.looks), validation),
+    )
 
 
 @dataclass
@@ -234,7 +222,7 @@ class _Reading:
         workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
         workcell.hold()  # hands raise the divot: only the next motion may move the arm
-        workcell.instrument.goes_in(IN_DIVOT)
+        workcell.instrument.record_insertion(IN_DIVOT)
         x_mm, y_mm, z_mm = self.context.have_done(
             Task(
                 DIALS,
@@ -280,7 +268,7 @@ def readings_step(validation: int) -> StepSpec[ReadTip]:
         ReadTip,
         "Read the divot at the tip of the guide",
         Phase.OPERATION,
-        TipReadings(validation).run,
+        partial(_read_divot, validation=validation),
         reads=(CheckedSetUp, BallPlace, ObservedStand),
         moves=True,
         preconditions=exchangeable,

@@ -139,7 +139,7 @@ def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
     before = f"; earlier: {done_in_words(known)}" if known else ""
     if stage is STAGES[-1]:
         begun.rely_on_stop(context)
-    stages.begins(trajectory, stage.task)
+    stages.record_begin(trajectory, stage.task)
     context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
@@ -153,7 +153,7 @@ def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
     with context.watching(f"the hold at {trajectory}"):
         answer = context.choose(question)
         if answer == DONE:  # done, whatever the watch has seen meanwhile
-            stages.is_done(trajectory, stage.task)
+            stages.record_done(trajectory, stage.task)
             begun.done.append(stage.task)
     if answer != DONE:
         raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)

@@ -76,7 +76,7 @@ class LockedCart(StepResult, kind="cart_lock", version=2):
 
 def run(context: StepContext) -> Outcome[LockedCart]:
     """Have the cart placed, locked and leaned on. Raises PRO-041, PRO-042, PRO-020, PLAN-022 and PRO-007."""
-    for before in context.spec.reads:
+    for before in context.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
     proposed = _proposal(context)

@@ -32,9 +32,9 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
 
     Raises PRO-019 or PRO-020 if something has moved and remaining targets cannot follow it.
     """
-    for model in context.spec.reads:
+    for model in context.reads:
         context.result(model)
-    context.workcell.check_mounted(MountedTool.GUIDE)
+    context.workcell.mount.check(MountedTool.GUIDE)
     remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
     guide = _guide(context, remain)
     link = link_health(context) if context.workcell.streaming else None

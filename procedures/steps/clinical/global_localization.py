@@ -54,7 +54,7 @@ class GlobalLocalization(StepResult, kind="global_localization"):
 
 def run(context: StepContext) -> Outcome[GlobalLocalization]:
     """Measure all strays in the robot frame, via the reference frame M."""
-    for before in context.spec.reads:
+    for before in context.reads:
         context.result(before)
     workcell = context.workcell
     if workcell.tool is MountedTool.GUIDE:  # earlier localizations are void
@@ -66,7 +66,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     )
     tracker_from_marker = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     strays = average_strays(frames)
-    _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.spec.reads else 1)
+    _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
     spread_mm = _checked_spread_mm(strays)
     joints = workcell.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()

@@ -6,13 +6,12 @@ Asked before every step and motion. An untouched file is not read again; a touch
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
 
-from procedures.engine.context import ClinicalInput
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.order import StepKey
+from procedures.engine.setting import ClinicalInput
 from procedures.guards.errors import InputChanged
 from procedures.imaging.series import read_series
 from procedures.journal.results import StepResult
@@ -111,17 +110,12 @@ def _changed(result: StepResult, path: Path) -> str:
 
 
 def _stamps(path: Path) -> Stamps:
-    return tuple(sorted(_each(path)))
-
-
-def _each(path: Path) -> Iterator[Stamp]:
     if not path.is_dir():
-        yield _stamp(path.name, path.stat())
-        return
+        return (_stamp(path),)
     with os.scandir(path) as files:  # a series has hundreds of slices, and this is asked before each motion
-        for file in files:
-            yield _stamp(file.name, file.stat())
+        return tuple(sorted(map(_stamp, files)))
 
 
-def _stamp(name: str, seen: os.stat_result) -> Stamp:
-    return name, seen.st_ino, seen.st_size, seen.st_mtime_ns
+def _stamp(file: Path | os.DirEntry[str]) -> Stamp:
+    seen = file.stat()
+    return file.name, seen.st_ino, seen.st_size, seen.st_mtime_ns

@@ -35,7 +35,7 @@ from procedures.steps.conditions import carries
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.strategies.trajectory import refined_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
-from procedures.workcell.arm_place import stands_at
+from procedures.workcell.arm_history import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
@@ -58,7 +58,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     context.result(CheckedTool)
-    mounted = workcell.check_mounted(MountedTool.GUIDE)
+    mounted = workcell.mount.check(MountedTool.GUIDE)
     _require_guide_in_seat(context)
     robot_from_ct = _kept_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             ],
             trajectory,
         )
-    workcell.check_mounted(MountedTool.GUIDE)  # a question may stand for minutes
+    workcell.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
     if by_home:
         check_room(context, f"before {trajectory}")
         workcell.start()

@@ -127,7 +127,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     trajectories = [plan.trajectory(name) for name in context.served_trajectories]
     robot_from_ct, move = fit.between(Frame.ROBOT, Frame.CT), None
     if context.workcell.tool is MountedTool.UNKNOWN:  # after a fault of the arm
-        context.workcell.identify_mounted()
+        context.workcell.mount.identify()
     if context.workcell.tool is MountedTool.GUIDE:
         move = followed_move(context, robot_from_ct.apply([one.target_mm for one in trajectories]))
     predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
@@ -304,11 +304,6 @@ def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTa
     )
 
 
-def _outside(context: StepContext) -> tuple[str, ...]:
-    """The guide is on no axis: with it mounted, the head is measured at home."""
-    return context.workcell.place.why_held
-
-
 STEP = StepSpec(
     RegisteredRobot,
     "Register the CT to the robot",
@@ -317,5 +312,5 @@ STEP = StepSpec(
     asks=(Topic.REGISTRATION,),
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
-    preconditions=_outside,
+    preconditions=lambda context: context.workcell.place.why_held,  # a mounted guide looks from home
 )

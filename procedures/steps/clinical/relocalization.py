@@ -54,7 +54,7 @@ def run(context: StepContext) -> Outcome[Relocalization]:
 def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
     planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    workcell.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
     where, frame_mm = "before the spheres are localized again", None
     if workcell.place.is_home or not context.stands(Relocalization):  # what moves from here on shows at home

@@ -75,7 +75,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     left, right = workcell.stereo.serials
     check_serial(calibrations.stereo_head.left, left)
     check_serial(calibrations.stereo_head.right, right)
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    workcell.mount.check(MountedTool.STEREO_HEAD)
     if context.setting.arm_not_home is not None:
         subject = "take the arm's present position as its home, where tools are exchanged and the case parks"
         context.confirm(Topic.RESUME, subject, context.setting.arm_not_home)

@@ -44,7 +44,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
     """Bring the stereo head to the target, look and back out; a ball not in view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    workcell.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(name).trajectory
     robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform

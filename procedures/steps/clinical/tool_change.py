@@ -31,7 +31,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
     workcell, calibration = context.workcell, context.workcell.calibrations.tool_tip
     context.result(CheckedSetUp)
     if (
-        workcell.identify_mounted() is MountedTool.STEREO_HEAD
+        workcell.mount.identify() is MountedTool.STEREO_HEAD
         or workcell.streaming
         or not workcell.place.is_home
     ):
@@ -52,7 +52,7 @@ def run(context: StepContext) -> Outcome[MountedGuide]:
 
 def _park(context: StepContext) -> None:
     workcell = context.workcell
-    workcell.check_mounted(MountedTool.STEREO_HEAD)
+    workcell.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, workcell.joints_rad())
     check_room(context, "before the arm parks")
     workcell.park("park the arm for the tool exchange")

@@ -90,7 +90,7 @@ def _checked(context: StepContext) -> Outcome[CheckedTool]:
     workcell = context.workcell
     context.result(MountedGuide)
     context.have_instrument_out()  # of an earlier attempt
-    workcell.check_mounted(MountedTool.GUIDE)
+    workcell.mount.check(MountedTool.GUIDE)
     check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
     seen_off_mm = None if frame is None else require_seen_in_place(context, frame)
@@ -167,7 +167,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
         reached = workcell.settle(gauge_rad, ONE_SIDE, from_afar=number == 0)
         workcell.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
-        workcell.instrument.goes_in(IN_GAUGE)
+        workcell.instrument.record_insertion(IN_GAUGE)
         readings.append(context.have_done(task))
         if number == 0:
             read_s = context.setting.clock.now_s()

@@ -43,7 +43,7 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
         context.confirm(Topic.TOOL_CHANGE, "the tool has been exchanged", value)
     for mounting in range(1, MOUNTINGS + 1):
         try:
-            return workcell.check_mounted(tool)
+            return workcell.mount.check(tool)
         except WrongTool as problem:
             if mounting == MOUNTINGS:
                 raise

@@ -102,10 +102,10 @@ def work_progress(context: StepContext) -> WorkProgress:
         return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
     begun = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
     begun.stop_read_s = context.setting.clock.now_s()
-    instrument.stages.stop_is_set(trajectory, begun.stop.model_dump(mode="json"))
+    instrument.stages.record_stop(trajectory, begun.stop.model_dump(mode="json"))
     memory.keep(begun)
     context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
-    instrument.goes_in(trajectory)
+    instrument.record_insertion(trajectory)
     return begun
 
 

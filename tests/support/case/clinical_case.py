@@ -179,7 +179,7 @@ class ClinicalCell(RecordingCell):
         """After the set-up, with that tool mounted and checked."""
         self.arm.state = self.stereo.state = self.tracker.state = Lifecycle.CONFIGURED
         self.arm.mounted = GUIDE if tool is MountedTool.GUIDE else STEREO_HEAD
-        self.workcell.check_mounted(tool)
+        self.workcell.mount.check(tool)
         self.workcell.set_home()
         return self
 

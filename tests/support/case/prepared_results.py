@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 from clinical_case import (
@@ -15,16 +16,20 @@ from clinical_case import (
     SPHERES_MM,
     TRACKER_MM,
     TRAJECTORIES,
+    ClinicalCell,
 )
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
+from procedures.engine.engine import Engine
+from procedures.engine.order import StepSpec
 from procedures.journal.results import FramedPose, StepResult
 from procedures.planning.guide import held_trajectories
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
 from procedures.registration.verification import TwoWayTable
+from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -281,6 +286,22 @@ def registered_robot(robot_from_ct: Transform = ROBOT_FROM_CT) -> RegisteredRobo
         ),
         two_way=NO_TABLE,
     )
+
+
+def before_positioning(
+    cell: ClinicalCell,
+    registered: StepSpec[StepResult] | StepResult | None = None,
+    **paths: Any,
+) -> Engine:
+    """An engine that stands before the first positioning, with the guide mounted; work and retreat follow."""
+    cell.carrying(MountedTool.GUIDE)
+    engine = cell.begin(
+        *(registered or registered_robot(), mounted_guide(), checked_tool(), checked_paths(cell, **paths)),
+        *(checked_plan(), localized_fiducials(), *coarse()),
+        *(positioning.STEP, at_target.STEP, retreat.STEP),
+    )
+    engine.run_to(engine.order.sequence[7])
+    return engine
 
 
 def mounted_guide() -> MountedGuide:

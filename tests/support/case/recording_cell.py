@@ -12,9 +12,9 @@ from typing import Any, cast
 import tomli_w
 
 from procedures.engine.case import Case
-from procedures.engine.context import CaseSetting, ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder
+from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Answer, Question, Task, Topic
@@ -336,9 +336,12 @@ class RecordingCell:
         self.opened = RecordingTheatre(self.theatre, self.arm, self.stereo, self.tracker)
         self.clock = self.opened.clock
         self.workcell = self.make_workcell()
-        agree = RecordingOperator().word
-        resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), self.clock)
-        self.workcell.supervised.ask_before(resting, agree)  # until an engine asks
+        self.have_asked(RecordingOperator().word)  # until an engine asks
+
+    def have_asked(self, ask: Callable[[Question], str]) -> None:
+        """Have the workcell ask before its motions, without an engine."""
+        resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), self.clock)
+        self.workcell.supervised.ask_before(resting, ask)
 
     @property
     def calibrations(self) -> Calibrations:

@@ -16,8 +16,8 @@ from prepared_results import (
     registered_robot,
 )
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.order import StepKey
 from procedures.guards import patient_watch
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.steps.clinical import at_target, positioning

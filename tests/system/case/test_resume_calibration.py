@@ -13,7 +13,7 @@ from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.operator.question import Topic
-from procedures.workcell.motions import MotionKind
+from procedures.workcell.arm_history import MotionKind
 from ronna_hw.errors import EXIT_DONE, EXIT_RECOVERY_NEEDED, EXIT_UNCONFIRMED
 from sim.world.scene.model import read_scene
 

@@ -14,9 +14,9 @@ from hypothesis.stateful import RuleBasedStateMachine, invariant, rule
 from plain_steps import plain_steps
 from recording_cell import HOME, RecordingCell, RecordingOperator
 
-from procedures.engine.case import Case
+from procedures.engine.case import Case, StepKey
 from procedures.engine.context import StepContext
-from procedures.engine.order import Outcome, Scope, StepKey, StepSpec, order_of
+from procedures.engine.order import Outcome, Scope, StepSpec, order_of
 from procedures.engine.run_folder import read_run
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult

@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
-from procedures.engine.context import ClinicalInput
 from procedures.engine.run_folder import close_run
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal
 from procedures.strategies.catalogue import strategy_named
 

@@ -226,7 +226,7 @@ def test_a_result_that_cannot_be_journalled_is_not_valid_and_holds_the_case(
     with pytest.raises(JournalNotWritable, match="PRO-003"):
         run(engine, "image")
     assert engine.machine.state == "held"
-    assert engine.status(engine.order.find("image")) == "next"
+    assert engine.course.status(engine.order.find("image")) == "next"
 
 
 @pytest.mark.hazard(33)
@@ -283,7 +283,7 @@ def test_a_repeated_step_supersedes_the_results_derived_from_its_former_one(cell
     run(engine, "localization:T1")
     last = list(read_journal(cell.folder / JOURNAL_FILE))[-1]
     assert last["supersedes"] == ["02-localization-T1", "03-fit-T1"]
-    assert engine.status(engine.order.find("fit:T1")) == "next"
+    assert engine.course.status(engine.order.find("fit:T1")) == "next"
     assert engine.why_refused(engine.order.find("tool_on")) == ("fit:T1 comes first",)
 
 

@@ -22,7 +22,7 @@ from ronna_hw.frames import Transform
 def with_the_guide_on_its_axis(cell: RecordingCell, *refusing: Topic) -> Engine:
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state, cell.arm.mounted = Lifecycle.ACTIVE, GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     engine = cell.engine(plain_order())
     here = tool_pose(HOME, cell)
@@ -127,7 +127,7 @@ def test_what_is_kept_of_a_fault_says_what_happened_and_no_longer_what_to_do(
 
 @pytest.mark.hazard(37)
 def test_the_tool_on_a_recovered_arm_counts_as_unchecked(cell: RecordingCell) -> None:
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     engine = cell.engine(plain_order())
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")
@@ -212,7 +212,7 @@ def test_an_abort_at_a_pause_on_the_way_home_ends_the_case_with_the_arm_at_rest(
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell)
-    cell.workcell.instrument.goes_in("T1")
+    cell.workcell.instrument.record_insertion("T1")
     motions, asked_after = len(cell.arm.motions), []
     cell.operator.meanwhile = lambda _question: asked_after.append(len(cell.arm.motions))
     engine.retreat_home()
@@ -227,7 +227,7 @@ def test_homing_has_the_instrument_taken_out_before_anything_moves(cell: Recordi
 @pytest.mark.branch("INSTRUMENT_INSIDE")
 def test_the_arm_does_not_move_until_removal_of_the_instrument_is_confirmed(cell: RecordingCell) -> None:
     engine = with_the_guide_on_its_axis(cell, Topic.INSTRUMENT_OUT)
-    cell.workcell.instrument.goes_in("T1")
+    cell.workcell.instrument.record_insertion("T1")
     with pytest.raises(NotConfirmed, match="still in T1: nothing moves"):
         engine.retreat_home()
     assert engine.instrument_in == "T1"

@@ -66,5 +66,5 @@ def test_repeating_the_step_that_left_a_trajectory_out_can_include_it_again(cell
     engine.run_to(engine.order.find("fit:T3"))
     again = fitted(cell)
     again.run_step(again.order.find("fit:T1"))
-    assert again.status(again.order.find("approach:T1")) == ""
+    assert again.course.status(again.order.find("approach:T1")) == ""
     assert again.case.left_out == ()

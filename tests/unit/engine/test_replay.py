@@ -15,13 +15,14 @@ from plain_steps import Approach, Fit, Held, Image, Localization, plain_order
 from recording_cell import GUIDE, HOME, RecordingArm, RecordingCell, RecordingTheatre
 
 from drivers.kuka_rsi.errors import MotionStopped
-from procedures.engine.context import ClinicalInput, StepContext
+from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
 from procedures.engine.replay.recorded_people import KEPT
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import GateFailed
 from procedures.journal.journal import Entry, Journal, read_journal
 from procedures.operator.question import Question, Topic
@@ -79,6 +80,11 @@ class Recorded:
             except GateFailed:
                 continue
 
+    def end(self) -> None:
+        """End the run before it is replayed."""
+        self.engine.close("left")
+        self.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+
     def replayed(self, order: CaseOrder | None = None) -> list[ReplayedRecord]:
         self.engine.close("left")
         clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
@@ -87,8 +93,7 @@ class Recorded:
 
     def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
         """Change every recorded answer."""
-        self.engine.close("left")
-        self.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+        self.end()
         path = self.folder / READINGS_FOLDER / READINGS_FILE
         lines = [json.loads(line) for line in path.read_text().splitlines()]
         for line in lines:
@@ -212,7 +217,7 @@ def test_a_replay_equals_a_run_killed_before_its_devices_were_opened(tmp_path: P
 @pytest.mark.hazard(2)
 def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_path: Path) -> None:
     def moves_with_the_guide(context: StepContext) -> Outcome[Localization]:
-        context.workcell.check_mounted(MountedTool.GUIDE)
+        context.workcell.mount.check(MountedTool.GUIDE)
         moves(context)
         return looks(context)
 
@@ -230,7 +235,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
     with pytest.raises(Killed):
         recorded.run("approach:T1")
     restarted(recorded)
-    recorded.engine.have_instrument_out()  # no line rules it out
+    recorded.engine.questions.have_instrument_out()  # no line rules it out
     recorded.run("approach:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
@@ -241,14 +246,14 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     def goes_in(context: StepContext) -> Outcome[Localization]:
         moves(context)  # refused while it is inside
         if not context.done_before:
-            context.workcell.instrument.goes_in("T1")
+            context.workcell.instrument.record_insertion("T1")
         return looks(context)
 
     recorded = Recorded(tmp_path, localization=goes_in)
     recorded.run(*CASE[:2])
     restarted(recorded)
-    recorded.cell.workcell.instrument.assume_inside("T1")
-    recorded.engine.have_instrument_out()
+    recorded.cell.workcell.instrument.record_assumed("T1")
+    recorded.engine.questions.have_instrument_out()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
@@ -278,7 +283,7 @@ def test_a_replay_permits_homing_when_a_guard_ended_the_step_before_the_instrume
         context.setting.memory.keep(1)
         context.progress(0.5, "before it goes in")
         if first:
-            context.workcell.instrument.goes_in("T1")
+            context.workcell.instrument.record_insertion("T1")
             raise GateFailed("it never came as far")
         return outcome
 
@@ -359,8 +364,7 @@ def test_a_replay_opens_no_connection_and_does_not_change_the_run(
 ) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE)
-    recorded.engine.close("left")
-    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    recorded.end()
     before = {path: path.read_bytes() for path in tmp_path.rglob("*") if path.is_file()}
 
     def refuse(*_: object, **__: object) -> None:
@@ -447,8 +451,7 @@ def test_a_damaged_first_line_is_refused(tmp_path: Path, opening: object) -> Non
 def test_a_line_torn_by_a_kill_is_skipped_when_the_run_was_continued(tmp_path: Path) -> None:
     recorded = Recorded(tmp_path)
     recorded.run(*CASE[:3])
-    recorded.engine.close("left")
-    recorded.engine.close = lambda _outcome: None  # type: ignore[method-assign]
+    recorded.end()
     path = tmp_path / READINGS_FOLDER / READINGS_FILE
     with path.open("a") as file:
         file.write('{"section": 7, "dev')

@@ -12,8 +12,7 @@ from prepared_results import SERIES, imported_ct, localized_fiducials, registere
 from pydicom import dcmread
 from scipy.spatial.transform import Rotation
 
-from procedures.engine.case import Case
-from procedures.engine.order import StepKey
+from procedures.engine.case import Case, StepKey
 from procedures.exchange.errors import NothingToExport, NotWritable, UnknownForm
 from procedures.exchange.run_export import export_run
 from procedures.exchange.sphere_files import check_names

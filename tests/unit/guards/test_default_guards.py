@@ -28,7 +28,7 @@ from ronna_hw.errors import LinkTimeout
 def cell(tmp_path: Path) -> RecordingCell:
     cell = RecordingCell(tmp_path)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     return cell
 
 

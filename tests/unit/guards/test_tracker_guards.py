@@ -9,7 +9,7 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
-from procedures.engine.context import CaseMemory
+from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import Approach, RoomWatch
 from procedures.guards.tracker_guards import BETWEEN_LOOKS_S, JUDGED, TrackerLink
 from ronna_hw.devices import OpticalTracker

@@ -15,8 +15,9 @@ import pytest
 from clinical_case import FIRST, TRAJECTORIES, ClinicalCell, done_later
 from prepared_results import checked_paths, registered_robot, up_to_correspondence
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.order import Scope, StepKey
+from procedures.engine.order import Scope
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import Entry
 from procedures.postoperative.summary import PostoperativeCheck

@@ -222,7 +222,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     write_request(RunRequest(procedure=CaseProcedure(case=tmp_path), config=theatre), cell.folder)
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
     cell.arm.mounted = GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     axis = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
     with held_theatre(theatre, cell.folder):
         cell.journal.write(Entry.MOTION, 0.0, what="insert", trajectory="T1", axis=axis)

@@ -26,9 +26,10 @@ from pydicom import dcmread
 from recording_cell import RecordingArm
 from run_again import broken_off, opened_again
 
+from procedures.engine.case import StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.engine import Engine
-from procedures.engine.order import Outcome, Scope, StepKey
+from procedures.engine.order import Outcome, Scope
 from procedures.exchange.run_export import export_run
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import JOURNAL_FILE
@@ -262,7 +263,7 @@ def test_a_restart_before_the_last_journal_line_ends_the_case_without_opening_a_
     cell = ClinicalCell(tmp_path)
     engine = rolling(cell, FIRST, AT_ONE)
     engine.run_to()
-    assert {engine.status(key) for key in engine.order.sequence} == {"done", "finished"}
+    assert {engine.course.status(key) for key in engine.order.sequence} == {"done", "finished"}
     broken_off(cell)
     monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: engine.order)
     monkeypatch.setattr(case_outcome, "outcome_as_recorded", lambda _request, left: left)
@@ -284,7 +285,7 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     again, engine, left = opened_again(cell, engine.order)
     assert not engine.over
     again.workcell.take_up(left.arm, HOME_RAD)
-    again.workcell.identify_mounted()
+    again.workcell.mount.identify()
     assert head_moved_since(engine)
     engine.accept()
     near_rad: list[JointVector | None] = []

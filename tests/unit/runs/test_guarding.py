@@ -90,7 +90,7 @@ def guarded(tmp_path: Path) -> ClinicalCell:
     cell.clock = PassingClock()
     add_guards(cell.engine(ORDER), tmp_path / "theatre.toml", cell.theatre, only_leaving=True)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     cell.operator.refusing = (Topic.GUARD,)
     return cell
 

@@ -10,9 +10,10 @@ from plain_steps import Approach, Image, plain_order
 from recording_cell import RecordingCell
 from run_again import broken_off, opened_again
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RunInUse
-from procedures.engine.order import Outcome, StepKey
+from procedures.engine.order import Outcome
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.journal.results import StepResult

@@ -15,8 +15,9 @@ from prepared_results import (
     localized_fiducials,
 )
 
+from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
-from procedures.engine.order import Scope, StepKey
+from procedures.engine.order import Scope
 from procedures.guards.errors import BaseShifted, InputChanged, PatientMoved
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult

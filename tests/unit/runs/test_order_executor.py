@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from plain_steps import Fit, only_home_remains, plain_order
+from plain_steps import Fit, Image, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
 from waiting import eventually
 
@@ -188,7 +188,7 @@ def test_orders_of_an_operator_who_left_the_seat_are_not_carried_out_for_the_nex
     def leaving(context: StepContext) -> Outcome[StepResult]:
         case.give("release")
         case.give("claim", name="Ben")
-        return Outcome(context.spec.result())
+        return Outcome(Image())
 
     case = Operated(cell.engine(plain_order(image=leaving)))
     with running(case):
@@ -208,7 +208,7 @@ def failing(times: int) -> Callable[[StepContext], Outcome[StepResult]]:
         left[0] -= 1
         if left[0] >= 0:
             raise GateFailed("too far")
-        return Outcome(context.spec.result())
+        return Outcome(Image())
 
     return work
 
@@ -361,7 +361,7 @@ def test_the_operator_at_the_console_acknowledges_and_brings_home_when_every_ste
 def test_a_fault_acknowledged_at_the_console_in_a_pause_has_its_step_begun_again(cell: RecordingCell) -> None:
     case = Operated(cell.engine(plain_order()), runs=False)
     cell.operator = case.executor.operator(cell.operator)  # type: ignore[assignment]
-    case.engine.questions = Questions(cell.operator, cell.journal, cell.clock.now_s, case.engine.events)
+    case.engine.questions = Questions(cell.setting(), cell.journal, case.engine.events)
     with running(case):
         case.await_waiting()
         case.give("claim", name="Ana")

@@ -8,7 +8,8 @@ from clinical_case import ClinicalCell, done_later
 from prepared_results import checked_plan
 from run_again import broken_off
 
-from procedures.engine.order import StepKey, order_of
+from procedures.engine.case import StepKey
+from procedures.engine.order import order_of
 from procedures.journal.results import StepResult
 from procedures.runs.case import recorded_order
 from procedures.runs.interrupted_run import read_interrupted_run

@@ -14,8 +14,9 @@ from declaration_checks import reading_too_early, undescribed, without_unit
 from force_sensor import UNSCALED_N, ScaledForceSensor
 from prepared_results import mounted_guide
 
+from procedures.engine.case import StepKey
 from procedures.engine.machine import mermaid
-from procedures.engine.order import CaseOrder, StepKey, order_of
+from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.run_folder import typed
 from procedures.journal.errors import GateFailed
 from procedures.steps import catalogue as steps_catalogue

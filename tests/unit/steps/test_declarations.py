@@ -25,7 +25,8 @@ from procedures.calibration import Baseline, Observation, ObservationSet, Outlin
 from procedures.calibration.arm_model import ArmLooks, SphereLook
 from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use
 from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLooks
-from procedures.engine.order import StepKey, Steps, StepSpec
+from procedures.engine.case import StepKey
+from procedures.engine.order import Steps, StepSpec
 from procedures.engine.run_folder import typed
 from procedures.guards.stability import SeenUnchanged
 from procedures.journal.results import FramedPose, StepResult

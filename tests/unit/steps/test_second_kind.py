@@ -29,12 +29,12 @@ from drivers.basler_stereo.pair import BaslerStereoPair
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.ndi_polaris.driver import PolarisTracker
 from procedures.cli.doctor.report import examine
-from procedures.engine.context import ClinicalInput
 from procedures.engine.engine import Engine
 from procedures.engine.order import CaseOrder, order_of
 from procedures.engine.replay.recorded_answers import read_answers, section_follower
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
+from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.comparison import Comparison, compare_devices

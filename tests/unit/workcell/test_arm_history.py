@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from contextlib import nullcontext
 from dataclasses import replace
 
 import pytest
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
-from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import TRAIL, ArmHistory, arm_history
-from procedures.workcell.arm_place import Where
+from procedures.workcell.arm_history import TRAIL, ArmHistory, Where, arm_history
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
@@ -32,7 +29,7 @@ FARTHER: JointVector = (HOME[0] + 0.2, *HOME[1:])
 def cell(cell: RecordingCell) -> RecordingCell:
     """With the guide mounted, at home."""
     cell.arm.mounted = GUIDE
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     return cell
 
@@ -66,16 +63,16 @@ def inserted(cell: RecordingCell) -> None:
 def worked(cell: RecordingCell) -> None:
     inserted(cell)
     instrument = cell.workcell.instrument
-    instrument.stages.stop_is_set("T1", {"mm": 120.5})
-    instrument.stages.begins("T1", "drill")
-    instrument.goes_in("T1")
-    instrument.stages.is_done("T1", "drill")
-    instrument.stages.begins("T1", "insert")
+    instrument.stages.record_stop("T1", {"mm": 120.5})
+    instrument.stages.record_begin("T1", "drill")
+    instrument.record_insertion("T1")
+    instrument.stages.record_done("T1", "drill")
+    instrument.stages.record_begin("T1", "insert")
 
 
 def taken_out(cell: RecordingCell) -> None:
     worked(cell)
-    cell.workcell.instrument.is_out()
+    cell.workcell.instrument.record_removal()
 
 
 def withdrawn(cell: RecordingCell) -> None:
@@ -102,9 +99,7 @@ def refused(cell: RecordingCell) -> None:
 
 
 def cut_short(cell: RecordingCell) -> None:
-    declining = RecordingOperator(Topic.PAUSE).word
-    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, declining)
+    cell.have_asked(RecordingOperator(Topic.PAUSE).word)
     cell.arm.interruptions = 1
     with pytest.raises(OperatorAborted):
         cell.workcell.go(AWAY)
@@ -164,10 +159,8 @@ def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: Reco
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
     cell.workcell.go(AWAY)
-    declining = RecordingOperator(Topic.FIRST_MOTION).word
     cell.workcell.supervised.begin_anew()
-    resting = Checkpoint(declining, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, declining)
+    cell.have_asked(RecordingOperator(Topic.FIRST_MOTION).word)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
     assert not cell.workcell.place.on_axis
@@ -178,7 +171,7 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
     cell: RecordingCell,
 ) -> None:
     worked(cell)
-    cell.workcell.instrument.is_out()
+    cell.workcell.instrument.record_removal()
     assert cell.workcell.history.instrument_out
     restarted = {"entry": Entry.RESTARTED, "torn_bytes": 120}
     assert not cell.workcell.history.after(restarted).instrument_out
@@ -186,7 +179,7 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
 
 def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
     withdrawn(cell)
-    cell.workcell.instrument.assume_inside("T1")
+    cell.workcell.instrument.record_assumed("T1")
     assert cell.workcell.place.instrument_may_be_inside == "T1"
     assert not cell.workcell.history.instrument_out
 

@@ -31,7 +31,7 @@ def watcher(cell: RecordingCell, monkeypatch: pytest.MonkeyPatch) -> BallWatcher
     monkeypatch.setattr(cell.workcell, "look", lambda: nothing)
     cell.arm.joints_rad = HOME_RAD
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     cell.workcell.set_home()
     return BallWatcher(cell.workcell, BALL_MM)
 

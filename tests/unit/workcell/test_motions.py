@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import re
 from collections.abc import Callable
-from contextlib import nullcontext
 from pathlib import Path
 from types import SimpleNamespace
 from typing import cast
@@ -15,11 +14,9 @@ import pytest
 from planned_arm import PlannedArm
 from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_pose
 
-from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import ArmHistory
-from procedures.workcell.arm_place import ArmPlace, Where
+from procedures.workcell.arm_history import ArmHistory, ArmPlace, Where
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.motions import MotionFacts
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
@@ -46,16 +43,11 @@ def cell(tmp_path: Path) -> RecordingCell:
     cell = RecordingCell(tmp_path, operator=RecordingOperator())
     cell.arm = PlannedArm("arm", state=Lifecycle.ACTIVE, mounted=GUIDE, joints_rad=LIFTED)
     cell.opened.replace_device("robot.master", cell.arm)
-    cell.workcell.check_mounted(MountedTool.GUIDE)
+    cell.workcell.mount.check(MountedTool.GUIDE)
     cell.workcell.set_home()
     cell.arm.joints_rad = START
-    have_asked(cell, cell.operator.word)
+    cell.have_asked(cell.operator.word)
     return cell
-
-
-def have_asked(cell: RecordingCell, ask: Callable[[Question], str]) -> None:
-    resting = Checkpoint(ask, lambda _state, _reason: nullcontext(), cell.clock)
-    cell.workcell.supervised.ask_before(resting, ask)
 
 
 def arm_of(cell: RecordingCell) -> PlannedArm:
@@ -168,7 +160,7 @@ def test_a_guide_pushed_aside_during_a_stop_does_not_continue(cell: RecordingCel
             cell.arm.joints_rad = (A1 + 0.002, *others)  # by about a millimetre
         return answer(question)
 
-    have_asked(cell, push)
+    cell.have_asked(push)
     with pytest.raises(TipOffAxis, match="PRO-015"):
         KINDS[kind](cell)
     assert arm_of(cell).plans == []

@@ -7,8 +7,7 @@ from recording_cell import RecordingCell
 
 from procedures.journal.errors import StepRefused
 from procedures.strategies.strategy import ONE_SIDE, approach_joints
-from procedures.workcell.arm_history import ArmHistory
-from procedures.workcell.arm_place import AT_PLACE_RAD
+from procedures.workcell.arm_history import AT_PLACE_RAD, ArmHistory
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout

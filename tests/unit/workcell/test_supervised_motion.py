@@ -31,7 +31,7 @@ def supervised(cell: RecordingCell, *refusing: Topic) -> Engine:
     """An engine over a cell at home with the stereo head mounted, whose arm is active."""
     cell.operator = RecordingOperator(*refusing)
     cell.arm.state = Lifecycle.ACTIVE
-    cell.workcell.check_mounted(MountedTool.STEREO_HEAD)
+    cell.workcell.mount.check(MountedTool.STEREO_HEAD)
     cell.workcell.set_home()
     return cell.engine(plain_order())
 
@@ -223,7 +223,7 @@ def test_a_start_that_fails_has_its_result_in_the_journal(tmp_path: Path) -> Non
 @pytest.mark.hazard(44)
 def test_the_arm_does_not_start_with_an_instrument_in_the_guide(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
-    cell.workcell.instrument.goes_in("T1")
+    cell.workcell.instrument.record_insertion("T1")
     with pytest.raises(InstrumentInGuide, match="start the arm"):
         cell.workcell.start()
     assert (cell.operator.asked, cell.arm.calls) == ([], [])
@@ -241,7 +241,7 @@ def test_the_arm_stays_off_without_confirmation(tmp_path: Path) -> None:
 def test_the_first_motion_still_needs_its_own_confirmation(tmp_path: Path) -> None:
     cell = cell_with(tmp_path, RecordingOperator())
     cell.workcell.set_home()
-    cell.workcell.identify_mounted()
+    cell.workcell.mount.identify()
     cell.workcell.start()
     cell.workcell.go_home()
     assert [one.topic for one in cell.operator.asked] == [Topic.UNVERIFIED, Topic.FIRST_MOTION]

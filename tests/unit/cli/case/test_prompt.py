@@ -53,7 +53,7 @@ def test_a_failed_step_holds_the_case_and_shows_the_commands_that_continue(
     assert "PRO-007" in capsys.readouterr().err
     assert typed.said[0] == f"{HELD}; next continues"
     assert engine.machine.state == "held"
-    assert engine.status(engine.order.find("image")) == "done"
+    assert engine.course.status(engine.order.find("image")) == "done"
 
 
 def test_back_shows_what_it_supersedes_and_repeats_nothing_without_confirmation(

@@ -185,7 +185,7 @@ def test_a_small_head_move_puts_the_target_in_doubt_and_the_next_registration_ma
     assert targets == [FIRST]
     assert text.startswith(f"{FIRST} in doubt: the head has moved since it was localized, by 3.00 mm")
     assert str(engine.upcoming) == f"registration:{LAST}"
-    assert engine.status(engine.order.find("global_localization")) == "done"
+    assert engine.course.status(engine.order.find("global_localization")) == "done"
 
 
 @pytest.mark.hazard(12)
@@ -197,7 +197,7 @@ def test_a_registration_of_all_targets_may_follow_a_small_head_move_for_those_th
     changed_after_the_first(cell, engine, head_moved(3.0))
     assert look_after(engine, FIRST).in_doubt == (FIRST,)
     assert str(engine.upcoming) == "registration"
-    assert engine.status(engine.order.find(f"at_target:{FIRST}")) == "done"
+    assert engine.course.status(engine.order.find(f"at_target:{FIRST}")) == "done"
 
 
 @pytest.mark.hazard(12)
@@ -209,7 +209,7 @@ def test_a_head_that_moved_too_far_to_be_followed_is_localized_again(
         look_after(engine, FIRST)
     assert [targets for _, targets in findings(cell)] == [[FIRST]]
     assert cell.entries("voided") == [("voided", "global_localization")]
-    assert engine.status(engine.order.find(f"at_target:{FIRST}")) == "done"
+    assert engine.course.status(engine.order.find(f"at_target:{FIRST}")) == "done"
 
 
 @pytest.mark.hazard(13)

@@ -9,7 +9,7 @@ import pytest
 from clinical_case import HOME_RAD, ClinicalCell
 from prepared_results import checked_paths, checked_plan, coarse, localized_fiducials
 
-from procedures.engine.order import StepKey
+from procedures.engine.case import StepKey
 from procedures.planning.motions import HOME
 from procedures.steps.clinical import tool_check
 from procedures.steps.clinical.path_check import CheckedPaths, MotionPreview

@@ -25,8 +25,7 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.errors import CartMisplaced, CartNotLocked
 from procedures.workcell import MountedTool
-from procedures.workcell.arm_history import ArmHistory
-from procedures.workcell.arm_place import ArmPlace, Insertion, Where
+from procedures.workcell.arm_history import ArmHistory, ArmPlace, Insertion, Where
 from ronna_hw.arm.pose import Pose
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH, HEAD_CLAMP

@@ -19,16 +19,7 @@ from clinical_case import (
     given,
     shifted,
 )
-from prepared_results import (
-    checked_paths,
-    checked_plan,
-    checked_tool,
-    coarse,
-    localized_fiducials,
-    mounted_guide,
-    plan,
-    registered_robot,
-)
+from prepared_results import before_positioning, checked_paths, plan, registered_robot
 from recording_cell import GUIDE, STEREO_HEAD, RecordingOperator, tool_pose
 
 from procedures.engine.engine import Engine
@@ -39,7 +30,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
 from procedures.planning import line_of_sight
 from procedures.planning.errors import NotReachable
-from procedures.steps.clinical import at_target, ct_import, positioning, retreat
+from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.at_target import POSITION_LIMIT_MM, ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.retreat import Retreated
@@ -60,18 +51,6 @@ SETTLED_HOME = tuple(("joints", joints_rad) for joints_rad in HOMING)
 @pytest.fixture(autouse=True)
 def dwell(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr("procedures.steps.clinical.at_target.DWELL_S", 0.0)
-
-
-def begin(cell: ClinicalCell, **paths: object) -> Engine:
-    """An engine that stands before the first positioning, with the guide mounted."""
-    cell.carrying(MountedTool.GUIDE)
-    engine = cell.begin(
-        *(registered_robot(), mounted_guide(), checked_tool(), checked_paths(cell, **paths)),
-        *(checked_plan(), localized_fiducials(), *coarse()),
-        *(positioning.STEP, at_target.STEP, retreat.STEP),
-    )
-    engine.run_to(engine.order.sequence[7])
-    return engine
 
 
 def run(engine: Engine, *names: str) -> None:
@@ -95,7 +74,7 @@ def before_entry_mm(trajectory: str) -> list[float]:
 def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
     cell: ClinicalCell, trajectory: str
 ) -> None:
-    run(begin(cell), f"positioning:{trajectory}")
+    run(before_positioning(cell), f"positioning:{trajectory}")
     assert lower_end_mm(cell) == pytest.approx(before_entry_mm(trajectory), abs=1e-6)
     below, home, (_, over), (kind, held) = cell.arm.motions
     assert (below, home) == SETTLED_HOME
@@ -105,7 +84,7 @@ def test_the_guide_stops_before_the_entry_after_moving_along_the_axis(
 
 
 def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) -> None:
-    run(begin(cell), f"positioning:{FIRST}")
+    run(before_positioning(cell), f"positioning:{FIRST}")
     assert cell.workcell.place.on_axis
     assert cell.workcell.place.trajectory == FIRST
     assert cell.case.get(PositionedGuide, FIRST).result.joints_rad == cell.arm.joints_rad
@@ -116,14 +95,14 @@ def test_the_axis_is_stored_in_the_workcell_and_the_journal(cell: ClinicalCell) 
 def test_the_arm_does_not_move_without_confirmation(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.APPROACH)
     with pytest.raises(NotConfirmed, match=f"move home, .*, then over {FIRST}"):
-        run(begin(cell), f"positioning:{FIRST}")
+        run(before_positioning(cell), f"positioning:{FIRST}")
     assert cell.arm.motions == []
     assert cell.arm.calls == ["surround"]
 
 
 @pytest.mark.hazard(37)
 def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     cell.arm.mounted = STEREO_HEAD
     with pytest.raises(WrongTool, match=f"guide, number {GUIDE}, got number {STEREO_HEAD}"):
         run(engine, f"positioning:{FIRST}")
@@ -132,7 +111,7 @@ def test_the_mounted_tool_is_read_again_before_the_arm_moves(cell: ClinicalCell)
 
 
 def test_the_guide_is_held_in_the_orientation_of_the_localization(cell: ClinicalCell) -> None:
-    turned = begin(cell, turn_rad=0.3)
+    turned = before_positioning(cell, turn_rad=0.3)
     run(turned, f"positioning:{FIRST}")
     held = cell.case.get(PositionedGuide, FIRST).result.tool_pose.transform
     localized = checked_paths(cell, turn_rad=0.3).localizations[FIRST][0].tool_pose.transform
@@ -143,7 +122,7 @@ def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_th
     cell: ClinicalCell,
 ) -> None:
     cell.strategy = NeutralOrientation()
-    run(begin(cell, turn_rad=0.3), f"positioning:{LAST}")
+    run(before_positioning(cell, turn_rad=0.3), f"positioning:{LAST}")
     held = cell.case.get(PositionedGuide, LAST).result.tool_pose.transform
     checked = checked_paths(cell, turn_rad=0.3).targets[LAST].tool_pose.transform
     assert (held.rigid.rotation.inv() * checked.rigid.rotation).magnitude() < 1e-9
@@ -151,7 +130,7 @@ def test_with_a_strategy_that_keeps_planned_targets_the_guide_is_turned_as_in_th
 
 @pytest.mark.hazard(46)
 def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     cell.tracker.guide_shift_mm = None  # the frame on the guide is hidden, and cannot tell
     cell.tracker.frame_turn_rad = (0.0, math.radians(0.8), 0.0)
     refused = r"turned against where the arm has it.*limit 0\.5 deg, got 0\.80 deg"
@@ -164,7 +143,7 @@ def test_a_guide_that_is_held_turned_when_it_comes_to_rest_is_refused(cell: Clin
 
 @pytest.mark.hazard(47)
 def test_a_guide_whose_seat_gave_way_after_its_check_is_not_led_to_the_entry(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     been = len(cell.arm.motions)
     cell.tracker.guide_shift_mm = (0.0, 2.0, 0.0)
     with pytest.raises(ToolSeenElsewhere):
@@ -173,21 +152,21 @@ def test_a_guide_whose_seat_gave_way_after_its_check_is_not_led_to_the_entry(cel
 
 
 def test_a_frame_on_the_arm_that_was_moved_is_not_taken_for_a_seat_that_gave_way(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     cell.tracker.frame_shift_mm = (0.0, 5.0, 0.0)
     with pytest.raises(BaseShifted):
         run(engine, f"positioning:{FIRST}")
 
 
 def test_an_arm_that_arrived_is_at_the_target(cell: ClinicalCell) -> None:
-    run(begin(cell), f"positioning:{FIRST}", f"at_target:{FIRST}")
+    run(before_positioning(cell), f"positioning:{FIRST}", f"at_target:{FIRST}")
     reached = cell.case.get(ReachedTarget, FIRST)
     assert reached.result.nominal_error_mm < 1e-6
     assert {name.partition("-")[2] for name in reached.record.parents} == {"positioning-T1", "plan_check"}
 
 
 def test_an_arm_off_its_position_is_not_at_the_target(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     run(engine, f"positioning:{FIRST}")
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 2 * POSITION_LIMIT_MM / 700.0, *others)
@@ -197,7 +176,7 @@ def test_an_arm_off_its_position_is_not_at_the_target(cell: ClinicalCell) -> Non
 
 @pytest.mark.hazard(24)
 def test_the_retreat_reverses_the_approach(cell: ClinicalCell) -> None:
-    run(begin(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
+    run(before_positioning(cell), *(f"{name}:{FIRST}" for name in ("positioning", "at_target", "retreat")))
     *before, (_, over), (_, _), (kind, back), below, home = cell.arm.motions
     assert kind == "line"
     assert back == pytest.approx(over, abs=1e-6)
@@ -210,7 +189,7 @@ TARGETING = ("positioning", "at_target", "retreat")
 
 @pytest.mark.parametrize("order", [(FIRST, LAST), (LAST, FIRST)])
 def test_the_arm_parks_after_each_target_in_either_order(cell: ClinicalCell, order: tuple[str, str]) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     for trajectory in order:
         run(engine, *(f"{name}:{trajectory}" for name in TARGETING))
         assert cell.case.get(Retreated, trajectory).result.joints_rad == HOME_RAD
@@ -222,7 +201,7 @@ def test_the_arm_parks_after_each_target_in_either_order(cell: ClinicalCell, ord
 def test_an_arm_that_came_home_from_a_target_is_not_sent_there_again_before_the_next(
     cell: ClinicalCell,
 ) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     run(engine, *(f"{name}:{FIRST}" for name in TARGETING))
     been = len(cell.arm.motions)
     run(engine, f"positioning:{LAST}")
@@ -234,7 +213,7 @@ def test_an_arm_that_came_home_from_a_target_is_not_sent_there_again_before_the_
 def test_with_the_guide_before_an_entry_only_the_next_step_of_its_trajectory_may_run(
     cell: ClinicalCell,
 ) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     run(engine, f"positioning:{FIRST}")
     for name in (f"positioning:{LAST}", f"at_target:{LAST}", f"retreat:{FIRST}", f"positioning:{FIRST}"):
         with pytest.raises(StepRefused, match=f"only at_target:{FIRST} may"):
@@ -242,7 +221,7 @@ def test_with_the_guide_before_an_entry_only_the_next_step_of_its_trajectory_may
 
 
 def test_the_parents_of_a_positioning_are_the_results_that_determined_it(cell: ClinicalCell) -> None:
-    run(begin(cell), f"positioning:{FIRST}")
+    run(before_positioning(cell), f"positioning:{FIRST}")
     kinds = {name.partition("-")[2] for name in cell.case.get(PositionedGuide, FIRST).record.parents}
     sent_by = {
         *("registration", "tool_change", "tool_check", "path_check", "plan_check", "fiducial_localization")
@@ -252,19 +231,8 @@ def test_the_parents_of_a_positioning_are_the_results_that_determined_it(cell: C
 
 
 def test_an_offset_registration_offsets_the_guide_by_the_same_amount(cell: ClinicalCell) -> None:
-    cell.carrying(MountedTool.GUIDE)
-    cell.run(
-        registered_robot(shifted(ROBOT_FROM_CT, (2.0, 0.0, -1.0))),
-        *(
-            mounted_guide(),
-            checked_tool(),
-            checked_paths(cell),
-            checked_plan(),
-            localized_fiducials(),
-            *coarse(),
-        ),
-        positioning.STEP,
-    )
+    registered = registered_robot(shifted(ROBOT_FROM_CT, (2.0, 0.0, -1.0)))
+    run(before_positioning(cell, registered), f"positioning:{FIRST}")
     expected = [a + b for a, b in zip(before_entry_mm(FIRST), (2.0, 0.0, -1.0), strict=True)]
     assert lower_end_mm(cell) == pytest.approx(expected, abs=1e-6)
 
@@ -278,7 +246,7 @@ def test_nothing_moves_if_the_tool_is_exchanged_while_the_question_is_open(cell:
             return super().ask(question)
 
     cell.operator = Exchanger()
-    engine = begin(cell)
+    engine = before_positioning(cell)
     with pytest.raises(WrongTool, match="PRO-009"):
         run(engine, f"positioning:{FIRST}")
     assert cell.arm.motions == []
@@ -286,7 +254,7 @@ def test_nothing_moves_if_the_tool_is_exchanged_while_the_question_is_open(cell:
 
 @pytest.mark.hazard(24)
 def test_a_damaged_record_does_not_keep_the_guide_from_retreating(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     run(engine, f"positioning:{FIRST}", f"at_target:{FIRST}")
     for path in (cell.folder / "records").iterdir():
         path.unlink()
@@ -307,7 +275,7 @@ def test_a_step_that_would_need_a_new_localization_is_not_repeated_with_the_guid
 @pytest.mark.hazard(23)
 @pytest.mark.branch("NOT_CLEAR_NOW")
 def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     cell.arm.blocked = lambda _start, target: target not in HOMING
     with pytest.raises(NotReachable, match=f"{FIRST} cannot be reached: the way is not clear"):
         run(engine, f"positioning:{FIRST}")
@@ -319,7 +287,7 @@ def test_a_blocked_target_is_refused_and_its_trajectory_named(cell: ClinicalCell
 def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_had(
     cell: ClinicalCell,
 ) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
 
     def block_the_line(_start: JointVector, target: JointVector) -> bool:
         if target not in HOMING:
@@ -335,20 +303,7 @@ def test_a_target_refused_after_the_arm_has_moved_is_not_reported_as_if_nothing_
 
 def after_a_fault(cell: ClinicalCell) -> Engine:
     cell.strategy = NeutralOrientation()
-    cell.carrying(MountedTool.GUIDE)
-    engine = cell.begin(
-        replace(given(registered_robot()), scope=Scope.LOCALIZATION),
-        *(
-            mounted_guide(),
-            checked_tool(),
-            checked_paths(cell),
-            checked_plan(),
-            localized_fiducials(),
-            *coarse(),
-        ),
-        *(positioning.STEP, at_target.STEP, retreat.STEP),
-    )
-    engine.run_to(engine.order.sequence[7])
+    engine = before_positioning(cell, replace(given(registered_robot()), scope=Scope.LOCALIZATION))
     cell.arm.state = Lifecycle.FAULT
     engine.faults.acknowledge("A. Nurse")
     return engine
@@ -376,7 +331,7 @@ def test_a_registration_from_before_a_fault_moves_nothing_unless_it_is_kept(cell
 @pytest.mark.hazard(36)
 def test_the_instrument_stays_at_its_target_until_the_operator_confirms_the_depth(cell: ClinicalCell) -> None:
     cell.operator = RecordingOperator(Topic.AT_TARGET)
-    engine = begin(cell)
+    engine = before_positioning(cell)
     run(engine, f"positioning:{FIRST}")
     with pytest.raises(NotConfirmed, match="nobody confirmed at T1 that the instrument is at depth"):
         run(engine, f"at_target:{FIRST}")
@@ -385,30 +340,26 @@ def test_the_instrument_stays_at_its_target_until_the_operator_confirms_the_dept
 
 
 @pytest.mark.hazard(12)
+@pytest.mark.hazard(36)
 @pytest.mark.parametrize("in_the_way", [True, False])
-def test_the_question_says_when_the_arm_is_expected_to_hide_the_head(
+def test_the_approach_is_confirmed_once_and_the_question_says_when_the_arm_will_hide_the_head(
     in_the_way: bool, cell: ClinicalCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     if in_the_way:  # a tracker behind the hand
         hand = cell.arm.kinematics.flange_pose(checked_paths(cell).targets[FIRST].joints_rad)
         monkeypatch.setattr(line_of_sight, "SENSORS_MM", (hand.translation_mm - TRACKER_MM,) * 2)
     run(engine, f"positioning:{FIRST}")
     (question,) = cell.operator.asked
+    assert question.topic is Topic.APPROACH
     assert ("hide the head from the tracker" in question.subject) is in_the_way
-
-
-@pytest.mark.hazard(36)
-def test_an_approach_is_confirmed_once(cell: ClinicalCell) -> None:
-    run(begin(cell), f"positioning:{FIRST}")
-    assert [question.topic for question in cell.operator.asked] == [Topic.APPROACH]
 
 
 @pytest.mark.hazard(12)
 def test_an_arm_that_is_elsewhere_returns_home_and_the_head_is_checked_there_before_a_target(
     cell: ClinicalCell,
 ) -> None:
-    engine = begin(cell)
+    engine = before_positioning(cell)
     A1, *others = cell.arm.joints_rad
     cell.arm.joints_rad = (A1 + 0.1, *others)
     cell.tracker.spheres_mm = SPHERES_MM[:2]  # the arm hides the others

@@ -34,7 +34,7 @@ from procedures.strategies.catalogue import strategy_named
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import back_along_axis
-from procedures.workcell.motions import MotionKind
+from procedures.workcell.arm_history import MotionKind
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.lifecycle import Lifecycle
 
@@ -172,5 +172,7 @@ def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
     paths = cell.case.get(CheckedPaths).result
     assert list(paths.left_out) == [first.id]
     assert tuple(paths.targets) == tuple(one.id for one in others)
-    assert {key.trajectory for key in engine.order.sequence if engine.status(key) == "left out"} == {first.id}
+    assert {key.trajectory for key in engine.order.sequence if engine.course.status(key) == "left out"} == {
+        first.id
+    }
     assert cell.arm.joints_rad == HOME_RAD

@@ -8,16 +8,7 @@ from typing import Any
 
 import pytest
 from clinical_case import FIRST, ClinicalCell
-from prepared_results import (
-    checked_paths,
-    checked_plan,
-    checked_tool,
-    coarse,
-    localized_fiducials,
-    mounted_guide,
-    plan,
-    registered_robot,
-)
+from prepared_results import before_positioning, plan
 from waiting import eventually
 from watched_case import findings
 
@@ -29,11 +20,9 @@ from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Answer, Question, Topic
-from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.work_progress import STOP_LIMIT_MM
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
-from procedures.workcell import MountedTool
 
 READINGS = 10  # host time passes between them
 LEVER_MM = 161.0  # from the frame on the mount to the lower end of the guide
@@ -52,12 +41,7 @@ def soon(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def before_the_entry(cell: ClinicalCell) -> Engine:
     """An engine whose guide is held before the first entry."""
-    cell.carrying(MountedTool.GUIDE)
-    engine = cell.begin(
-        *(registered_robot(), mounted_guide(), checked_tool(), checked_paths(cell)),
-        *(checked_plan(), localized_fiducials(), *coarse()),
-        *(positioning.STEP, at_target.STEP, retreat.STEP),
-    )
+    engine = before_positioning(cell)
     setting = engine.setting
     engine.checkpoint.guards.append(GuideDisplacement(setting.workcell, setting.clock, setting.memory))
     engine.run_to(engine.order.find(f"positioning:{FIRST}"))
@@ -260,40 +244,37 @@ def test_no_instrument_goes_in_unless_the_operator_chooses_the_stage(cell: Clini
     assert instrument_lines(cell) == lines
 
 
-@pytest.mark.hazard(46)
-@pytest.mark.branch("GUIDE_PUSHED")
-@pytest.mark.parametrize(("push_mm", "suspends"), [(0.6 * PUSHED_MM, False), (1.5 * PUSHED_MM, True)])
-def test_a_pushed_guide_suspends_the_case_until_it_is_released(
-    cell: ClinicalCell, push_mm: float, suspends: bool
-) -> None:
-    engine = before_the_entry(cell)
-
-    def push(question: Question) -> None:
-        pushed = question.topic is Topic.DRILL
-        cell.tracker.frame_shift_mm = (push_mm if pushed else 0.0, 0.0, 0.0)
-
-    cell.operator.meanwhile = push
-    work(engine)
-    guards = [one for one in cell.operator.asked if one.topic is Topic.GUARD]
-    assert [f"pushed or pulled by {push_mm:.2f} mm" in one.subject for one in guards] == [True] * suspends
-    assert cell.case.get(ReachedTarget, FIRST).result.pushed_mm == pytest.approx(push_mm)
+DISPLACED = {
+    "pushed by little": ("frame_shift_mm", (0.6 * PUSHED_MM, 0.0, 0.0), 0.6 * PUSHED_MM),
+    "pushed": ("frame_shift_mm", (1.5 * PUSHED_MM, 0.0, 0.0), 1.5 * PUSHED_MM),
+    "its seat gives way": ("guide_shift_mm", (2.0 * PUSHED_MM, 0.0, 0.0), 2.0 * PUSHED_MM),
+    "a turn of the wrist that leaves the frame in its place": ("frame_turn_rad", (0.0, TURN_RAD, 0.0), None),
+}
 
 
 @pytest.mark.hazard(46)
 @pytest.mark.branch("GUIDE_PUSHED")
-def test_a_turn_of_the_wrist_that_leaves_the_frame_in_its_place_suspends_the_case(cell: ClinicalCell) -> None:
+@pytest.mark.parametrize("how", DISPLACED)
+def test_a_displaced_guide_suspends_the_case_until_it_is_released(cell: ClinicalCell, how: str) -> None:
+    seen, displaced, expected_mm = DISPLACED[how]
     engine = before_the_entry(cell)
 
-    def turn(question: Question) -> None:
-        cell.tracker.frame_turn_rad = (0.0, TURN_RAD if question.topic is Topic.DRILL else 0.0, 0.0)
+    def displace(question: Question) -> None:
+        setattr(cell.tracker, seen, displaced if question.topic is Topic.DRILL else (0.0, 0.0, 0.0))
 
-    cell.operator.meanwhile = turn
+    cell.operator.meanwhile = displace
     work(engine)
-    (said,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
     pushed_mm = cell.case.get(ReachedTarget, FIRST).result.pushed_mm
-    assert f"pushed or pulled by {pushed_mm:.2f} mm" in said
     assert pushed_mm is not None
-    assert PUSHED_MM < pushed_mm <= LEVER_MM * TURN_RAD
+    if expected_mm is None:
+        assert PUSHED_MM < pushed_mm <= LEVER_MM * TURN_RAD
+    else:
+        assert pushed_mm == pytest.approx(expected_mm)
+    said = [one.subject for one in cell.operator.asked if one.topic is Topic.GUARD]
+    assert len(said) == (pushed_mm > PUSHED_MM)
+    for subject in said:
+        assert f"pushed or pulled by {pushed_mm:.2f} mm" in subject
+        assert "its seat has given way" in subject
 
 
 @pytest.mark.hazard(46)
@@ -311,22 +292,6 @@ def test_no_stage_begins_while_a_guide_that_suspended_the_step_is_still_displace
         with pytest.raises(GuardUnmet, match="pushed or pulled"):
             work(engine)
     assert [task.name for task in cell.room.worked] == ["depth_stop", "skin"]
-
-
-@pytest.mark.hazard(46)
-@pytest.mark.branch("GUIDE_PUSHED")
-def test_a_seat_of_the_guide_that_gives_way_meanwhile_suspends_the_case(cell: ClinicalCell) -> None:
-    engine = before_the_entry(cell)
-
-    def give_way(question: Question) -> None:
-        sides_mm = 2.0 * PUSHED_MM if question.topic is Topic.DRILL else 0.0
-        cell.tracker.guide_shift_mm = (sides_mm, 0.0, 0.0)
-
-    cell.operator.meanwhile = give_way
-    work(engine)
-    (said,) = (one.subject for one in cell.operator.asked if one.topic is Topic.GUARD)
-    assert f"pushed or pulled by {2.0 * PUSHED_MM:.2f} mm" in said
-    assert "its seat has given way" in said
 
 
 @pytest.mark.hazard(46)

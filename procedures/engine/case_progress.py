@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from procedures.engine.case import Case, Stored
-from procedures.engine.order import CaseOrder, Phase, StepKey, StepSpec
+from procedures.engine.case import Case, StepKey, Stored
+from procedures.engine.order import CaseOrder, Phase, StepSpec
 from procedures.journal.results import StepResult
 from ronna_hw.records import Record
 

@@ -8,7 +8,7 @@ import pytest
 from plain_steps import Fit, Held, Image, plain_order
 
 from procedures.engine.case import Case
-from procedures.engine.course import CaseProgress
+from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import Phase
 from procedures.journal.results import StepResult
 

@@ -1,0 +1,82 @@
+"""Workcell, people, inputs and settings that all steps of a run share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import TYPE_CHECKING, TypeVar, cast
+
+from procedures.operator.question import Operator, Room
+from procedures.strategies.strategy import Strategy
+from ronna_hw.clock import Clock
+from ronna_hw.config import ProcedureSettings
+
+if TYPE_CHECKING:
+    from procedures.workcell import Workcell
+    from ronna_hw.collision_config import CollisionConfig
+
+T = TypeVar("T")
+
+
+class CaseMemory:
+    """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
+
+    def __init__(self) -> None:
+        self._kept: dict[type[object], object] = {}
+
+    def keep(self, value: object) -> None:
+        """Keep an object in place of another of its type."""
+        self._kept[type(value)] = value
+
+    def find(self, kind: type[T]) -> T | None:
+        """Return the kept object of a type, if any."""
+        return cast("T | None", self._kept.get(kind))
+
+    def drop(self, kind: type[object]) -> None:
+        """Drop the object of a type."""
+        self._kept.pop(kind, None)
+
+    def clear(self) -> None:
+        """Drop everything, as after a restart."""
+        self._kept.clear()
+
+
+@dataclass(frozen=True)
+class ClinicalInput:
+    """CT, plan and strategy of a case; a calibration has none."""
+
+    series: Path  # folder of the CT series
+    plan: Path
+    strategy: Strategy
+    measure_targets: bool = False  # on a phantom
+    plan_sha256: str | None = None  # of the plan as it was held when the case was opened
+
+    @property
+    def place(self) -> Path:
+        """File of the cart's proposed position, next to the plan, if there is one."""
+        return self.plan.with_name("place.json")
+
+
+def this_second() -> datetime:
+    """Return the present time as records are dated."""
+    return datetime.now(UTC).replace(microsecond=0)
+
+
+@dataclass(frozen=True)
+class CaseSetting:
+    """Workcell, people and settings of one run."""
+
+    workcell: Workcell
+    clock: Clock
+    operator: Operator
+    room: Room
+    settings: ProcedureSettings
+    surroundings: CollisionConfig  # the theatre file's bodies around the arm
+    clinical: ClinicalInput | None = None
+    memory: CaseMemory = field(default_factory=CaseMemory)
+    arm_not_home: str | None = None  # that another run left the arm away from home, and what brings it there
+    today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
+    starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
+    began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
