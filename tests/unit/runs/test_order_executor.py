@@ -38,7 +38,7 @@ ANA = "session-ana"
 
 
 class Operated:
-    """A case with a pilot, run on a thread of its own, and Ana's orders."""
+    """A case with a executor, run on a thread of its own, and Ana's orders."""
 
     def __init__(self, engine: Engine, *, waits: bool = True, runs: bool = True) -> None:
         self.engine = engine
@@ -140,7 +140,7 @@ def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_wit
 
 
 class Dying(OperatorStation):
-    """A desk whose console ends right before it is looked at."""
+    """A station whose console ends right before it is looked at."""
 
     def __init__(self, before: str) -> None:
         super().__init__(waits=True)
