@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from pathlib import Path
 
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from session_orders import SessionOrders
 from waiting import eventually
 
 from procedures.engine.engine import Engine
@@ -18,7 +18,6 @@ from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import ConsoleRoom, OrderExecutor
 from procedures.runs.orders import read_order
 
-ANA = "session-ana"
 GAUGE = Task("gauge", "read the gauge", reads=("gap in mm", "turn in mm"))
 
 
@@ -54,13 +53,8 @@ class Stand:
         cell.operator = executor.operator(cell.operator)  # type: ignore[assignment]  # the cell's own is a recorder
         self.engine: Engine = cell.engine(plain_order())
         executor.attach(self.engine)
-        self._count = 0
+        self.give = SessionOrders(self.station)
         self.give("claim", name="Ana")
-
-    def give(self, kind: str, **more: object) -> str:
-        self._count += 1
-        content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
-        return self.station.take(read_order(json.dumps(content)))
 
     def answer(self, answer: str, readings: list[float] | None = None) -> str:
         eventually(lambda: self.station.open_question is not None)

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from session_orders import ANA, SessionOrders
 from waiting import eventually
 
 from procedures.cli.case.commands import carry_out
@@ -23,7 +24,7 @@ from procedures.runs.operator_station import LEASE_S, OperatorStation, PendingOr
 from procedures.runs.order_executor import OrderExecutor
 from procedures.runs.orders import Resume, read_order
 
-ANA, BEN = "session-ana", "session-ben"
+BEN = "session-ben"
 
 
 class Clock:
@@ -42,16 +43,11 @@ class Stand:
         self.engine = RecordingCell(folder).engine(plain_order())
         self.station.attach(self.engine)
         self.answered: list[Answer | None] = []  # with signatures and readings
-        self._count = 0
+        self.give = SessionOrders(self.station)
 
     @property
     def signatures(self) -> list[Signature | None]:
         return [answer and answer.signature for answer in self.answered]
-
-    def give(self, kind: str, session: str = ANA, **more: Any) -> str:
-        self._count += 1
-        content = {"kind": kind, "session": session, "nonce": f"nonce-{self._count:03}", **more}
-        return self.station.take(read_order(json.dumps(content)))
 
     def ask(self, question: Question) -> list[str | None]:
         """Ask on a thread of its own; what came of it stands in the list when it is answered."""
