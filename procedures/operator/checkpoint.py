@@ -85,20 +85,20 @@ class Checkpoint:
         self._ask = ask
         self._rest = rest
         self._clock = clock
-        self._wishes = threading.RLock()  # a signal handler may wish while its thread meets a wish
+        self._lock = threading.RLock()  # reentrant: a signal handler may interrupt its holder
         self._pause: str | None = None
-        self.firm = False  # the wish to pause
+        self.firm = False  # of the pause
         self._abort = False
 
     def pause(self, reason: str = "the operator asked for a pause", *, firm: bool = False) -> None:
-        """Rest at the next checkpoint; a `firm` wish, as after a stop, is not withdrawn."""
-        with self._wishes:
+        """Rest at the next checkpoint; a `firm` one, as after a stop, is not withdrawn."""
+        with self._lock:
             self._pause = reason
             self.firm = self.firm or firm
 
     def withdraw_pause(self) -> bool:
         """Withdraw a pause; False if there was none, or it is firm."""
-        with self._wishes:
+        with self._lock:
             if self.firm:
                 return False
             wanted, self._pause = self._pause is not None, None
@@ -106,13 +106,13 @@ class Checkpoint:
 
     def abort(self) -> None:
         """End the case at the next checkpoint."""
-        with self._wishes:
+        with self._lock:
             self._abort = True
 
     @property
     def wanted(self) -> bool:
         """Whether the case is to rest at the next checkpoint."""
-        with self._wishes:
+        with self._lock:
             return self._abort or self._pause is not None
 
     def here(self, where: str) -> None:
@@ -121,7 +121,7 @@ class Checkpoint:
         Raises PRO-004 when the case is to end, and PRO-017 when a guard is not restored and the operator
         leaves the step.
         """
-        self._meet_wishes(where)
+        self._meet_requests(where)
         with self.beside():
             for guard in self.guards:
                 self._meet(guard, where)
@@ -135,9 +135,9 @@ class Checkpoint:
             self.pause(f"{what} was stopped")
         self.here(f"{what} was stopped; continuing {redo}")
 
-    def _meet_wishes(self, where: str) -> None:
+    def _meet_requests(self, where: str) -> None:
         self._meet_abort()
-        with self._wishes:
+        with self._lock:
             reason, self._pause, self.firm = self._pause, None, False
         if reason is None:
             return
@@ -145,10 +145,10 @@ class Checkpoint:
             question = Question(Topic.PAUSE, f"Paused: {reason}", where, (GO_ON, ABORT), timeout_s=None)
             if self._ask(question) != GO_ON:
                 raise OperatorAborted("the operator ended the procedure while it was paused")
-        self._meet_wishes(where)  # somebody may have requested another one meanwhile
+        self._meet_requests(where)  # somebody may have requested another one meanwhile
 
     def _meet_abort(self) -> None:
-        with self._wishes:
+        with self._lock:
             abort, self._abort = self._abort, False  # met once: the way home is still to come
             if abort:
                 self._pause, self.firm = None, False  # it is not for the way home

@@ -150,7 +150,7 @@ class ConsoleLink:
         reader, ended = events.subscribe(), False
         while not ended:
             reader.wait(BEAT_S)
-            self._station.look()
+            self._station.free_silent_seat()
             batch = reader.read(0.0)
             ended = batch.ended
             lines = [f'{{"event":{event.model_dump_json()}}}' for event in batch.events]

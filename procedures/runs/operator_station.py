@@ -193,7 +193,7 @@ class OperatorStation:
             self._taken.clear()
             return changes
 
-    def look(self) -> None:
+    def free_silent_seat(self) -> None:
         """Free the seat of an operator whose page is silent, also while the engine is busy."""
         with self._changed:
             self._notice_lapse()

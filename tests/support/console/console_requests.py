@@ -39,9 +39,9 @@ class Response:
 
 @dataclass
 class Console:
-    """A guarded console whose engine is a desk in the same process."""
+    """A guarded console whose engine is a station in the same process."""
 
-    desk: OperatorStation = field(default_factory=lambda: OperatorStation(waits=False))
+    station: OperatorStation = field(default_factory=lambda: OperatorStation(waits=False))
     sessions: Sessions = field(default_factory=Sessions)
     reached: list[str] = field(default_factory=list)  # paths that came through the guard
 
@@ -53,7 +53,7 @@ class Console:
         self.app = Guard(app, self.sessions, PORT)  # type: ignore[arg-type]  # Starlette names its scope otherwise
 
         async def send(order: SentOrder) -> None:
-            self.hub.reply(Reply(nonce=order.nonce, refused=self.desk.take(order)))
+            self.hub.reply(Reply(nonce=order.nonce, refused=self.station.take(order)))
 
         self.hub.connect(send)
 

@@ -45,10 +45,10 @@ def console() -> Console:
 class Waiting(Console):
     """A console whose engine waits between steps, with Ana in the seat."""
 
-    desk: OperatorStation = field(
+    station: OperatorStation = field(
         default_factory=lambda: OperatorStation(waits=False, now_s=lambda: 0.0)
     )  # the seat never lapses
-    wishes: list[PendingOrder | None] = field(default_factory=list)
+    pending: list[PendingOrder | None] = field(default_factory=list)
     cookie_of_ana: str = ""
 
 
@@ -56,16 +56,16 @@ class Waiting(Console):
 def waiting_in(folder: Path) -> Iterator[Waiting]:
     folder.mkdir(exist_ok=True)
     console = Waiting()
-    console.desk.attach(RecordingCell(folder).engine(plain_order()))
-    thread = threading.Thread(target=lambda: console.wishes.append(console.desk.next_order("image")))
+    console.station.attach(RecordingCell(folder).engine(plain_order()))
+    thread = threading.Thread(target=lambda: console.pending.append(console.station.next_order("image")))
     thread.start()
     try:
-        eventually(lambda: console.desk.waiting_for == "image")
+        eventually(lambda: console.station.waiting_for == "image")
         console.cookie_of_ana = console.operator()
         assert console.order(console.cookie_of_ana, kind="claim", name="Ana").status == 200
         yield console
     finally:
-        console.desk.leave()
+        console.station.leave()
         thread.join()
 
 
@@ -88,7 +88,7 @@ def test_a_viewer_cannot_give_orders(console: Console, order: dict[str, object])
 def test_an_operator_outside_the_seat_cannot_steer(waiting: Waiting, order: dict[str, object]) -> None:
     answer = waiting.order(waiting.operator(), **order)
     assert (answer.status, answer.refused) == (409, "you are not in the operator's seat")
-    assert waiting.wishes == []
+    assert waiting.pending == []
 
 
 def test_any_operator_can_stop_the_arm_without_the_seat(waiting: Waiting) -> None:
@@ -107,7 +107,7 @@ def test_next_is_carried_out_once_and_only_for_the_step_that_was_shown(waiting: 
     repeated = waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-01")
     assert repeated.refused == "this order was already given"
     assert waiting.order(cookie, kind="next", upcoming="image", nonce="nonce-02").status == 200
-    eventually(lambda: [one and (type(one.order), one.by) for one in waiting.wishes] == [(Next, "Ana")])
+    eventually(lambda: [one and (type(one.order), one.by) for one in waiting.pending] == [(Next, "Ana")])
 
 
 def test_more_orders_per_second_than_a_person_gives_are_refused(waiting: Waiting) -> None:
@@ -151,7 +151,7 @@ def altered(order: dict[str, object], draw: random.Random) -> bytes:
 
 
 def hammered(folder: Path, count: int) -> int:
-    """Send so many spoilt orders from the operator's own session; returns how many reached the desk.
+    """Send so many spoilt orders from the operator's own session; returns how many reached the station.
 
     An accepted one must be one of the orders as they were; after it a new console takes the next ones.
     """
@@ -177,7 +177,7 @@ def hammered(folder: Path, count: int) -> int:
                     assert as_ordered(body) in ORDERS, body
                 else:
                     assert status in (400, 409), body
-                    assert console.wishes == [], body
+                    assert console.pending == [], body
     return reached
 
 

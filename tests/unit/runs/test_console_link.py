@@ -57,10 +57,10 @@ def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
 ) -> None:
     monkeypatch.setattr(console_link, "ChildProcess", Listening)
     now_s = [0.0]
-    desk = OperatorStation(waits=True, now_s=lambda: now_s[0])
+    station = OperatorStation(waits=True, now_s=lambda: now_s[0])
     engine = RecordingCell(tmp_path).engine(plain_order())  # neither asks nor waits
-    desk.attach(engine)
-    console: Any = console_link.ConsoleLink(tmp_path, desk, 0, lambda _words: None)
+    station.attach(engine)
+    console: Any = console_link.ConsoleLink(tmp_path, station, 0, lambda _words: None)
     heard = bytearray()
 
     def is_heard(words: bytes) -> bool:
@@ -69,7 +69,7 @@ def test_a_console_hears_that_the_seat_is_free_while_the_engine_is_busy(
 
     try:
         console.follow(engine.events)
-        desk.take(SentOrder(nonce="nonce-01", session="session-ana", order=Claim(name="Ana")))
+        station.take(SentOrder(nonce="nonce-01", session="session-ana", order=Claim(name="Ana")))
         eventually(lambda: is_heard(b'"holder":"Ana"'))
         now_s[0] = LEASE_S + 1.0
         eventually(lambda: is_heard(b'"holder":"","reason":"the operator\'s page has not responded'))

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from pathlib import Path
 
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from session_orders import SessionOrders
 from waiting import eventually
 
 from procedures.engine.engine import Engine
@@ -18,7 +18,6 @@ from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import ConsoleRoom, OrderExecutor
 from procedures.runs.orders import read_order
 
-ANA = "session-ana"
 GAUGE = Task("gauge", "read the gauge", reads=("gap in mm", "turn in mm"))
 
 
@@ -46,26 +45,21 @@ class Stand:
     """A case that is operated from the console by Ana, and its room."""
 
     def __init__(self, folder: Path, *, waits: bool = True) -> None:
-        self.desk = OperatorStation(waits=waits)
+        self.station = OperatorStation(waits=waits)
         self.terminal = Terminal()
-        pilot = OrderExecutor(self.desk, runs=True)
-        self.room = ConsoleRoom(self.terminal, pilot)
+        executor = OrderExecutor(self.station, runs=True)
+        self.room = ConsoleRoom(self.terminal, executor)
         cell = RecordingCell(folder)
-        cell.operator = pilot.operator(cell.operator)  # type: ignore[assignment]  # the cell's own is a recorder
+        cell.operator = executor.operator(cell.operator)  # type: ignore[assignment]  # the cell's own is a recorder
         self.engine: Engine = cell.engine(plain_order())
-        pilot.attach(self.engine)
-        self._count = 0
+        executor.attach(self.engine)
+        self.give = SessionOrders(self.station)
         self.give("claim", name="Ana")
 
-    def give(self, kind: str, **more: object) -> str:
-        self._count += 1
-        content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
-        return self.desk.take(read_order(json.dumps(content)))
-
     def answer(self, answer: str, readings: list[float] | None = None) -> str:
-        eventually(lambda: self.desk.open_question is not None)
-        assert self.desk.open_question is not None
-        number, shown = self.desk.open_question
+        eventually(lambda: self.station.open_question is not None)
+        assert self.station.open_question is not None
+        number, shown = self.station.open_question
         return self.give("answer", question=number, answer=answer, shown=shown, readings=readings)
 
     def work(self, task: Task) -> list[tuple[float, ...]]:
@@ -95,7 +89,7 @@ def test_a_wrong_number_of_readings_is_refused(stand: Stand, readings: list[floa
     read = stand.work(GAUGE)
     assert stand.answer("read", readings) == "type gap in mm, turn in mm"
     assert read == []
-    stand.desk.leave()
+    stand.station.leave()
 
 
 @pytest.mark.parametrize("reading", ["NaN", "Infinity", "1e999", '"0.1"', "true"])
@@ -116,8 +110,8 @@ def test_the_answer_nobody_ends_the_step(stand: Stand) -> None:
 
 def test_the_terminal_is_asked_when_the_console_ends_meanwhile(stand: Stand) -> None:
     read = stand.work(GAUGE)
-    eventually(lambda: stand.desk.open_question is not None)
-    stand.desk.leave()
+    eventually(lambda: stand.station.open_question is not None)
+    stand.station.leave()
     eventually(lambda: read == [(9.0, 9.0)])
     assert stand.terminal.asked == ["read the gauge", "read the gauge"]
 

@@ -10,6 +10,7 @@ from typing import Any
 import pytest
 from plain_steps import plain_order
 from recording_cell import RecordingCell
+from session_orders import ANA, SessionOrders
 from waiting import eventually
 
 from procedures.cli.case.commands import carry_out
@@ -23,7 +24,7 @@ from procedures.runs.operator_station import LEASE_S, OperatorStation, PendingOr
 from procedures.runs.order_executor import OrderExecutor
 from procedures.runs.orders import Resume, read_order
 
-ANA, BEN = "session-ana", "session-ben"
+BEN = "session-ben"
 
 
 class Clock:
@@ -34,44 +35,41 @@ class Clock:
 
 
 class Stand:
-    """A desk with an engine, and orders with nonces of their own."""
+    """A station with an engine, and orders with nonces of their own."""
 
     def __init__(self, folder: Path, *, waits: bool = False) -> None:
         self.clock = Clock()
-        self.desk = OperatorStation(waits=waits, now_s=self.clock)
+        self.station = OperatorStation(waits=waits, now_s=self.clock)
         self.engine = RecordingCell(folder).engine(plain_order())
-        self.desk.attach(self.engine)
+        self.station.attach(self.engine)
         self.answered: list[Answer | None] = []  # with signatures and readings
-        self._count = 0
+        self.give = SessionOrders(self.station)
 
     @property
     def signatures(self) -> list[Signature | None]:
         return [answer and answer.signature for answer in self.answered]
-
-    def give(self, kind: str, session: str = ANA, **more: Any) -> str:
-        self._count += 1
-        content = {"kind": kind, "session": session, "nonce": f"nonce-{self._count:03}", **more}
-        return self.desk.take(read_order(json.dumps(content)))
 
     def ask(self, question: Question) -> list[str | None]:
         """Ask on a thread of its own; what came of it stands in the list when it is answered."""
         answers: list[str | None] = []
 
         def ask() -> None:
-            answer = self.desk.ask(question)
+            answer = self.station.ask(question)
             self.answered.append(answer)
             answers.append(answer and answer.word)
 
         threading.Thread(target=ask, daemon=True).start()
-        eventually(lambda: self.desk.open_question is not None)
+        eventually(lambda: self.station.open_question is not None)
         return answers
 
-    def wish(self, upcoming: str = "image") -> list[PendingOrder | None]:
+    def await_order(self, upcoming: str = "image") -> list[PendingOrder | None]:
         """As `ask`, for what is wished between steps."""
-        wishes: list[PendingOrder | None] = []
-        threading.Thread(target=lambda: wishes.append(self.desk.next_order(upcoming)), daemon=True).start()
-        eventually(lambda: self.desk.waiting_for == upcoming)
-        return wishes
+        pending: list[PendingOrder | None] = []
+        threading.Thread(
+            target=lambda: pending.append(self.station.next_order(upcoming)), daemon=True
+        ).start()
+        eventually(lambda: self.station.waiting_for == upcoming)
+        return pending
 
 
 @pytest.fixture
@@ -90,8 +88,8 @@ def shown(asked: Question) -> str:
 
 
 def test_the_desk_is_in_charge_before_the_seat_is_taken_only_if_the_case_waits_for_it(tmp_path: Path) -> None:
-    assert not Stand(tmp_path).desk.in_charge
-    assert Stand(tmp_path / "other", waits=True).desk.in_charge
+    assert not Stand(tmp_path).station.in_charge
+    assert Stand(tmp_path / "other", waits=True).station.in_charge
 
 
 def test_an_answer_counts_only_with_the_digest_of_the_question_and_is_signed(stand: Stand) -> None:
@@ -137,7 +135,7 @@ def test_an_implausible_reading_is_refused(stand: Stand) -> None:
 
 def test_a_late_order_is_refused_but_a_late_stop_is_not(stand: Stand) -> None:
     late = {"expires_s": stand.clock.now_s - 0.1}
-    stand.wish()
+    stand.await_order()
     assert stand.give("next", upcoming="image", **late) == "the order came too late"
     assert stand.give("stop", **late) == ""
 
@@ -149,10 +147,10 @@ def test_no_answer_in_time_gives_the_last_answer(stand: Stand) -> None:
 
 
 def test_a_console_that_ends_leaves_its_question_unanswered(stand: Stand) -> None:
-    answers, wishes = stand.ask(question()), stand.wish()
-    stand.desk.leave()
-    eventually(lambda: (answers, wishes) == ([None], [None]))
-    assert not stand.desk.in_charge
+    answers, pending = stand.ask(question()), stand.await_order()
+    stand.station.leave()
+    eventually(lambda: (answers, pending) == ([None], [None]))
+    assert not stand.station.in_charge
 
 
 def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Stand) -> None:
@@ -161,11 +159,11 @@ def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Sta
         stand.give("renew")
     assert stand.give("claim", BEN, name="Ben") == "the seat is taken by Ana"
     stand.clock.now_s += LEASE_S + 1.0
-    assert not stand.desk.occupied_since(0)
+    assert not stand.station.occupied_since(0)
     assert stand.give("renew") == ""
     assert stand.give("pause") == "you are not in the operator's seat"
     assert stand.give("claim", BEN, name="Ben") == ""
-    changes = stand.desk.changes_of_seat()
+    changes = stand.station.changes_of_seat()
     assert [(session, name) for session, name, _since_s in changes] == [(ANA, "Ana"), ("", ""), (BEN, "Ben")]
 
 
@@ -206,10 +204,10 @@ def test_a_pause_ends_only_by_its_question_and_resume_works_between_steps(stand:
     assert answers == []
     assert stand.give("answer", question=3, answer="continue", shown=shown(pause)) == ""
     eventually(lambda: answers == ["continue"])
-    wishes = stand.wish()
+    pending = stand.await_order()
     assert stand.give("resume", upcoming="fit:T1") == "out of date: the next step is now image"
     assert stand.give("resume", upcoming="image") == ""
-    eventually(lambda: [(one and type(one.order), one and one.by) for one in wishes] == [(Resume, "Ana")])
+    eventually(lambda: [(one and type(one.order), one and one.by) for one in pending] == [(Resume, "Ana")])
 
 
 def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_the_question(
@@ -219,7 +217,7 @@ def test_abort_during_a_step_takes_effect_at_the_next_checkpoint_and_declines_th
     assert stand.give("abort") == ""
     eventually(lambda: answers == ["no"])
     assert stand.engine.checkpoint.wanted
-    assert stand.desk.aborting
+    assert stand.station.aborting
 
 
 def test_an_abort_signs_no_answer_to_a_question_that_its_page_may_not_show(stand: Stand) -> None:
@@ -250,28 +248,28 @@ def test_a_script_does_not_continue_a_case_that_a_person_stopped(
     tmp_path: Path,
 ) -> None:
     stand = Stand(tmp_path)  # nobody is in the seat
-    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.station, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
     assert operator.ask(pause).word == "continue"
     stand.give("stop", BEN)
     answers: list[str] = []
     threading.Thread(target=lambda: answers.append(operator.ask(pause).word), daemon=True).start()
-    eventually(lambda: stand.desk.open_question is not None)
+    eventually(lambda: stand.station.open_question is not None)
     given = {"question": 1, "answer": "continue", "shown": shown(pause)}
     assert stand.give("answer", BEN, **given) == "you are not in the operator's seat"
     stand.give("claim", name="Ana")
     assert answers == []
     assert stand.give("answer", **given) == ""
     eventually(lambda: answers == ["continue"])
-    assert not stand.desk.stopped
+    assert not stand.station.stopped
 
 
 @pytest.mark.hazard(32)
 def test_a_console_that_ends_before_its_stop_is_met_leaves_no_script_to_continue(tmp_path: Path) -> None:
     stand = Stand(tmp_path)
-    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.station, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)
-    stand.desk.leave()
+    stand.station.leave()
     assert operator.ask(Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"))).word == "abort"
 
 
@@ -289,13 +287,13 @@ def test_a_stopped_case_ends_with_its_console_and_is_not_continued_by_a_script(
     tmp_path: Path,
 ) -> None:
     stand = Stand(tmp_path)
-    operator = OrderExecutor(stand.desk, runs=True).operator(ScriptedOperator(), script_at_pause=True)
+    operator = OrderExecutor(stand.station, runs=True).operator(ScriptedOperator(), script_at_pause=True)
     stand.give("stop", BEN)
     answers: list[str] = []
     pause = Question(Topic.PAUSE, "Paused", "here", ("continue", "abort"), number=1)
     threading.Thread(target=lambda: answers.append(operator.ask(pause).word), daemon=True).start()
-    eventually(lambda: stand.desk.open_question is not None)
-    stand.desk.leave()
+    eventually(lambda: stand.station.open_question is not None)
+    stand.station.leave()
     eventually(lambda: answers == ["abort"])
 
 
@@ -303,7 +301,7 @@ def test_the_journal_says_since_when_the_seat_is_taken_however_late_it_is_writte
     reader = stand.engine.events.subscribe()
     stand.give("release")
     (event,) = [one for one in reader.read(0.0).events if isinstance(one.what, Seat) and not one.what.holder]
-    for change in stand.desk.changes_of_seat():
+    for change in stand.station.changes_of_seat():
         stand.engine.seated(*change)
     lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
     (freed,) = [line for line in lines if line["entry"] == "seat" and not line["by"]]

@@ -2,16 +2,15 @@
 
 from __future__ import annotations
 
-import json
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
 
 import pytest
 from plain_steps import Fit, Image, only_home_remains, plain_order
 from recording_cell import HOME, RecordingCell
+from session_orders import SessionOrders
 from waiting import eventually
 
 from procedures.cli.case.prompt import Prompt
@@ -30,15 +29,12 @@ from procedures.runs.lifecycle import run_to_end
 from procedures.runs.observers import RunObservers
 from procedures.runs.operator_station import OperatorStation
 from procedures.runs.order_executor import OrderExecutor
-from procedures.runs.orders import read_order
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import RonnaError
 
-ANA = "session-ana"
-
 
 class Operated:
-    """A case with a pilot, run on a thread of its own, and Ana's orders."""
+    """A case with a executor, run on a thread of its own, and Ana's orders."""
 
     def __init__(self, engine: Engine, *, waits: bool = True, runs: bool = True) -> None:
         self.engine = engine
@@ -46,7 +42,7 @@ class Operated:
         self.executor.attach(engine)
         self.ended_by: list[BaseException | None] = []
         self.thread = threading.Thread(target=self._run, daemon=True)
-        self._count = 0
+        self.give = SessionOrders(self.executor.station)
 
     def _run(self) -> None:
         try:
@@ -54,11 +50,6 @@ class Operated:
             self.ended_by.append(None)
         except BaseException as problem:
             self.ended_by.append(problem)
-
-    def give(self, kind: str, **more: Any) -> str:
-        self._count += 1
-        content = {"kind": kind, "session": ANA, "nonce": f"nonce-{self._count:03}", **more}
-        return self.executor.station.take(read_order(json.dumps(content)))
 
     def await_waiting(self) -> None:
         eventually(lambda: self.executor.station.waiting_for is not None)
@@ -140,7 +131,7 @@ def test_a_case_whose_console_ends_does_nothing_until_the_operator_continues_wit
 
 
 class Dying(OperatorStation):
-    """A desk whose console ends right before it is looked at."""
+    """A station whose console ends right before it is looked at."""
 
     def __init__(self, before: str) -> None:
         super().__init__(waits=True)
