@@ -137,13 +137,13 @@ class ControllerState:
     rsi: RsiState
     tool: int
     axes_deg: JointVector
-    reference: str | None
-    holdon: bool | None
-    cycle_ms: int | None
-    context_hash: str | None
-    variant: str | None
-    serial: str | None
-    open_brakes: int | None  # one bit for each axis
+    reference: str | None = None
+    holdon: bool | None = None
+    cycle_ms: int | None = None
+    context_hash: str | None = None
+    variant: str | None = None
+    serial: str | None = None
+    open_brakes: int | None = None  # one bit for each axis
 
 
 def read_state(element: ElementTree.Element, received_s: float) -> ControllerState:

@@ -152,66 +152,37 @@ class Command(NamedTuple):
 class LinkState(NamedTuple):
     """State of the real-time process, published once per cycle. Angles in rad."""
 
-    cycles: Annotated[int, "Q"]
-    IPOC: Annotated[int, "Q"]
-    received_ns: Annotated[int, "q"]
-    phase: Annotated[Phase, "B"]
-    fault: Annotated[Fault, "B"]
-    result: Annotated[Result, "B"]
-    degraded: Annotated[bool, "?"]
-    moving: Annotated[bool, "?"]
-    settled: Annotated[bool, "?"]
-    real_time: Annotated[bool, "?"]
-    locked: Annotated[bool, "?"]
-    command_number: Annotated[int, "Q"]
-    stop_number: Annotated[int, "Q"]  # the last stop order seen
-    late: Annotated[int, "Q"]  # the controller's count
-    lost: Annotated[int, "Q"]  # telegrams that never arrived, from the gap in IPOC
-    rejected: Annotated[int, "Q"]
-    dropped: Annotated[int, "Q"]  # older ones queued up behind a stall
-    foreign: Annotated[int, "Q"]  # from senders other than the controller
-    foreign_host: Annotated[str, IPV4_HOST]  # of the last such sender, or the next one; "" for none
-    disagreeing: Annotated[int, "Q"]  # reported other axes than expected before the stream began
-    measured_rad: Annotated[JointVector, "6d"]
-    commanded_rad: Annotated[JointVector, "6d"]
-    base_rad: Annotated[JointVector, "6d"]
-    violation_kind: Annotated[str, one_of(VIOLATIONS)]
-    violation_axis: Annotated[int, "I"]
-    violation_value: Annotated[float, "d"]
-    violation_limit: Annotated[float, "d"]
-    errno: Annotated[int, "i"]
+    cycles: Annotated[int, "Q"] = 0
+    IPOC: Annotated[int, "Q"] = 0
+    received_ns: Annotated[int, "q"] = 0
+    phase: Annotated[Phase, "B"] = Phase.STARTING
+    fault: Annotated[Fault, "B"] = Fault.NONE
+    result: Annotated[Result, "B"] = Result.NONE
+    degraded: Annotated[bool, "?"] = False
+    moving: Annotated[bool, "?"] = False
+    settled: Annotated[bool, "?"] = False
+    real_time: Annotated[bool, "?"] = False
+    locked: Annotated[bool, "?"] = False
+    command_number: Annotated[int, "Q"] = 0
+    stop_number: Annotated[int, "Q"] = 0  # the last stop order seen
+    late: Annotated[int, "Q"] = 0  # the controller's count
+    lost: Annotated[int, "Q"] = 0  # telegrams that never arrived, from the gap in IPOC
+    rejected: Annotated[int, "Q"] = 0
+    dropped: Annotated[int, "Q"] = 0  # older ones queued up behind a stall
+    foreign: Annotated[int, "Q"] = 0  # from senders other than the controller
+    foreign_host: Annotated[str, IPV4_HOST] = ""  # of the last such sender, or the next one; "" for none
+    disagreeing: Annotated[int, "Q"] = 0  # reported other axes than expected before the stream began
+    measured_rad: Annotated[JointVector, "6d"] = _ZEROS
+    commanded_rad: Annotated[JointVector, "6d"] = _ZEROS
+    base_rad: Annotated[JointVector, "6d"] = _ZEROS
+    violation_kind: Annotated[str, one_of(VIOLATIONS)] = ""
+    violation_axis: Annotated[int, "I"] = 0
+    violation_value: Annotated[float, "d"] = 0.0
+    violation_limit: Annotated[float, "d"] = 0.0
+    errno: Annotated[int, "i"] = 0
 
 
-NO_STATE = LinkState(
-    cycles=0,
-    IPOC=0,
-    received_ns=0,
-    phase=Phase.STARTING,
-    fault=Fault.NONE,
-    result=Result.NONE,
-    degraded=False,
-    moving=False,
-    settled=False,
-    real_time=False,
-    locked=False,
-    command_number=0,
-    stop_number=0,
-    late=0,
-    lost=0,
-    rejected=0,
-    dropped=0,
-    foreign=0,
-    foreign_host="",
-    disagreeing=0,
-    measured_rad=_ZEROS,
-    commanded_rad=_ZEROS,
-    base_rad=_ZEROS,
-    violation_kind="",
-    violation_axis=0,
-    violation_value=0.0,
-    violation_limit=0.0,
-    errno=0,
-)
+NO_STATE = LinkState()
 
 
 class RecordedCycle(NamedTuple):

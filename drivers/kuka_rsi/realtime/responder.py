@@ -264,7 +264,6 @@ class Responder:
             violation_axis=violation.axis if violation else 0,
             violation_value=violation.value if violation else 0.0,
             violation_limit=violation.limit if violation else 0.0,
-            errno=0,
         )
 
     def _answer_loss(self, points: SetPoints) -> bytes:

@@ -143,23 +143,23 @@ def _each(data: bytes, *asks: Callable[[CommandLink], object]) -> None:
 def _handles(data: bytes) -> None:
     _each(
         data,
-        lambda link: list_handles(link, HandleQuery.ALL, None),
-        lambda link: request_handle(link, "********", 1.0),
+        lambda link: list_handles(link, HandleQuery.ALL),
+        lambda link: request_handle(link, "********"),
     )
 
 
 def _identity(data: bytes) -> None:
     _each(
         data,
-        lambda link: read_identity(link, 1.0),
-        lambda link: whole_number(read_parameter(link, PARAMETER_FIRMWARE, None)),
-        lambda link: whole_number(read_parameter(link, "Param.Tracking", None)),
+        read_identity,
+        lambda link: whole_number(read_parameter(link, PARAMETER_FIRMWARE)),
+        lambda link: whole_number(read_parameter(link, "Param.Tracking")),
     )
 
 
 def _acknowledged(data: bytes) -> None:
     client = EkiClient.__new__(EkiClient)
-    client._arrived, client._listener, client._latest = threading.Condition(), None, None
+    client._arrived, client._listener, client.latest = threading.Condition(), None, None
     client._acks, client._states = {}, {}
     scanner = TelegramScanner()
     for begin in range(0, len(data), RECEIVE_BYTES):

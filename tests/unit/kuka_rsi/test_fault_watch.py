@@ -40,13 +40,6 @@ STREAMING_WELL = ControllerState(
     rsi=RsiState.MOVECORR,
     tool=1,
     axes_deg=(0.0,) * 6,
-    reference=None,
-    holdon=None,
-    cycle_ms=None,
-    context_hash=None,
-    variant=None,
-    serial=None,
-    open_brakes=None,
 )
 
 

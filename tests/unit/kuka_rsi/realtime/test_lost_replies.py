@@ -22,6 +22,7 @@ from drivers.kuka_rsi.realtime.link_state import (
     Command,
     CommandKind,
     Fault,
+    LinkState,
     Orders,
     Result,
     StopOrder,
@@ -103,6 +104,10 @@ class HoldingController:
         raise AssertionError("no result")
 
     @property
+    def state(self) -> LinkState:
+        return self.responder.state(real_time=False, locked=False)
+
+    @property
     def largest_share(self) -> float:
         """Largest step that acted, over the full-speed step of its axis."""
         return max(
@@ -155,7 +160,7 @@ def test_the_path_is_delayed_by_one_cycle_for_each_lost_reply(neighbours: int) -
     controller.finish()
     assert controller.taken == whole[:at] + [whole[at - 1]] * neighbours + whole[at:]
     assert _arrived(controller)
-    assert controller.responder.state(real_time=False, locked=False).late == neighbours
+    assert controller.state.late == neighbours
 
 
 @pytest.mark.hazard(18)
@@ -178,18 +183,18 @@ def test_a_motion_restarts_from_rest_after_more_than_three_consecutive_lost_repl
 def test_more_than_three_lost_replies_in_a_second_halve_the_speed_until_four_clean_seconds() -> None:
     controller = _moving(100)
     for lost in range(1, 5):
-        assert not controller.responder.state(real_time=False, locked=False).degraded
+        assert not controller.state.degraded
         controller.lose(["reply", ""])
-        assert controller.responder.state(real_time=False, locked=False).late == lost
+        assert controller.state.late == lost
         controller.lose([""] * 3)
-    assert controller.responder.state(real_time=False, locked=False).degraded
+    assert controller.state.degraded
     controller.lose([""] * 60)  # jerk-limited braking to half the speed
     slowed = len(controller.taken)
     controller.finish()
     del controller.taken[:slowed]
     assert controller.largest_share <= WORKING_SHARE / 2 * ROUNDING
     controller.lose([""] * 1000)
-    assert not controller.responder.state(real_time=False, locked=False).degraded
+    assert not controller.state.degraded
 
 
 @pytest.mark.hazard(18)
@@ -286,7 +291,7 @@ def test_a_controller_that_never_reports_losses_gets_the_path_as_planned() -> No
     controller.lose(["reply", "", "reply", "reply", ""])
     undisturbed.lose([""] * 5)
     assert controller.sent == undisturbed.sent
-    assert controller.responder.state(real_time=False, locked=False).late == 0
+    assert controller.state.late == 0
 
 
 # The counts
@@ -325,8 +330,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     controller.lose(["reply", ""] * 100)
     assert not controller.responder.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
-    state = controller.responder.state(real_time=False, locked=False)
-    error = error_of_fault("robot.master", state, KukaOptions(), OperationMode.EXT)
+    error = error_of_fault("robot.master", controller.state, KukaOptions(), OperationMode.EXT)
     assert isinstance(error, LinkUnusable)
     assert "late or lost by the controller's count" in str(error)
 
@@ -352,4 +356,4 @@ def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:
     controller = HoldingController()
     controller.lose(["reply", ""] * 600)
     assert controller.responder.fault is Fault.NONE
-    assert controller.responder.state(real_time=False, locked=False).late == 600
+    assert controller.state.late == 600

@@ -194,6 +194,12 @@ def arrivals_ns(count: int, cycle_ns: float = CYCLE_NS) -> list[int]:
     return [BEGIN_NS + round(cycle_ns * k) for k in range(1, count + 1)]
 
 
+def pace(reception: TelegramReceiver, count: int) -> None:
+    for _ in range(count):
+        reception.next()
+        reception.note_paced()
+
+
 def served(world: FakeTime, reception: TelegramReceiver) -> int:
     """Receive telegrams until nothing has come three times; each after a whole cycle."""
     count = nothing = 0
@@ -249,9 +255,7 @@ def test_rehearsals_end_when_the_controller_starts_to_hurry() -> None:
     hurried = [paced[-1] + 120_000 * k for k in range(1, 100)]
     world = FakeTime(paced + hurried)
     reception = world.reception()
-    for _ in paced:
-        reception.next()
-        reception.note_paced()
+    pace(reception, len(paced))
     for _ in hurried:
         assert reception.next() is not None
         reception.note_lock_step()
@@ -277,9 +281,7 @@ def test_an_early_telegram_is_received_on_arrival_without_a_rehearsal() -> None:
     due_ns[-1] -= 700_000
     world = FakeTime(due_ns)
     reception = world.reception()
-    for _ in due_ns:
-        reception.next()
-        reception.note_paced()
+    pace(reception, len(due_ns))
     assert reception.received_ns == due_ns[-1]
     assert max(world.rehearsed_ns) < due_ns[-2]
 
