@@ -41,23 +41,11 @@ def code() -> str:
     return f"{version(PROGRAM)}, {digest.hexdigest()[:16]}"
 
 
-def fingerprint(study: Study) -> str:
-    """Hash of everything that a study's results depend on."""
-    return hashlib.sha256(canonical_json({"study": study.name, **study.settings()})).hexdigest()
-
-
-def head_of(study: Study) -> dict[str, object]:
-    """The first line of its file: results of other settings or other code are not added to."""
-    return {
-        "study": study.name,
-        "fingerprint": fingerprint(study),
-        "settings": study.settings(),
-        "code": code(),
-    }
-
-
 class Ledger:
-    """Finished units of one study in a folder. The first line identifies the study."""
+    """Finished units of one study in a folder.
+
+    The first line identifies the study: results of other settings or other code are not added to.
+    """
 
     def __init__(self, folder: Path, study: Study) -> None:
         """Open or start the ledger; raises STU-001 for another study, STU-002 without an identification."""
@@ -65,7 +53,14 @@ class Ledger:
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
         self.damaged = 0  # lines skipped: their units are run again
-        head = head_of(study)
+        head = {
+            "study": study.name,
+            "fingerprint": hashlib.sha256(
+                canonical_json({"study": study.name, **study.settings()})
+            ).hexdigest(),
+            "settings": study.settings(),
+            "code": code(),
+        }
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
             self._append(head)
