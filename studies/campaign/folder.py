@@ -41,6 +41,17 @@ def code() -> str:
     return f"{version(PROGRAM)}, {digest.hexdigest()[:16]}"
 
 
+def head_of(study: Study) -> dict[str, object]:
+    """Return the first line of a ledger, with a hash of everything that the results depend on."""
+    settings = study.settings()
+    return {
+        "study": study.name,
+        "fingerprint": hashlib.sha256(canonical_json({"study": study.name, **settings})).hexdigest(),
+        "settings": settings,
+        "code": code(),
+    }
+
+
 class Ledger:
     """Finished units of one study in a folder.
 
@@ -53,14 +64,7 @@ class Ledger:
         self._units = {unit.key: unit for unit in study.units()}
         self.finished: dict[str, Sums] = {}
         self.damaged = 0  # lines skipped: their units are run again
-        head = {
-            "study": study.name,
-            "fingerprint": hashlib.sha256(
-                canonical_json({"study": study.name, **study.settings()})
-            ).hexdigest(),
-            "settings": study.settings(),
-            "code": code(),
-        }
+        head = head_of(study)
         folder.mkdir(parents=True, exist_ok=True)
         if not self._path.exists() or not self._path.stat().st_size:
             self._append(head)
