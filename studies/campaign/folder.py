@@ -41,23 +41,22 @@ def code() -> str:
     return f"{version(PROGRAM)}, {digest.hexdigest()[:16]}"
 
 
-def fingerprint(study: Study) -> str:
-    """Hash of everything that a study's results depend on."""
-    return hashlib.sha256(canonical_json({"study": study.name, **study.settings()})).hexdigest()
-
-
 def head_of(study: Study) -> dict[str, object]:
-    """The first line of its file: results of other settings or other code are not added to."""
+    """Return the first line of a ledger, with a hash of everything that the results depend on."""
+    settings = study.settings()
     return {
         "study": study.name,
-        "fingerprint": fingerprint(study),
-        "settings": study.settings(),
+        "fingerprint": hashlib.sha256(canonical_json({"study": study.name, **settings})).hexdigest(),
+        "settings": settings,
         "code": code(),
     }
 
 
 class Ledger:
-    """Finished units of one study in a folder. The first line identifies the study."""
+    """Finished units of one study in a folder.
+
+    The first line identifies the study: results of other settings or other code are not added to.
+    """
 
     def __init__(self, folder: Path, study: Study) -> None:
         """Open or start the ledger; raises STU-001 for another study, STU-002 without an identification."""

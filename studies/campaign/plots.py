@@ -30,7 +30,7 @@ def curves(
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
     """Named curves over a common axis, with named ranges of it; bounds are drawn as a band."""
-    figure, axes = _figure()
+    figure, axes = _figure(title, x_label, y_label)
     for name, points in lines.items():
         places, values = [x for x, _ in points], _values(points)
         (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
@@ -41,9 +41,6 @@ def curves(
         axes.fill_between([], [], [], color="grey", alpha=BAND_ALPHA, lw=0, label=LEGEND)
     for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
         axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
-    axes.set_title(title)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
     axes.grid(alpha=0.3)
     axes.legend(fontsize=8)
     return _png(figure)
@@ -61,7 +58,7 @@ def bars(
 
     A zero count has no bar: a downward triangle marks its upper bound.
     """
-    figure, axes = _figure()
+    figure, axes = _figure(title, x_label, y_label)
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     width = 0.8 / max(1, len(names))
     none_counted = whiskers = False
@@ -90,9 +87,6 @@ def bars(
     if none_counted:
         axes.plot([], [], "v", markersize=4, color="grey", label="none counted: at most")
     axes.set_xticks(range(len(groups)), list(groups))
-    axes.set_title(title)
-    axes.set_xlabel(x_label)
-    axes.set_ylabel(y_label)
     if logarithmic:
         axes.set_yscale("log")
     figure.legend(fontsize=8, loc="outside right upper")  # outside the axes, so that it never covers a bar
@@ -101,7 +95,7 @@ def bars(
 
 def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     """A box per group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
-    figure, axes = _figure()
+    figure, axes = _figure(title, "", y_label, fontsize=9)
     axes.boxplot(
         [np.asarray(values) for values in groups.values()],
         tick_labels=list(groups),
@@ -112,8 +106,6 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     axes.tick_params(axis="x", labelsize=7, rotation=60)
     for label in axes.get_xticklabels():
         label.set_horizontalalignment("right")
-    axes.set_title(title, fontsize=9)
-    axes.set_ylabel(y_label)
     axes.grid(alpha=0.3)
     return _png(figure)
 
@@ -131,13 +123,17 @@ def _ends(one: Bounded) -> tuple[float, float]:
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 
-def _figure() -> tuple[Any, Any]:
+def _figure(title: str, x_label: str, y_label: str, **of_title: Any) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 
     figure = Figure(figsize=SIZE_IN, layout="constrained")
     FigureCanvasAgg(figure)
-    return figure, figure.add_subplot()
+    axes = figure.add_subplot()
+    axes.set_title(title, **of_title)
+    axes.set_xlabel(x_label)
+    axes.set_ylabel(y_label)
+    return figure, axes
 
 
 def _png(figure: Any) -> bytes:

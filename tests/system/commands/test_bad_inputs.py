@@ -15,7 +15,7 @@ from user_commands import in_this_process, one_error
 from sim.world.control_port import ControlPort, Room
 from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
-from studies.plugins import trial
+from studies import plugin_trial as trial
 
 BAD_INPUTS = BadInput.read(Path(__file__).with_name("bad_inputs.txt"))
 FEWEST = 150

@@ -11,8 +11,8 @@ import pytest
 from documented import write_files
 from user_commands import in_this_process
 
+from studies import plugin_trial as trial
 from studies.cli import app
-from studies.plugins import trial
 
 PAGE = "docs/how-to/research/own-methods.md"
 
