@@ -14,19 +14,11 @@ from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import counted, without_controls
-from sim.world.options import Carrier
+from sim.world.options import Carrier, InstrumentKind
 
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
-
-
-class Instrument(StrEnum):
-    """Instrument in the head of a postoperative scan."""
-
-    ELECTRODE = "electrode"
-    NEEDLE = "needle"
-    DRILL_HOLE = "drill-hole"
 
 
 class Fiducials(StrEnum):
@@ -107,9 +99,9 @@ def phantom(
         ),
     ] = None,
     instrument: Annotated[
-        Instrument,
+        InstrumentKind,
         typer.Option(help="Instrument in the head, with --postoperative.", rich_help_panel=AFTERWARDS),
-    ] = Instrument.ELECTRODE,
+    ] = InstrumentKind.ELECTRODE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -192,14 +184,14 @@ def phantom(
 
 
 def _scan_after(
-    run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
+    run: Path, instrument: InstrumentKind, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
     """Write the postoperative CT of a run's head."""
     from sim.phantom.case import write_postoperative
     from sim.phantom.families.family_scan import protocol_named
-    from sim.phantom.postoperative_scan import Kind, draw_scan, instruments_of
+    from sim.phantom.postoperative_scan import draw_scan, instruments_of
 
-    scene, left = instruments_of(run, Kind(instrument.value))
+    scene, left = instruments_of(run, instrument)
     scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))
     with progress_bar("scanning the phantom") as progress:
         case = write_postoperative(scan, left, out, progress)

@@ -14,8 +14,9 @@ from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import CLEARANCE_MM, family_scan
 from sim.phantom.head.obstacles import XFRAME, XFRAME_CLOSE
-from sim.phantom.head.shapes import Ball, Point, Rod
+from sim.phantom.head.shapes import Ball, Rod
 from sim.phantom.scan import Scan
+from sim.world.rigid import Point
 from sim.world.scene.model import CtProtocol
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
