@@ -49,6 +49,7 @@ class Kind(Enum):
 
 
 Getter = Callable[[Commands], Number]
+Limit = Number | Getter  # a limit may depend on other settings
 Setter = Callable[[Commands, Any], None]
 
 
@@ -61,13 +62,12 @@ class Feature:
     """
 
     name: str
-    kind: Kind
     category: str
     about: str
+    kind: Kind = Kind.INTEGER
     read: Getter | None = None
     write: Setter | None = None
-    minimum: Getter | None = None
-    maximum: Getter | None = None
+    limits: tuple[Limit, Limit] | None = None
     step: int = 1
     unit: str = ""
     entries: Mapping[str, int] = field(default_factory=dict)
@@ -83,23 +83,21 @@ class Feature:
             return value in (0, 1)
         if self.kind is Kind.COMMAND:
             return True
-        low = self.minimum(commands) if self.minimum else 0
-        high = self.maximum(commands) if self.maximum else 0xFFFFFFFF
+        low, high = (at_present(limit, commands) for limit in self.limits or (0, 0xFFFFFFFF))
         # NaN fails every comparison.
         within = low <= value <= high
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def always(value: Number) -> Getter:
-    """Return a getter of a constant."""
-    return lambda _commands: value
+def at_present(limit: Limit, commands: Commands) -> Number:
+    """Return the value of a limit."""
+    return limit(commands) if callable(limit) else limit
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """Define a feature backed by an attribute of the settings; an integer unless `kind` is given."""
+    """Define a feature backed by an attribute of the settings."""
     return Feature(
         name,
-        more.pop("kind", Kind.INTEGER),
         category,
         about,
         read=lambda commands: getattr(commands.settings, attribute),
@@ -108,13 +106,18 @@ def setting(name: str, category: str, about: str, attribute: str, **more: Any) -
     )
 
 
+def choice(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
+    """Define an enumeration backed by an attribute of the settings."""
+    return setting(name, category, about, attribute, kind=Kind.ENUMERATION, **more)
+
+
 def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: Any) -> Feature:
     """Define a feature backed by an attribute of the selected trigger."""
     return Feature(
         name,
-        kind,
         "AcquisitionTrigger",
         about,
+        kind,
         read=lambda commands: getattr(commands.settings.selected_trigger, attribute),
         write=lambda commands, value: setattr(commands.settings.selected_trigger, attribute, value),
         **more,
@@ -122,11 +125,24 @@ def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: A
 
 
 def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
-    """Define a constant feature; an integer unless `kind` is given."""
-    kind = more.pop("kind", Kind.INTEGER)
-    return Feature(name, kind, category, about, read=always(value), **more)
+    """Define a constant feature."""
+    return Feature(name, category, about, read=lambda _commands: value, **more)
 
 
-def single_entry(entry: str) -> dict[str, Any]:
-    """Return the keywords of an enumeration with a single entry: the family's name, one choice here."""
-    return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}
+def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
+    """Define an enumeration with a single entry: the family's name, one choice here."""
+    return constant(
+        name,
+        category,
+        about,
+        0,
+        kind=Kind.ENUMERATION,
+        entries={entry: 0},
+        write=lambda _commands, _value: None,
+        **more,
+    )
+
+
+def command(name: str, category: str, about: str, do: Callable[[Commands], None], **more: Any) -> Feature:
+    """Define a command."""
+    return Feature(name, category, about, Kind.COMMAND, write=lambda commands, _value: do(commands), **more)

@@ -50,7 +50,7 @@ class Photographer:
         self._seed = world.scene.seed
         self._serial = camera.serial
         self._view = View(world, camera)
-        self._disturbances = Disturbances.of(world, camera)
+        self._disturbances = Disturbances(world, camera)
         self._optics = Optics(camera, world.scene.seed)
         self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
         self._drawing = threading.Lock()

@@ -8,11 +8,21 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
-from sim.basler.camera.features import Commands, Feature, Kind, Number, always, constant, setting
+from sim.basler.camera.features import (
+    Commands,
+    Feature,
+    Kind,
+    Limit,
+    Number,
+    at_present,
+    choice,
+    command,
+    constant,
+    setting,
+)
 from sim.basler.control.registers import Refusal, RegisterMap, Word
 from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
@@ -28,7 +38,6 @@ SETS = "UserSets"
 TRANSPORT_FEATURES: tuple[Feature, ...] = (
     Feature(
         "PayloadSize",
-        Kind.INTEGER,
         TRANSPORT,
         "Image data of one frame.",
         read=lambda commands: commands.settings.frame().payload_bytes,
@@ -38,13 +47,11 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
     constant("GevVersionMinor", TRANSPORT, "Version of the standard.", 2, visibility="Expert"),
     Feature(
         "GevSCPSPacketSize",
-        Kind.INTEGER,
         TRANSPORT,
         "Size of a stream packet with its IP and UDP headers.",
         read=lambda commands: commands.channel.packet_size,
         write=_set_packet_size,
-        minimum=always(SMALLEST_PACKET_SIZE),
-        maximum=always(LARGEST_PACKET_SIZE),
+        limits=(SMALLEST_PACKET_SIZE, LARGEST_PACKET_SIZE),
         step=PACKET_SIZE_STEP,
         unit="B",
         locked=True,
@@ -54,8 +61,7 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         TRANSPORT,
         "1 while the client grabs: the format is locked.",
         "parameters_locked",
-        minimum=always(0),
-        maximum=always(1),
+        limits=(0, 1),
         visibility="Invisible",
     ),
     setting("ActionDeviceKey", ACTION, "Device key of accepted action commands.", "action_device_key"),
@@ -64,18 +70,16 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         ACTION,
         "Action to which the following features apply.",
         "action_selector",
-        minimum=always(1),
-        maximum=always(1),
+        limits=(1, 1),
         selects=("ActionGroupKey", "ActionGroupMask"),
     ),
     setting("ActionGroupKey", ACTION, "Group of the selected action.", "action_group_key"),
     setting("ActionGroupMask", ACTION, "Mask of the group.", "action_group_mask"),
-    setting(
+    choice(
         "UserSetSelector",
         SETS,
         "User set to load or save.",
         "user_set_selector",
-        kind=Kind.ENUMERATION,
         entries={
             "Default": UserSet.DEFAULT,
             "UserSet1": UserSet.FIRST,
@@ -84,20 +88,12 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         },
         selects=("UserSetLoad", "UserSetSave"),
     ),
-    Feature(
-        "UserSetLoad",
-        Kind.COMMAND,
-        SETS,
-        "Load the selected user set.",
-        write=lambda it, _: it.load_user_set(),
-        locked=True,
-    ),
-    Feature(
+    command("UserSetLoad", SETS, "Load the selected user set.", lambda it: it.load_user_set(), locked=True),
+    command(
         "UserSetSave",
-        Kind.COMMAND,
         SETS,
         "Save the current settings as the selected user set; Default is read-only.",
-        write=lambda it, _: it.save_user_set(),
+        lambda it: it.save_user_set(),
     ),
 )
 
@@ -117,20 +113,19 @@ def _set_notified(commands: Commands, value: int) -> None:
 
 
 EVENT_FEATURES: tuple[Feature, ...] = (
-    setting(
+    choice(
         "EventSelector",
         EVENTS,
         "Event to which EventNotification applies.",
         "event_selector",
-        kind=Kind.ENUMERATION,
         entries={kind.feature_name: int(kind) for kind in EventKind},
         selects=("EventNotification",),
     ),
     Feature(
         "EventNotification",
-        Kind.ENUMERATION,
         EVENTS,
         "Report the selected event on the message channel.",
+        Kind.ENUMERATION,
         read=_is_notified,
         write=_set_notified,
         entries={"Off": OFF, "On": ON},
@@ -160,12 +155,10 @@ def add_features(registers: RegisterMap, commands: Commands) -> None:
     for feature in FEATURES:
         address = address_of(feature.name)
         registers.add(address, _value_register(feature, commands))
-        if feature.minimum is None or feature.maximum is None:
-            continue
-        registers.add(address + MINIMUM_OFFSET, _limit_register(feature, feature.minimum, commands))
-        registers.add(address + MAXIMUM_OFFSET, _limit_register(feature, feature.maximum, commands))
-        if feature.kind is Kind.INTEGER:
-            registers.add(address + STEP_OFFSET, _limit_register(feature, always(feature.step), commands))
+        for offset, limit in zip((MINIMUM_OFFSET, MAXIMUM_OFFSET), feature.limits or (), strict=False):
+            registers.add(address + offset, _limit_register(feature, limit, commands))
+        if feature.limits and feature.kind is Kind.INTEGER:
+            registers.add(address + STEP_OFFSET, _limit_register(feature, feature.step, commands))
 
 
 def _value_register(feature: Feature, commands: Commands) -> Word:
@@ -185,8 +178,8 @@ def _value_register(feature: Feature, commands: Commands) -> Word:
     return Word(read, None if feature.write is None else write)
 
 
-def _limit_register(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
-    return Word(lambda: _encode(feature, limit(commands)))
+def _limit_register(feature: Feature, limit: Limit, commands: Commands) -> Word:
+    return Word(lambda: _encode(feature, at_present(limit, commands)))
 
 
 def _encode(feature: Feature, value: Number) -> int:

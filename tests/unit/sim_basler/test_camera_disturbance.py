@@ -173,7 +173,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
 
 def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
     world = World.create(named_scene("bench"), paced=False)
-    left, right = (Disturbances.of(world, truth) for truth in (world.scene.left, world.scene.right))
+    left, right = (Disturbances(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
     turned_deg = []
     for _ in range(4):  # at 0, 25, 50 and 75 s
