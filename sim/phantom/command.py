@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -29,6 +29,10 @@ class Fiducials(StrEnum):
     XFRAME_CLOSE = "xframe-close"
 
 
+def _scanner(about: str, *names: str, **limits: Any) -> Any:
+    return typer.Option(*names, help=about, rich_help_panel=SCANNER, **limits)
+
+
 def phantom(
     out: Annotated[Path, typer.Option(help="New or empty folder for ct/, plan.toml and truth.json.")],
     scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = DEFAULT_SCENE,
@@ -48,47 +52,24 @@ def phantom(
             "studies; with a family, --markers beyond four are on screws."
         ),
     ] = Fiducials.FREE,
-    tilt_deg: Annotated[float, typer.Option(help="Gantry tilt.", rich_help_panel=SCANNER)] = 0.0,
-    tilt_hidden: Annotated[
-        bool, typer.Option("--tilt-hidden", help="Headers of upright slices.", rich_help_panel=SCANNER)
-    ] = False,
-    table_scale: Annotated[
-        float,
-        typer.Option(min=-0.1, max=0.1, help="Relative error of the table feed.", rich_help_panel=SCANNER),
-    ] = 0.0,
+    tilt_deg: Annotated[float, _scanner("Gantry tilt.")] = 0.0,
+    tilt_hidden: Annotated[bool, _scanner("Headers of upright slices.", "--tilt-hidden")] = False,
+    table_scale: Annotated[float, _scanner("Relative error of the table feed.", min=-0.1, max=0.1)] = 0.0,
     thickness_mm: Annotated[
         float | None,
-        typer.Option(
+        _scanner(
+            "Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
             min=0.1,
             max=20.0,
-            help="Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
-            rich_help_panel=SCANNER,
         ),
     ] = None,
-    beam_hardening: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Strength; 1 is typical.", rich_help_panel=SCANNER)
-    ] = 0.0,
-    motion_mm: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=20.0, help="Distance of a single patient movement.", rich_help_panel=SCANNER
-        ),
-    ] = 0.0,
+    beam_hardening: Annotated[float, _scanner("Strength; 1 is typical.", min=0.0, max=10.0)] = 0.0,
+    motion_mm: Annotated[float, _scanner("Distance of a single patient movement.", min=0.0, max=20.0)] = 0.0,
     slide_mm: Annotated[
-        float,
-        typer.Option(
-            min=-20.0,
-            max=20.0,
-            help="Distance along the table of a single patient movement.",
-            rich_help_panel=SCANNER,
-        ),
+        float, _scanner("Distance along the table of a single patient movement.", min=-20.0, max=20.0)
     ] = 0.0,
-    kernel: Annotated[
-        str, typer.Option(help="standard, smooth or sharp.", rich_help_panel=SCANNER)
-    ] = "standard",
-    extended_range: Annotated[
-        bool, typer.Option(help="Store metal above 3071 HU.", rich_help_panel=SCANNER)
-    ] = False,
+    kernel: Annotated[str, _scanner("standard, smooth or sharp.")] = "standard",
+    extended_range: Annotated[bool, _scanner("Store metal above 3071 HU.")] = False,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -130,16 +111,9 @@ def phantom(
             )
         _scan_after(postoperative, instrument, out, seed, protocol, as_json)
         return
+    shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
-        tilt_deg,
-        table_scale,
-        thickness_mm,
-        beam_hardening,
-        motion_mm,
-        slide_mm,
-        kernel,
-        extended_range,
-        tilt_hidden,
+        tilt_deg, table_scale, thickness_mm, beam_hardening, *shifts_mm, kernel, extended_range, tilt_hidden
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if family is not None or carrier is None:

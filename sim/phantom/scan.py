@@ -15,6 +15,7 @@ from sim.phantom.head.anatomy import AIR_HU, Anatomy, HeadLayers, draw_anatomy
 from sim.phantom.head.obstacles import FREE, XFRAME, frame_markers, frame_shapes
 from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Shape, Values
+from sim.phantom.scanner.dicom_series import LARGEST_STORED
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults, hardening
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
@@ -24,7 +25,7 @@ from sim.world.scene.model import Scene
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
 SKIN_MARGIN_MM = 3.0
 
-WIDE_STORED, USUAL_STORED = 65535, 4095  # largest stored value
+WIDE_STORED = 65535  # largest value of 16 bits
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Planes:
     @property
     def largest_stored(self) -> int:
         """Largest value that the scanner stores."""
-        return WIDE_STORED if self._scan.faults.extended_range else USUAL_STORED
+        return WIDE_STORED if self._scan.faults.extended_range else LARGEST_STORED
 
     def active(self) -> dict[str, Any]:
         """Return the faults for the truth file; empty without any."""

@@ -20,13 +20,7 @@ from ronna_hw.wire.gige_vision import (
     Bootstrap,
 )
 from sim.basler.camera.features import Feature, Kind
-from sim.basler.control.feature_table import (
-    FEATURES,
-    MAXIMUM_OFFSET,
-    MINIMUM_OFFSET,
-    STEP_OFFSET,
-    address_of,
-)
+from sim.basler.control.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
 from sim.basler.settings import EventKind
 
 

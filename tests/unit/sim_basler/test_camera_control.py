@@ -65,9 +65,7 @@ def test_control_can_also_be_taken_by_a_memory_write(bench: Any) -> None:
     assert bench.set("GainRaw", 40) == OK
 
 
-def test_exclusive_control_blocks_memory_reads_by_others_but_not_discovery(
-    bench: Any,
-) -> None:
+def test_exclusive_control_blocks_memory_reads_by_others_but_not_discovery(bench: Any) -> None:
     assert bench.write(Bootstrap.CCP, 1) == OK
     assert bench.ask(READMEM, struct.pack(">IHH", 0, 0, 4), peer=OTHER)[0] == ACCESS_DENIED
     assert bench.ask(DISCOVERY, peer=OTHER)[0] == OK

@@ -61,10 +61,7 @@ def moments(cover: NDArray[np.float32]) -> tuple[Array, Array]:
     centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / total
     x, y = columns - centre[0], rows - centre[1]
     spread = np.array(
-        [
-            [(weight * x * x).sum(), (weight * x * y).sum()],
-            [(weight * x * y).sum(), (weight * y * y).sum()],
-        ]
+        [[(weight * x * x).sum(), (weight * x * y).sum()], [(weight * x * y).sum(), (weight * y * y).sum()]]
     )
     # each pixel of a filled area has a variance of its own, 1/12
     spread = spread / total - np.eye(2) / 12
@@ -135,11 +132,7 @@ def bare_camera() -> CameraTruth:
     """The left camera of a scene, without distortion."""
     truth = named_scene("default").left
     return truth.model_copy(
-        update={
-            "focal_px": (FOCAL_PX, FOCAL_PX),
-            "principal_point_px": PRINCIPAL_PX,
-            "distortion": STRAIGHT,
-        }
+        update={"focal_px": (FOCAL_PX, FOCAL_PX), "principal_point_px": PRINCIPAL_PX, "distortion": STRAIGHT}
     )
 
 

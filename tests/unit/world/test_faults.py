@@ -64,10 +64,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
             "since step == relocalization: robot dorp 5 % for 1 s",
             "line 2, .* Did you mean: since step == relocalization: robot drop 5 % for 1 s",
         ),
-        (
-            "at 3 s: room loosen screw 1",
-            "line 2, .* expected 'marker', got 'screw'. Write for example: ",
-        ),
+        ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
         (
             "robot drop 5 %",
