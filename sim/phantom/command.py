@@ -165,10 +165,10 @@ def _scan_after(
     from sim.phantom.families.family_scan import protocol_named
     from sim.phantom.postoperative_scan import draw_scan, instruments_of
 
-    scene, left = instruments_of(run, instrument)
-    scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))
+    scene, instruments = instruments_of(run, instrument)
+    scan = draw_scan(scene, instruments, seed, None if protocol is None else protocol_named(protocol))
     with progress_bar("scanning the phantom") as progress:
-        case = write_postoperative(scan, left, out, progress)
+        case = write_postoperative(scan, instruments, out, progress)
     if as_json:
         print_json(
             {
@@ -176,9 +176,9 @@ def _scan_after(
                 "truth": str(case.truth),
                 "series_instance_uid": case.series_instance_uid,
                 "slices": case.slices,
-                "instruments": len(left),
+                "instruments": len(instruments),
             }
         )
         return
-    left_in = counted(len(left), instrument.value)
-    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {left_in}"))
+    inside = counted(len(instruments), instrument.value)
+    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {inside}"))

@@ -77,7 +77,7 @@ def theatre(
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    goes_on: Annotated[
+    continued: Annotated[
         bool,
         typer.Option(
             "--continue",
@@ -105,7 +105,7 @@ def theatre(
 
     require_folder(out)
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
-    where = str(saved_scene) if goes_on and saved_scene.exists() else scene
+    where = str(saved_scene) if continued and saved_scene.exists() else scene
     if where == str(saved_scene):
         _require_same_world(context, out)
     truth = load_scene(
@@ -131,7 +131,7 @@ def theatre(
             cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
             faults=script,
             parameters=parameters,
-            saved=read_saved_world(out) if goes_on else None,
+            saved=read_saved_world(out) if continued else None,
             records=records,
         )
         reasons = _serve(running, ended)

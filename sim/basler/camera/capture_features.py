@@ -13,7 +13,7 @@ from ronna_hw.wire.gige_vision import (
     PixelFormat,
 )
 from sim.basler.camera.features import (
-    Commands,
+    CameraState,
     Feature,
     Kind,
     choice,
@@ -45,7 +45,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Width of the area of interest.",
         "width",
-        limits=(STEP_X, lambda commands: SENSOR_WIDTH_PX - commands.settings.offset_x),
+        limits=(STEP_X, lambda camera: SENSOR_WIDTH_PX - camera.settings.offset_x),
         step=STEP_X,
         unit="px",
         locked=True,
@@ -55,7 +55,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Height of the area of interest.",
         "height",
-        limits=(1, lambda commands: SENSOR_HEIGHT_PX - commands.settings.offset_y),
+        limits=(1, lambda camera: SENSOR_HEIGHT_PX - camera.settings.offset_y),
         unit="px",
         locked=True,
     ),
@@ -64,7 +64,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Column of the area's left edge; may change during an acquisition.",
         "offset_x",
-        limits=(0, lambda commands: SENSOR_WIDTH_PX - commands.settings.width),
+        limits=(0, lambda camera: SENSOR_WIDTH_PX - camera.settings.width),
         step=STEP_X,
         unit="px",
     ),
@@ -73,7 +73,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Row of the area's upper edge; may change during an acquisition.",
         "offset_y",
-        limits=(0, lambda commands: SENSOR_HEIGHT_PX - commands.settings.height),
+        limits=(0, lambda camera: SENSOR_HEIGHT_PX - camera.settings.height),
         unit="px",
     ),
     choice(
@@ -93,7 +93,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Bits of a pixel on the wire.",
         Kind.ENUMERATION,
-        read=lambda commands: bits_per_pixel(PixelFormat(commands.settings.pixel_format)),
+        read=lambda camera: bits_per_pixel(PixelFormat(camera.settings.pixel_format)),
         entries=PIXEL_SIZES,
     ),
     choice(
@@ -113,10 +113,10 @@ OFF_ON = {"Off": 0, "On": 1}
 FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
 
 
-def _status(commands: Commands) -> int:
-    if commands.settings.status_selector == FRAME_TRIGGER_WAIT:
-        return int(commands.acquisition.awaits_trigger)
-    return int(commands.acquiring)
+def _status(camera: CameraState) -> int:
+    if camera.settings.status_selector == FRAME_TRIGGER_WAIT:
+        return int(camera.acquisition.awaits_trigger)
+    return int(camera.acquiring)
 
 
 CONTROL = "AcquisitionTrigger"
@@ -130,14 +130,22 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         locked=True,
     ),
     command(
-        "AcquisitionStart", CONTROL, "Start the acquisition of frames.", lambda it: it.acquisition.start()
+        "AcquisitionStart",
+        CONTROL,
+        "Start the acquisition of frames.",
+        lambda camera: camera.acquisition.start(),
     ),
-    command("AcquisitionStop", CONTROL, "Stop the acquisition of frames.", lambda it: it.acquisition.stop()),
+    command(
+        "AcquisitionStop",
+        CONTROL,
+        "Stop the acquisition of frames.",
+        lambda camera: camera.acquisition.stop(),
+    ),
     command(
         "AcquisitionAbort",
         CONTROL,
         "Stop the acquisition of frames at once.",
-        lambda it: it.acquisition.stop(),
+        lambda camera: camera.acquisition.stop(),
     ),
     setting(
         "AcquisitionFrameCount",
@@ -167,7 +175,7 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         CONTROL,
         "Rate allowed by exposure, read-out, link and requested rate.",
         Kind.FLOAT,
-        read=lambda commands: 1e6 / free_running_period_us(commands.settings),
+        read=lambda camera: 1e6 / free_running_period_us(camera.settings),
         unit="Hz",
     ),
     choice(
@@ -217,13 +225,16 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         unit="us",
     ),
     command(
-        "TriggerSoftware", CONTROL, "Fire the selected trigger.", lambda it: it.acquisition.software_trigger()
+        "TriggerSoftware",
+        CONTROL,
+        "Fire the selected trigger.",
+        lambda camera: camera.acquisition.software_trigger(),
     ),
     Feature(
         "OvertriggerCount",
         CONTROL,
         "Frame triggers missed since AcquisitionStart because the camera was busy.",
-        read=lambda commands: commands.acquisition.missed_triggers,
+        read=lambda camera: camera.acquisition.missed_triggers,
         visibility="Guru",
     ),
 )
@@ -232,8 +243,8 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
 BLACK_LEVEL_RAW_MAXIMUM = 255
 
 
-def _set_exposure(commands: Commands, value: float) -> None:
-    commands.settings.exposure_us = round(value)
+def _set_exposure(camera: CameraState, value: float) -> None:
+    camera.settings.exposure_us = round(value)
 
 
 EXPOSURE_LIMITS_US = (EXPOSURE_MINIMUM_US, EXPOSURE_MAXIMUM_US)
@@ -247,7 +258,7 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         CONTROL,
         "Exposure time.",
         Kind.FLOAT,
-        read=lambda commands: commands.settings.exposure_us,
+        read=lambda camera: camera.settings.exposure_us,
         write=_set_exposure,
         unit="us",
         limits=EXPOSURE_LIMITS_US,
@@ -261,7 +272,7 @@ EXPOSURE_FEATURES: tuple[Feature, ...] = (
         CONTROL,
         "Read-out time of the current area.",
         Kind.FLOAT,
-        read=lambda commands: readout_us(commands.settings.frame()),
+        read=lambda camera: readout_us(camera.settings.frame()),
         unit="us",
     ),
     constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),

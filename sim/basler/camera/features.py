@@ -18,7 +18,7 @@ from sim.basler.stream_channel import StreamChannel
 Number = int | float
 
 
-class Commands(Protocol):
+class CameraState(Protocol):
     """The camera as its features see it."""
 
     @property
@@ -48,9 +48,9 @@ class Kind(Enum):
     COMMAND = "Command"
 
 
-Getter = Callable[[Commands], Number]
+Getter = Callable[[CameraState], Number]
 Limit = Number | Getter  # a limit may depend on other settings
-Setter = Callable[[Commands, Any], None]
+Setter = Callable[[CameraState, Any], None]
 
 
 @dataclass(frozen=True)
@@ -75,7 +75,7 @@ class Feature:
     selects: tuple[str, ...] = ()
     visibility: str = "Beginner"
 
-    def accepts(self, commands: Commands, value: Number) -> bool:
+    def accepts(self, camera: CameraState, value: Number) -> bool:
         """Whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
@@ -83,15 +83,15 @@ class Feature:
             return value in (0, 1)
         if self.kind is Kind.COMMAND:
             return True
-        low, high = (at_present(limit, commands) for limit in self.limits or (0, 0xFFFFFFFF))
+        low, high = (at_present(limit, camera) for limit in self.limits or (0, 0xFFFFFFFF))
         # NaN fails every comparison.
         within = low <= value <= high
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def at_present(limit: Limit, commands: Commands) -> Number:
+def at_present(limit: Limit, camera: CameraState) -> Number:
     """Return the value of a limit."""
-    return limit(commands) if callable(limit) else limit
+    return limit(camera) if callable(limit) else limit
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
@@ -100,8 +100,8 @@ def setting(name: str, category: str, about: str, attribute: str, **more: Any) -
         name,
         category,
         about,
-        read=lambda commands: getattr(commands.settings, attribute),
-        write=lambda commands, value: setattr(commands.settings, attribute, value),
+        read=lambda camera: getattr(camera.settings, attribute),
+        write=lambda camera, value: setattr(camera.settings, attribute, value),
         **more,
     )
 
@@ -118,15 +118,15 @@ def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: A
         "AcquisitionTrigger",
         about,
         kind,
-        read=lambda commands: getattr(commands.settings.selected_trigger, attribute),
-        write=lambda commands, value: setattr(commands.settings.selected_trigger, attribute, value),
+        read=lambda camera: getattr(camera.settings.selected_trigger, attribute),
+        write=lambda camera, value: setattr(camera.settings.selected_trigger, attribute, value),
         **more,
     )
 
 
 def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
     """Define a constant feature."""
-    return Feature(name, category, about, read=lambda _commands: value, **more)
+    return Feature(name, category, about, read=lambda _camera: value, **more)
 
 
 def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
@@ -138,11 +138,11 @@ def single_choice(name: str, category: str, about: str, entry: str, **more: Any)
         0,
         kind=Kind.ENUMERATION,
         entries={entry: 0},
-        write=lambda _commands, _value: None,
+        write=lambda _camera, _value: None,
         **more,
     )
 
 
-def command(name: str, category: str, about: str, do: Callable[[Commands], None], **more: Any) -> Feature:
+def command(name: str, category: str, about: str, do: Callable[[CameraState], None], **more: Any) -> Feature:
     """Define a command."""
-    return Feature(name, category, about, Kind.COMMAND, write=lambda commands, _value: do(commands), **more)
+    return Feature(name, category, about, Kind.COMMAND, write=lambda camera, _value: do(camera), **more)

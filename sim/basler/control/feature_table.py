@@ -12,7 +12,7 @@ import struct
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
 from sim.basler.camera.features import (
-    Commands,
+    CameraState,
     Feature,
     Kind,
     Limit,
@@ -28,8 +28,8 @@ from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
 
 
-def _set_packet_size(commands: Commands, value: int) -> None:
-    commands.channel.packet_size = value
+def _set_packet_size(camera: CameraState, value: int) -> None:
+    camera.channel.packet_size = value
 
 
 TRANSPORT = "TransportLayer"
@@ -40,7 +40,7 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         "PayloadSize",
         TRANSPORT,
         "Image data of one frame.",
-        read=lambda commands: commands.settings.frame().payload_bytes,
+        read=lambda camera: camera.settings.frame().payload_bytes,
         unit="B",
     ),
     constant("GevVersionMajor", TRANSPORT, "Version of the standard.", 1, visibility="Expert"),
@@ -49,7 +49,7 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         "GevSCPSPacketSize",
         TRANSPORT,
         "Size of a stream packet with its IP and UDP headers.",
-        read=lambda commands: commands.channel.packet_size,
+        read=lambda camera: camera.channel.packet_size,
         write=_set_packet_size,
         limits=(SMALLEST_PACKET_SIZE, LARGEST_PACKET_SIZE),
         step=PACKET_SIZE_STEP,
@@ -88,12 +88,14 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         },
         selects=("UserSetLoad", "UserSetSave"),
     ),
-    command("UserSetLoad", SETS, "Load the selected user set.", lambda it: it.load_user_set(), locked=True),
+    command(
+        "UserSetLoad", SETS, "Load the selected user set.", lambda camera: camera.load_user_set(), locked=True
+    ),
     command(
         "UserSetSave",
         SETS,
         "Save the current settings as the selected user set; Default is read-only.",
-        lambda it: it.save_user_set(),
+        lambda camera: camera.save_user_set(),
     ),
 )
 
@@ -102,12 +104,12 @@ EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
 
 
-def _is_notified(commands: Commands) -> int:
-    return int(commands.settings.event_selector in commands.settings.events_notified)
+def _is_notified(camera: CameraState) -> int:
+    return int(camera.settings.event_selector in camera.settings.events_notified)
 
 
-def _set_notified(commands: Commands, value: int) -> None:
-    settings = commands.settings
+def _set_notified(camera: CameraState, value: int) -> None:
+    settings = camera.settings
     others = settings.events_notified - {settings.event_selector}
     settings.events_notified = others | {settings.event_selector} if value == ON else others
 
@@ -150,36 +152,36 @@ def address_of(name: str) -> int:
     return ADDRESSES[name]
 
 
-def add_features(registers: RegisterMap, commands: Commands) -> None:
+def add_features(registers: RegisterMap, camera: CameraState) -> None:
     """Add the registers of all features."""
     for feature in FEATURES:
         address = address_of(feature.name)
-        registers.add(address, _value_register(feature, commands))
+        registers.add(address, _value_register(feature, camera))
         for offset, limit in zip((MINIMUM_OFFSET, MAXIMUM_OFFSET), feature.limits or (), strict=False):
-            registers.add(address + offset, _limit_register(feature, limit, commands))
+            registers.add(address + offset, _limit_register(feature, limit, camera))
         if feature.limits and feature.kind is Kind.INTEGER:
-            registers.add(address + STEP_OFFSET, _limit_register(feature, feature.step, commands))
+            registers.add(address + STEP_OFFSET, _limit_register(feature, feature.step, camera))
 
 
-def _value_register(feature: Feature, commands: Commands) -> Word:
+def _value_register(feature: Feature, camera: CameraState) -> Word:
     def read() -> int:
         # A command is never pending: it is done once its register has been written.
-        return 0 if feature.read is None else _encode(feature, feature.read(commands))
+        return 0 if feature.read is None else _encode(feature, feature.read(camera))
 
     def write(word: int) -> None:
         assert feature.write is not None
-        if feature.locked and commands.acquiring:
+        if feature.locked and camera.acquiring:
             raise Refusal(GevStatus.BUSY)
         value = _decode(feature, word)
-        if not feature.accepts(commands, value):
+        if not feature.accepts(camera, value):
             raise Refusal(GevStatus.INVALID_PARAMETER)
-        feature.write(commands, value)
+        feature.write(camera, value)
 
     return Word(read, None if feature.write is None else write)
 
 
-def _limit_register(feature: Feature, limit: Limit, commands: Commands) -> Word:
-    return Word(lambda: _encode(feature, at_present(limit, commands)))
+def _limit_register(feature: Feature, limit: Limit, camera: CameraState) -> Word:
+    return Word(lambda: _encode(feature, at_present(limit, camera)))
 
 
 def _encode(feature: Feature, value: Number) -> int:

@@ -27,7 +27,7 @@ class Privilege:
         self._heartbeat_ms = DEFAULT_HEARTBEAT_MS
         self.owner: Peer | None = None  # the application in control
         self.value = CCP_OPEN  # content of the CCP register
-        self._last_sign_s = 0.0
+        self._refreshed_s = 0.0
 
     @property
     def heartbeat_ms(self) -> int:
@@ -56,13 +56,13 @@ class Privilege:
             self.drop()
             return GevStatus.SUCCESS
         self.owner, self.value = peer, value
-        self._last_sign_s = self._now_s()
+        self._refreshed_s = self._now_s()
         return GevStatus.SUCCESS
 
-    def sign_of_life(self, peer: Peer) -> None:
+    def refresh_heartbeat(self, peer: Peer) -> None:
         """Record a command from this application."""
         if peer == self.owner:
-            self._last_sign_s = self._now_s()
+            self._refreshed_s = self._now_s()
 
     def seize(self, wanted: bool) -> None:
         """Put another application in control while `wanted`, whatever the previous state."""
@@ -81,7 +81,7 @@ class Privilege:
         """Return the time until the owner loses control; None without an owner."""
         if self.owner in (None, OTHER_APPLICATION):
             return None
-        return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
+        return self._refreshed_s + self._heartbeat_ms / 1e3 - self._now_s()
 
     def expire(self) -> None:
         """End the control of an owner that has timed out."""
