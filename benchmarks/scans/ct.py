@@ -28,9 +28,9 @@ from benchmarks.figures import Figure, compared, cpu_of
 from benchmarks.scans.scanner_faults import with_noise
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
 from ronna_hw.host.child_process import command
+from sim.basler.optics.canvas import blur
 from sim.phantom.case import write_case
 from sim.phantom.families.family_scan import family_scan
-from sim.phantom.scanner import blur
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from studies.localization.phantom_scans import AIR_HU, bound_mm
 

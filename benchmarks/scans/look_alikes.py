@@ -22,10 +22,10 @@ from procedures.imaging import Candidate, Localization, Volume, VoxelGeometry, l
 from procedures.imaging.errors import MarkerCountWrong
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import family_scan
-from sim.phantom.head.shapes import Point
 from sim.phantom.scan import Planes, Scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
+from sim.world.rigid import Point
 
 Array = NDArray[np.float64]
 

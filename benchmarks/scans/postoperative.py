@@ -18,11 +18,12 @@ from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.postoperative.comparison import FoundTrajectory, compare
 from ronna_hw.errors import RonnaError
-from sim.phantom.postoperative_scan import Instrument, Kind, PostoperativeScan, draw_scan
+from sim.phantom.postoperative_scan import Instrument, PostoperativeScan, draw_scan
 from sim.phantom.scan import Planes, plain_scan
 from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.noise import noise
+from sim.world.options import InstrumentKind
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT, named_scene
@@ -74,7 +75,7 @@ def plan_of(scene: Scene) -> Plan:
     )
 
 
-def misplaced(scene: Scene, kind: Kind, seed: int) -> tuple[Instrument, ...]:
+def misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instrument, ...]:
     generator = noise(seed, "misplaced", 0)
     found = []
     for target in scene.head.targets:
@@ -102,9 +103,13 @@ def main() -> None:
     options.add_argument("--phantoms", type=int, default=100)
     options.add_argument("--first", type=int, default=0)
     options.add_argument("--protocol", choices=PROTOCOLS, default="mini")
-    options.add_argument("--instrument", choices=[kind.value for kind in Kind], default=Kind.ELECTRODE.value)
+    options.add_argument(
+        "--instrument",
+        choices=[kind.value for kind in InstrumentKind],
+        default=InstrumentKind.ELECTRODE.value,
+    )
     given = options.parse_args()
-    kind = Kind(given.instrument)
+    kind = InstrumentKind(given.instrument)
     rows = []
     for seed in range(given.first, given.first + given.phantoms):
         scene = named_scene("default", seed=seed, targets=1).model_copy(

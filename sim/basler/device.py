@@ -67,7 +67,7 @@ class Camera:
             Actions(self.channel.repeat, self._accept_action),
             mac=identity.mac,
             address=identity.address_bytes,
-            counts_as_life=lambda: not faults.active("deaf"),
+            refreshes_heartbeat=lambda: not faults.active("deaf"),
         )
 
     def open(self) -> None:

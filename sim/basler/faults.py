@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Collection, Sequence
 
 import numpy as np
@@ -42,8 +43,7 @@ class CameraFaults:
         self._side = side
         self._camera = camera
         self._board: FaultBoard | EmptyBoard = FaultBoard(world, "camera")
-        self._answers = 0
-        self._messages = 0
+        self._sent: Counter[int] = Counter()  # by lane
 
     @property
     def scripted(self) -> bool:
@@ -108,19 +108,18 @@ class CameraFaults:
 
     def answer_lost(self) -> bool:
         """Draw whether the next answer to a command is lost."""
-        share = self.amount("lose_answers")
-        if not share:
-            return False
-        self._answers += 1
-        return bool(self._noise(self._answers, ANSWER_LANE).uniform(0.0, WHOLE) < share)
+        return self._lost("lose_answers", ANSWER_LANE)
 
     def message_lost(self) -> bool:
         """Draw whether the next event message is lost."""
-        share = self.amount("lose_events")
+        return self._lost("lose_events", MESSAGE_LANE)
+
+    def _lost(self, kind: str, lane: int) -> bool:
+        share = self.amount(kind)
         if not share:
             return False
-        self._messages += 1
-        return bool(self._noise(self._messages, MESSAGE_LANE).uniform(0.0, WHOLE) < share)
+        self._sent[lane] += 1
+        return bool(self._noise(self._sent[lane], lane).uniform(0.0, WHOLE) < share)
 
     def light_faults(self) -> tuple[tuple[str, float], ...]:
         """Return the active faults of the light, by name and amount."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import socket
 import struct
 import threading
 from collections import deque
@@ -26,6 +25,7 @@ from ronna_hw.wire.gige_vision import (
 )
 from sim.basler.faults import NO_FAULTS, CameraFaults
 from sim.basler.settings import EventKind, Settings, Ticks
+from sim.basler.stream_channel import UdpChannel
 
 STREAM_CHANNEL = 0
 FRAME_NUMBER = ">I"  # additional field of ExposureEnd beyond the standard's
@@ -60,10 +60,10 @@ class _Pending:
     due_s: float
 
 
-class MessageChannel:
+class MessageChannel(UdpChannel):
     """Sends one message at a time to one receiver, repeated until acknowledged or out of retries.
 
-    `owner_address` is that of the application in control, `now_s` the host's monotonic clock.
+    `now_s` is the host's monotonic clock.
     """
 
     def __init__(
@@ -73,18 +73,14 @@ class MessageChannel:
         now_s: Callable[[], float],
         faults: CameraFaults = NO_FAULTS,
     ) -> None:
-        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self.socket.bind((address, 0))
+        super().__init__(address, owner_address, faults)
         self.socket.setblocking(False)
-        self._owner_address = owner_address
         self._now_s = now_s
-        self._faults = faults
         self._lock = threading.Lock()
         self._waiting: deque[Event] = deque()
         self._pending: _Pending | None = None
         self._request_id = 0
         self._port = 0
-        self.destination = "0.0.0.0"
         self.timeout_ms = DEFAULT_TIMEOUT_MS
         self.retries = DEFAULT_RETRIES
         self.unacknowledged = 0  # messages given up
@@ -99,21 +95,9 @@ class MessageChannel:
     @port.setter
     def port(self, value: int) -> None:
         with self._lock:
-            self._clear()
+            self._waiting.clear()
+            self._pending = None
             self._port = value
-
-    @property
-    def source_port(self) -> int:
-        """UDP port from which messages are sent, and to which acknowledges go."""
-        return int(self.socket.getsockname()[1])
-
-    @property
-    def receiver(self) -> tuple[str, int] | None:
-        """Destination of messages; None while closed. 0.0.0.0 stands for the application in control."""
-        owner = self._owner_address()
-        if not self._port or owner is None:
-            return None
-        return (owner if self.destination == "0.0.0.0" else self.destination), self._port
 
     def report(self, event: Event, *, beyond_limit: bool = False) -> bool:
         """Queue an event; False if it is lost because the queue is full. A closed channel loses nothing."""
@@ -161,10 +145,6 @@ class MessageChannel:
         """Close the channel; queued events are dropped."""
         self.port = 0
 
-    def close(self) -> None:
-        """Close the socket."""
-        self.socket.close()
-
     def _acknowledged(self, datagram: bytes) -> None:
         if len(datagram) < GVCP_HEADER_BYTES:
             return
@@ -206,10 +186,6 @@ class MessageChannel:
         if receiver is not None and not lost:
             with contextlib.suppress(OSError):  # a receiver that is gone
                 self.socket.sendto(datagram, receiver)
-
-    def _clear(self) -> None:
-        self._waiting.clear()
-        self._pending = None
 
 
 class EventReporter:

@@ -97,28 +97,49 @@ def header(status: GevStatus, block_id: int, kind: GvspFormat, packet_id: int) -
     return struct.pack(GVSP_HEADER, status, block_id, kind << GVSP_FORMAT_SHIFT | packet_id)
 
 
-class StreamChannel:
-    """Sends blocks to one receiver. `owner_address` is that of the application in control."""
+class UdpChannel:
+    """A channel of the camera to one receiver. `owner_address` is that of the application in control."""
+
+    port: int  # of the receiver; 0 while closed
+
+    def __init__(self, address: str, owner_address: Callable[[], str | None], faults: CameraFaults) -> None:
+        self.socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        self.socket.bind((address, 0))
+        self._owner_address = owner_address
+        self._faults = faults
+        self.destination = "0.0.0.0"
+
+    @property
+    def source_port(self) -> int:
+        """UDP port from which the camera sends."""
+        return int(self.socket.getsockname()[1])
+
+    @property
+    def receiver(self) -> tuple[str, int] | None:
+        """Destination of packets; None while closed. 0.0.0.0 stands for the application in control."""
+        owner = self._owner_address()
+        if not self.port or owner is None:
+            return None
+        return (owner if self.destination == "0.0.0.0" else self.destination), self.port
+
+    def close(self) -> None:
+        """Close the socket."""
+        self.socket.close()
+
+
+class StreamChannel(UdpChannel):
+    """Sends blocks to one receiver."""
 
     def __init__(
         self, address: str, owner_address: Callable[[], str | None], faults: CameraFaults = NO_FAULTS
     ) -> None:
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.bind((address, 0))
-        self._owner_address = owner_address
-        self._faults = faults
+        super().__init__(address, owner_address, faults)
         self._kept: deque[Block] = deque(maxlen=KEPT_BLOCKS)
         self._next_block_id = BLOCK_ID_FIRST
         self._do_not_fragment = False
         self.port = 0
-        self.destination = "0.0.0.0"
         self.packet_size = DEFAULT_PACKET_SIZE
         self.delay_ticks = 0
-
-    @property
-    def source_port(self) -> int:
-        """UDP port from which packets are sent."""
-        return int(self._socket.getsockname()[1])
 
     @property
     def do_not_fragment(self) -> bool:
@@ -128,15 +149,7 @@ class StreamChannel:
     @do_not_fragment.setter
     def do_not_fragment(self, wanted: bool) -> None:
         self._do_not_fragment = wanted
-        self._socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if wanted else PMTU_DONT)
-
-    @property
-    def receiver(self) -> tuple[str, int] | None:
-        """Destination of packets; None while closed. 0.0.0.0 stands for the application in control."""
-        owner = self._owner_address()
-        if not self.port or owner is None:
-            return None
-        return (owner if self.destination == "0.0.0.0" else self.destination), self.port
+        self.socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if wanted else PMTU_DONT)
 
     def begin(self) -> None:
         """Restart block numbers from 1; nothing older can be resent."""
@@ -197,10 +210,6 @@ class StreamChannel:
         self.port = 0
         self._kept.clear()
 
-    def close(self) -> None:
-        """Close the socket."""
-        self._socket.close()
-
     def _apply_faults(self, frame: Frame) -> Frame:
         if self._faults.active("truncate"):
             frame = replace(frame, image=frame.image[: len(frame.image) // 2])
@@ -220,4 +229,4 @@ class StreamChannel:
             return
         # If the receiver is gone or the packet too large for the path, it is lost as on a real network.
         with contextlib.suppress(OSError):
-            self._socket.sendmsg(parts, (), 0, receiver)
+            self.socket.sendmsg(parts, (), 0, receiver)

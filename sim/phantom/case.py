@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -18,6 +18,7 @@ from sim.phantom.head.obstacles import FREE, XFRAME
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
 from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
+from sim.phantom.scanner.grid import CtGrid
 from sim.world.rigid import apply
 from sim.world.scene.model import Scene
 from sim.world.scene.plan_feasibility import STANDOFF_MM
@@ -34,14 +35,20 @@ Progress = Callable[[float], None]
 
 
 @dataclass(frozen=True)
-class PhantomCase:
-    """The files written for a phantom."""
+class PostoperativeCase:
+    """The files written after the operation."""
 
     series: Path
-    plan: Path
     truth: Path
     series_instance_uid: str
     slices: int
+
+
+@dataclass(frozen=True)
+class PhantomCase(PostoperativeCase):
+    """The files written for a phantom."""
+
+    plan: Path
 
 
 def write_case(
@@ -60,17 +67,23 @@ def write_case(
     steps = planes.steps + grid.slices
     with ThreadPoolExecutor(WORKERS) as pool:
         planes.paint_patches(pool, lambda done: progress(done / steps))
-
-        def paint(number: int) -> NDArray[np.uint16]:
-            return stored_values(planes.paint(number), planes.largest_stored)
-
-        for number, stored in enumerate(pool.map(paint, range(grid.slices))):
-            series.write(number, stored)
-            progress((planes.steps + number + 1) / steps)
+        for number in _written(
+            series, grid, pool, lambda number: stored_values(planes.paint(number), planes.largest_stored)
+        ):
+            progress((planes.steps + number) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
     write_whole(truth, json.dumps(_case_truth(scan, series, planes), indent=1).encode())
     write_whole(plan, plan_toml(scan, series.series_instance_uid).encode())
-    return PhantomCase(folder / SERIES_FOLDER, plan, truth, series.series_instance_uid, grid.slices)
+    return PhantomCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices, plan)
+
+
+def _written(
+    series: DicomSeries, grid: CtGrid, pool: Executor, paint: Callable[[int], NDArray[np.uint16]]
+) -> Iterator[int]:
+    """Write all slices of a series; yield how many are written."""
+    for number, stored in enumerate(pool.map(paint, range(grid.slices))):
+        series.write(number, stored)
+        yield number + 1
 
 
 def plan_toml(scan: Scan, series_instance_uid: str) -> str:
@@ -138,16 +151,6 @@ def _case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, An
     )
 
 
-@dataclass(frozen=True)
-class PostoperativeCase:
-    """The files written after the operation."""
-
-    series: Path
-    truth: Path
-    series_instance_uid: str
-    slices: int
-
-
 def write_postoperative(
     scan: PostoperativeScan,
     instruments: tuple[Instrument, ...],
@@ -163,14 +166,9 @@ def write_postoperative(
         occasion=f"after the operation, {scan.seed}, {instruments}",
     )
     series.prepare()
-
-    def paint(number: int) -> NDArray[np.uint16]:
-        return stored_values(scan.paint(number))
-
     with ThreadPoolExecutor(WORKERS) as pool:
-        for number, stored in enumerate(pool.map(paint, range(grid.slices))):
-            series.write(number, stored)
-            progress((number + 1) / grid.slices)
+        for number in _written(series, grid, pool, lambda number: stored_values(scan.paint(number))):
+            progress(number / grid.slices)
     truth = folder / TRUTH_FILE
     content = postoperative_truth(scan, instruments, series.series_instance_uid)
     write_whole(truth, json.dumps(content, indent=1).encode())

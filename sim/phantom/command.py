@@ -6,7 +6,7 @@ import os
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -14,19 +14,11 @@ from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
 from ronna_hw.text import counted, without_controls
-from sim.world.options import Carrier
+from sim.world.options import Carrier, InstrumentKind
 
 SCANNER = "What the scanner does"
 AFTERWARDS = "After the operation"
 DEFAULT_SCENE, DEFAULT_FAMILY, DEFAULT_PROTOCOL = "default", "plain", "good"
-
-
-class Instrument(StrEnum):
-    """Instrument in the head of a postoperative scan."""
-
-    ELECTRODE = "electrode"
-    NEEDLE = "needle"
-    DRILL_HOLE = "drill-hole"
 
 
 class Fiducials(StrEnum):
@@ -35,6 +27,10 @@ class Fiducials(StrEnum):
     FREE = "free"
     XFRAME = "xframe"
     XFRAME_CLOSE = "xframe-close"
+
+
+def _scanner(about: str, *names: str, **limits: Any) -> Any:
+    return typer.Option(*names, help=about, rich_help_panel=SCANNER, **limits)
 
 
 def phantom(
@@ -56,47 +52,24 @@ def phantom(
             "studies; with a family, --markers beyond four are on screws."
         ),
     ] = Fiducials.FREE,
-    tilt_deg: Annotated[float, typer.Option(help="Gantry tilt.", rich_help_panel=SCANNER)] = 0.0,
-    tilt_hidden: Annotated[
-        bool, typer.Option("--tilt-hidden", help="Headers of upright slices.", rich_help_panel=SCANNER)
-    ] = False,
-    table_scale: Annotated[
-        float,
-        typer.Option(min=-0.1, max=0.1, help="Relative error of the table feed.", rich_help_panel=SCANNER),
-    ] = 0.0,
+    tilt_deg: Annotated[float, _scanner("Gantry tilt.")] = 0.0,
+    tilt_hidden: Annotated[bool, _scanner("Headers of upright slices.", "--tilt-hidden")] = False,
+    table_scale: Annotated[float, _scanner("Relative error of the table feed.", min=-0.1, max=0.1)] = 0.0,
     thickness_mm: Annotated[
         float | None,
-        typer.Option(
+        _scanner(
+            "Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
             min=0.1,
             max=20.0,
-            help="Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
-            rich_help_panel=SCANNER,
         ),
     ] = None,
-    beam_hardening: Annotated[
-        float, typer.Option(min=0.0, max=10.0, help="Strength; 1 is typical.", rich_help_panel=SCANNER)
-    ] = 0.0,
-    motion_mm: Annotated[
-        float,
-        typer.Option(
-            min=0.0, max=20.0, help="Distance of a single patient movement.", rich_help_panel=SCANNER
-        ),
-    ] = 0.0,
+    beam_hardening: Annotated[float, _scanner("Strength; 1 is typical.", min=0.0, max=10.0)] = 0.0,
+    motion_mm: Annotated[float, _scanner("Distance of a single patient movement.", min=0.0, max=20.0)] = 0.0,
     slide_mm: Annotated[
-        float,
-        typer.Option(
-            min=-20.0,
-            max=20.0,
-            help="Distance along the table of a single patient movement.",
-            rich_help_panel=SCANNER,
-        ),
+        float, _scanner("Distance along the table of a single patient movement.", min=-20.0, max=20.0)
     ] = 0.0,
-    kernel: Annotated[
-        str, typer.Option(help="standard, smooth or sharp.", rich_help_panel=SCANNER)
-    ] = "standard",
-    extended_range: Annotated[
-        bool, typer.Option(help="Store metal above 3071 HU.", rich_help_panel=SCANNER)
-    ] = False,
+    kernel: Annotated[str, _scanner("standard, smooth or sharp.")] = "standard",
+    extended_range: Annotated[bool, _scanner("Store metal above 3071 HU.")] = False,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -107,9 +80,9 @@ def phantom(
         ),
     ] = None,
     instrument: Annotated[
-        Instrument,
+        InstrumentKind,
         typer.Option(help="Instrument in the head, with --postoperative.", rich_help_panel=AFTERWARDS),
-    ] = Instrument.ELECTRODE,
+    ] = InstrumentKind.ELECTRODE,
     with_parent: Annotated[bool, typer.Option(hidden=True, help="End when the parent ends.")] = False,
     as_json: JsonOption = False,
 ) -> None:
@@ -138,16 +111,9 @@ def phantom(
             )
         _scan_after(postoperative, instrument, out, seed, protocol, as_json)
         return
+    shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
-        tilt_deg,
-        table_scale,
-        thickness_mm,
-        beam_hardening,
-        motion_mm,
-        slide_mm,
-        kernel,
-        extended_range,
-        tilt_hidden,
+        tilt_deg, table_scale, thickness_mm, beam_hardening, *shifts_mm, kernel, extended_range, tilt_hidden
     )
     carrier = {one.value: one for one in Carrier}.get(fiducials.value)
     if family is not None or carrier is None:
@@ -192,17 +158,17 @@ def phantom(
 
 
 def _scan_after(
-    run: Path, instrument: Instrument, out: Path, seed: int, protocol: str | None, as_json: bool
+    run: Path, instrument: InstrumentKind, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
     """Write the postoperative CT of a run's head."""
     from sim.phantom.case import write_postoperative
     from sim.phantom.families.family_scan import protocol_named
-    from sim.phantom.postoperative_scan import Kind, draw_scan, instruments_of
+    from sim.phantom.postoperative_scan import draw_scan, instruments_of
 
-    scene, left = instruments_of(run, Kind(instrument.value))
-    scan = draw_scan(scene, left, seed, None if protocol is None else protocol_named(protocol))
+    scene, instruments = instruments_of(run, instrument)
+    scan = draw_scan(scene, instruments, seed, None if protocol is None else protocol_named(protocol))
     with progress_bar("scanning the phantom") as progress:
-        case = write_postoperative(scan, left, out, progress)
+        case = write_postoperative(scan, instruments, out, progress)
     if as_json:
         print_json(
             {
@@ -210,9 +176,9 @@ def _scan_after(
                 "truth": str(case.truth),
                 "series_instance_uid": case.series_instance_uid,
                 "slices": case.slices,
-                "instruments": len(left),
+                "instruments": len(instruments),
             }
         )
         return
-    left_in = counted(len(left), instrument.value)
-    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {left_in}"))
+    inside = counted(len(instruments), instrument.value)
+    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {inside}"))

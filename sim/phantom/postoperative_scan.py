@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from enum import StrEnum
 from functools import cached_property
 from itertools import product
 from math import radians
@@ -25,12 +24,22 @@ from sim.phantom.head.anatomy import (
     side_cable,
 )
 from sim.phantom.head.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
-from sim.phantom.head.shapes import Ball, Bounds, Point, Rod, Shape, Values, as_point
+from sim.phantom.head.shapes import Ball, Bounds, Rod, Shape, Values
 from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
 from sim.phantom.scanner.fine_painting import middle_at, paint_rod
 from sim.phantom.scanner.grid import CtGrid, centred_grid
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, apply, inverse, matrix_from, matrix_of, rotation_from_vector
+from sim.world.options import InstrumentKind
+from sim.world.rigid import (
+    Matrix,
+    Point,
+    apply,
+    as_point,
+    inverse,
+    matrix_from,
+    matrix_of,
+    rotation_from_vector,
+)
 from sim.world.scene.model import CtProtocol, Head, Scene, read_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, read_samples
 
@@ -49,16 +58,8 @@ STREAK_FALL_MM = 2.5
 POST_PLACE = 2  # index of the post among a marker's bodies, see `marker_on_foot`
 
 
-class Kind(StrEnum):
-    """Kind of an instrument in the head."""
-
-    ELECTRODE = "electrode"
-    NEEDLE = "needle"
-    DRILL_HOLE = "drill-hole"
-
-
 # Typical sizes: a lead of 1.27 mm, a biopsy needle of 1.8 mm, a twist drill of 3.2 mm.
-RADII_MM = {Kind.ELECTRODE: 0.635, Kind.NEEDLE: 0.9, Kind.DRILL_HOLE: 1.6}
+RADII_MM = {InstrumentKind.ELECTRODE: 0.635, InstrumentKind.NEEDLE: 0.9, InstrumentKind.DRILL_HOLE: 1.6}
 
 
 @dataclass(frozen=True)
@@ -66,21 +67,21 @@ class Instrument:
     """An instrument where a run left it, CT frame of the plan: tip, and unit vector out of the head."""
 
     identifier: str
-    kind: Kind
+    kind: InstrumentKind
     tip_mm: Point
     outwards: Point
 
     def rod(self, head: Head) -> Rod:
         """Return the body to paint; a drilled hole is filled with fluid, and as deep as the skull."""
         skin_mm = _to_skin_mm(self, head)
-        if self.kind is not Kind.DRILL_HOLE:
+        if self.kind is not InstrumentKind.DRILL_HOLE:
             return Rod(METAL_HU, self.tip_mm, self.outwards, skin_mm + ABOVE_SKIN_MM, RADII_MM[self.kind])
         deep_mm = TO_BRAIN_MM + BELOW_SKULL_MM
         x, y, z = np.add(self.tip_mm, (skin_mm - deep_mm) * np.array(self.outwards)).tolist()
         return Rod(FLUID_HU, (x, y, z), self.outwards, deep_mm, RADII_MM[self.kind])
 
 
-def instruments_of(run: Path, kind: Kind) -> tuple[Scene, tuple[Instrument, ...]]:
+def instruments_of(run: Path, kind: InstrumentKind) -> tuple[Scene, tuple[Instrument, ...]]:
     """Read the scene of a run and its instruments at the targets reached. Raises SIM-006, SIM-007."""
     theatre = run / THEATRE_FOLDER
     if not (theatre / SCENE_FILE).is_file():
@@ -178,7 +179,9 @@ def draw_scan(
             for one in anatomy.fillings
         ),
         rods=tuple(pose.rod(one.rod(head)) for one in instruments),
-        streaks=tuple(_streak(generator) if one.kind is not Kind.DRILL_HOLE else None for one in instruments),
+        streaks=tuple(
+            _streak(generator) if one.kind is not InstrumentKind.DRILL_HOLE else None for one in instruments
+        ),
     )
 
 

@@ -14,7 +14,8 @@ import numpy as np
 from sim.phantom.head.anatomy import AIR_HU, Anatomy, HeadLayers, draw_anatomy
 from sim.phantom.head.obstacles import FREE, XFRAME, frame_markers, frame_shapes
 from sim.phantom.head.painting import add_band, add_filling_streaks, add_streak, edge_sigma_mm, paint
-from sim.phantom.head.shapes import Shape, Values
+from sim.phantom.head.shapes import Values
+from sim.phantom.scanner.dicom_series import LARGEST_STORED
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, Kernel, ScannerFaults, hardening
 from sim.phantom.scanner.fine_painting import Patch, paint_patch
 from sim.phantom.scanner.grid import CtGrid, place_grid
@@ -24,7 +25,7 @@ from sim.world.scene.model import Scene
 RAMP_WIDTH = sqrt(12.0)  # of a linear edge with the variance of the scanner's
 SKIN_MARGIN_MM = 3.0
 
-WIDE_STORED, USUAL_STORED = 65535, 4095  # largest stored value
+WIDE_STORED = 65535  # largest value of 16 bits
 
 
 @dataclass(frozen=True)
@@ -89,7 +90,7 @@ class Planes:
     @property
     def largest_stored(self) -> int:
         """Largest value that the scanner stores."""
-        return WIDE_STORED if self._scan.faults.extended_range else USUAL_STORED
+        return WIDE_STORED if self._scan.faults.extended_range else LARGEST_STORED
 
     def active(self) -> dict[str, Any]:
         """Return the faults for the truth file; empty without any."""
@@ -189,11 +190,11 @@ class SlicePainter:
         self._x, self._y = grid.x_mm.astype(np.float32), grid.y_mm.astype(np.float32)
         self._z_mm = grid.z_mm
         self._background = self._paint_background()
-        self._bodies = [
-            (*_heights(shape, 0.5 * self._edge_mm), shape)
-            for shape in anatomy.shapes
-            if shape not in anatomy.headrest
-        ]
+        self._bodies = []  # with the lowest and highest z at which each is visible
+        for shape in anatomy.shapes:
+            if shape not in anatomy.headrest:
+                (_, _, low), (_, _, high) = shape.bounds()
+                self._bodies.append((low - 0.5 * self._edge_mm, high + 0.5 * self._edge_mm, shape))
         self.patches: tuple[Patch, ...] = ()
 
     def paint_patch(self, number: int) -> Patch:
@@ -272,9 +273,3 @@ def slice_noise(
     gain = 1.0 + 2.0 * float(side) ** 2  # of the variance, along each of both axes
     smooth *= np.float32(noise_HU / gain)
     return smooth
-
-
-def _heights(shape: Shape, margin_mm: float) -> tuple[float, float]:
-    """Return the lowest and highest z at which a body is visible."""
-    (_, _, low), (_, _, high) = shape.bounds()
-    return low - margin_mm, high + margin_mm

@@ -11,6 +11,7 @@ import typer
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
+from ronna_hw.host.control_port import ask_control_port
 from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
@@ -19,6 +20,13 @@ if TYPE_CHECKING:
     from sim.theatre.launch import Theatre
 
 CONTROL = "RONNA_CONTROL"  # in the environment; on the command line every user here could read the token
+ControlOption = Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")]
+SceneOption = Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")]
+MarkersOption = Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")]
+TargetsOption = Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")]
+FiducialsOption = Annotated[
+    Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
+]
 
 
 class CycleMs(StrEnum):
@@ -38,13 +46,11 @@ class Speed(StrEnum):
 def theatre(
     context: typer.Context,
     out: Annotated[Path, typer.Option(help="Folder for theatre.toml and its files.")] = Path("theatre"),
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    scene: SceneOption = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of everything drawn at random.")] = 0,
-    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
-    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
-    fiducials: Annotated[
-        Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
-    ] = Carrier.FREE,
+    markers: MarkersOption = None,
+    targets: TargetsOption = None,
+    fiducials: FiducialsOption = Carrier.FREE,
     calibrated: Annotated[
         bool,
         typer.Option(
@@ -71,7 +77,7 @@ def theatre(
         CycleMs | None, typer.Option(help="Sensor cycle of the robot in ms [default: the context's].")
     ] = None,
     faults: Annotated[Path | None, typer.Option(help="Fault script, one fault per line.")] = None,
-    goes_on: Annotated[
+    continued: Annotated[
         bool,
         typer.Option(
             "--continue",
@@ -99,7 +105,7 @@ def theatre(
 
     require_folder(out)
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
-    where = str(saved_scene) if goes_on and saved_scene.exists() else scene
+    where = str(saved_scene) if continued and saved_scene.exists() else scene
     if where == str(saved_scene):
         _require_same_world(context, out)
     truth = load_scene(
@@ -125,7 +131,7 @@ def theatre(
             cycle_ms=int(cycle_ms.value) if cycle_ms is not None else None,
             faults=script,
             parameters=parameters,
-            saved=read_saved_world(out) if goes_on else None,
+            saved=read_saved_world(out) if continued else None,
             records=records,
         )
         reasons = _serve(running, ended)
@@ -193,37 +199,31 @@ def mount(
         int,
         typer.Argument(min=0, help="Tool to mount: usually 1 the stereo head, 2 the guide; 0 removes it."),
     ],
-    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
+    control: ControlOption,
 ) -> None:
     """Mount another tool in a running theatre, as the staff would."""
-    from ronna_hw.host.control_port import ask_control_port
-
     ask_control_port(control, "mount", number=number)
     tell(f"tool {number} is mounted" if number else "no tool is mounted")
 
 
 def stand(
     holds: Annotated[OnStand, typer.Argument(help="Object to put on the calibration stand.")],
-    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
+    control: ControlOption,
 ) -> None:
     """Put ball or divot on the calibration stand of a running theatre, or remove both."""
-    from ronna_hw.host.control_port import ask_control_port
-
     ask_control_port(control, "stand", holds=holds.value)
     tell(f"on the stand: {holds.value}")
 
 
 def work(
     task: Annotated[str, typer.Argument(help="Manual task, such as depth_stop, insert, out or gauge.")],
-    control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
+    control: ControlOption,
     numbers: Annotated[
         list[float] | None, typer.Argument(help="Values for the task, as in the question.")
     ] = None,
     trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
 ) -> None:
     """Work with guide and instrument in a running theatre, as the staff would; prints the readings."""
-    from ronna_hw.host.control_port import ask_control_port
-
     answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
     tell(f"done: {task}{f' at {trajectory}' if trajectory else ''}")
     for reading in answer.get("readings", ()):
@@ -243,7 +243,6 @@ def fault(
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:
     """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
-    from ronna_hw.host.control_port import ask_control_port
     from sim.world.faults import FAULT_KINDS
 
     if line is None and not clear:
@@ -300,13 +299,11 @@ def verify(
 
 
 def scene(
-    scene: Annotated[str, typer.Option(help="default, mini, bench, or a scene file.")] = "default",
+    scene: SceneOption = "default",
     seed: Annotated[int, typer.Option(min=0, help="Seed of a named scene.")] = 0,
-    markers: Annotated[int | None, typer.Option(min=3, max=8, help="Spheres on the head.")] = None,
-    targets: Annotated[int | None, typer.Option(min=1, max=10, help="Trajectories of the plan.")] = None,
-    fiducials: Annotated[
-        Carrier, typer.Option(help="Fixation of the spheres: screws, or the x-shaped frame.")
-    ] = Carrier.FREE,
+    markers: MarkersOption = None,
+    targets: TargetsOption = None,
+    fiducials: FiducialsOption = Carrier.FREE,
     template: Annotated[
         Path | None,
         typer.Option(

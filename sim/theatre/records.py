@@ -85,11 +85,7 @@ def tool_records(
             "purpose": "needle_guide",
             "number": mount.tool_number_guide,
             "mass_kg": guide.mass_kg,
-            "bore": {
-                "reach_mm": guide.reach_mm,
-                "length_mm": guide.bore_mm,
-                "play_mm": guide.play_mm,
-            },
+            "bore": {"reach_mm": guide.reach_mm, "length_mm": guide.bore_mm, "play_mm": guide.play_mm},
             **_frame(mount),
             "gauge": {
                 "joints_deg": [A1 + GAUGE_TURN_DEG, *others],

@@ -15,14 +15,13 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
-from ronna_hw.calibration import PoseRecord
 from ronna_hw.plausible import FINEST_ON_ARM_MM
 from ronna_hw.records import write_whole
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
 from sim.theatre.records import STATED_ERROR_MM, arm_values, measured_mount, refer_to_tip, tool_records
 from sim.world.noise import noise
-from sim.world.rigid import matrix_from, matrix_of, pose_of, rotation_from_vector
+from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
 from sim.world.scene.model import CalibrationError, CameraTruth, Scene
 
@@ -79,10 +78,7 @@ def theatre_content(
         "stereo": {
             "driver": "basler_stereo",
             "endpoints": endpoints["basler"],
-            "options": {
-                "left_serial": scene.left.serial,
-                "right_serial": scene.right.serial,
-            },
+            "options": {"left_serial": scene.left.serial, "right_serial": scene.right.serial},
         },
         "calibration": _calibrations(scene, made),
         "flange": FLANGE,
@@ -156,11 +152,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     )
 
     def record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
-        return {
-            **_dated(scene, name, created),
-            "stated_error_mm": _credible_mm(stated_error_mm),
-            **more,
-        }
+        return {**_dated(scene, name, created), "stated_error_mm": _credible_mm(stated_error_mm), **more}
 
     def mounted(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
         """Make the record of a part on the mount; on the first day its drawing, which is no calibration."""
@@ -178,7 +170,7 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
                     3**0.5 * error.camera_translation_mm, WORKING_DISTANCE_MM * error.camera_rotation_rad
                 )
             ),
-            flange_from_tool=_pose(pose_of(head)),
+            flange_from_tool=_pose(head),
             left=_camera(scene.left, error, generator),
             right=_camera(scene.right, error, generator),
         ),
@@ -186,14 +178,14 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
             "tool-tip",
             3**0.5 * error.tip_mm,
             tool_number=scene.mount.tool_number_guide,
-            flange_from_tool=_pose(pose_of(tip)),
+            flange_from_tool=_pose(tip),
             stated_direction_error_rad=2**0.5 * error.tip_direction_rad,
         ),
         "tracker_frame": mounted(
             "tracker-frame",
             3**0.5 * error.marker_translation_mm,
             tool=scene.tracker.tools[0].name,
-            tool_from_marker=_pose(pose_of(marker)),
+            tool_from_marker=_pose(marker),
         ),
         **_arm(scene, record),
     }
@@ -237,12 +229,9 @@ def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.G
         "principal_point_px": list(camera.principal_point_px),
         "distortion": list(camera.distortion),
         "sensor_px": list(camera.sensor_px),
-        "camera_from_tool": _pose(pose_of(seen)),
+        "camera_from_tool": _pose(seen),
     }
 
 
-def _pose(pose: PoseRecord) -> dict[str, Any]:
-    return {
-        "translation_mm": list(pose.translation_mm),
-        "quaternion_wxyz": list(pose.quaternion_wxyz),
-    }
+def _pose(matrix: Matrix) -> dict[str, Any]:
+    return pose_of(matrix).model_dump(mode="json")

@@ -1,1 +1,1 @@
-"""What all simulators share: the scene as it really is, its clock and faults, and what hands do in it."""
+"""What all simulators share: the scene as it really is, its clock and faults, and what the staff do in it."""

@@ -16,13 +16,21 @@ from numpy.typing import NDArray
 from sim.world.faults import Fault, FaultBoard
 from sim.world.faults.room import CART, DEVICE, GUIDE, HEAD, LOOSEN, PUSH, SHIFT, TRACKER, TURN, UNLOCKED
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, apply, matrix_from, matrix_of, rotation_from_vector, vector_from_rotation
+from sim.world.rigid import (
+    Matrix,
+    Point,
+    apply,
+    as_point,
+    matrix_from,
+    matrix_of,
+    rotation_from_vector,
+    vector_from_rotation,
+)
 from sim.world.scene.model import Fiducial, Scene
 from sim.world.world import World
 
 Array = NDArray[np.float64]
-Vector = tuple[float, float, float]
-STILL: Vector = (0.0, 0.0, 0.0)
+STILL: Point = (0.0, 0.0, 0.0)
 SECONDS_PER_MINUTE = 60.0
 SEATING = "seating"  # noise key; each screw draws independently of the others
 
@@ -34,13 +42,13 @@ class RoomShift:
     `spheres_mm` are additional displacements of single spheres, by number.
     """
 
-    head_mm: Vector = STILL
-    tracker_mm: Vector = STILL
-    head_rad: Vector = STILL
-    tracker_rad: Vector = STILL
-    guide_mm: Vector = STILL  # of the mounted tool, by a hand
-    guide_rad: Vector = STILL  # about the tracked frame
-    spheres_mm: tuple[tuple[int, Vector], ...] = ()
+    head_mm: Point = STILL
+    tracker_mm: Point = STILL
+    head_rad: Point = STILL
+    tracker_rad: Point = STILL
+    guide_mm: Point = STILL  # of the mounted tool, by a hand
+    guide_rad: Point = STILL  # about the tracked frame
+    spheres_mm: tuple[tuple[int, Point], ...] = ()
 
     def moved_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
         """Displace spheres (n, 3), given with their numbers in the scene; robot frame."""
@@ -76,19 +84,19 @@ class ShiftedRoom:
         head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
         return RoomShift(
-            head_mm=_vector(back @ (np.subtract(_sum(shifts, HEAD), cart_mm) + swing_mm)),
-            tracker_mm=_vector(back @ np.subtract(_sum(shifts, TRACKER), cart_mm)),
-            head_rad=_vector(vector_from_rotation(back @ head_turn)),
-            tracker_rad=_vector(vector_from_rotation(back)),
-            guide_mm=_vector(np.divide(push_N, self._stiffness_N_mm)),
-            guide_rad=_vector(np.radians(_sum(turns, GUIDE))),
+            head_mm=as_point(back @ (np.subtract(_sum(shifts, HEAD), cart_mm) + swing_mm)),
+            tracker_mm=as_point(back @ np.subtract(_sum(shifts, TRACKER), cart_mm)),
+            head_rad=as_point(vector_from_rotation(back @ head_turn)),
+            tracker_rad=as_point(vector_from_rotation(back)),
+            guide_mm=as_point(np.divide(push_N, self._stiffness_N_mm)),
+            guide_rad=as_point(np.radians(_sum(turns, GUIDE))),
             spheres_mm=tuple(
                 (int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})
             ),
         )
 
 
-def rigid_move(turn_rad: Vector, shift_mm: Vector) -> Matrix:
+def rigid_move(turn_rad: Point, shift_mm: Point) -> Matrix:
     """Transform (4, 4) of a turn about the robot's origin, then a shift."""
     return matrix_from(shift_mm, rotation_from_vector(turn_rad))
 
@@ -105,7 +113,7 @@ def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift)
     return held
 
 
-def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Vector, ...]:
+def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
     """Way that the cart has rolled since its brakes were released, per fault."""
     return tuple(
         _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
@@ -131,17 +139,12 @@ def _refit(sphere: Fiducial, scene: Scene) -> Fiducial:
     return sphere.model_copy(update={"centre_ct_mm": (x, y, z), **worn})
 
 
-def _sum(faults: tuple[Fault, ...], what: str) -> Vector:
+def _sum(faults: tuple[Fault, ...], what: str) -> Point:
     return _total(
         [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
     )
 
 
-def _total(ways: Sequence[Sequence[float]]) -> Vector:
+def _total(ways: Sequence[Sequence[float]]) -> Point:
     x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
-    return (x, y, z)
-
-
-def _vector(values: Array) -> Vector:
-    x, y, z = (float(value) for value in values)
     return (x, y, z)

@@ -98,14 +98,7 @@ def frame_of(pose: Matrix) -> list[float]:
         B = 90.0 if r20 < 0 else -90.0
         # With A = 0 the second column is (0, cos C, -sin C) in the rotated frame.
         return [x, y, z, 0.0, B, degrees(atan2(-r12, r11)) + 0.0]
-    return [
-        x,
-        y,
-        z,
-        degrees(atan2(r10, r00)),
-        degrees(atan2(-r20, cosine_B)),
-        degrees(atan2(r21, r22)),
-    ]
+    return [x, y, z, degrees(atan2(r10, r00)), degrees(atan2(-r20, cosine_B)), degrees(atan2(r21, r22))]
 
 
 def pose_of_frame(frame: Sequence[float]) -> Matrix:

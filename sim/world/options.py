@@ -13,6 +13,14 @@ class OnStand(StrEnum):
     DIVOT = "divot"
 
 
+class InstrumentKind(StrEnum):
+    """Instrument in the head of a postoperative scan."""
+
+    ELECTRODE = "electrode"
+    NEEDLE = "needle"
+    DRILL_HOLE = "drill-hole"
+
+
 class Carrier(StrEnum):
     """How the spheres of a named scene are fixed: on individual screws, or on the x-shaped frame."""
 

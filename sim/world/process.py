@@ -101,10 +101,7 @@ def open_world(
 
 
 def own_control_port(
-    world: str | None,
-    own: World,
-    devices: Sequence[str],
-    loaded: Callable[[], Sequence[str]] | None = None,
+    world: str | None, own: World, devices: Sequence[str], loaded: Callable[[], Sequence[str]] | None = None
 ) -> str | None:
     """Open the control port of a simulator started alone; None in a theatre, which has its own."""
     return None if world is not None else ControlPort(Room(own, None, devices, loaded)).endpoint

@@ -5,12 +5,27 @@ Matrices are (4, 4), in millimetres; quaternions are scalar first.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from ronna_hw.calibration import PoseRecord
 
 Matrix = NDArray[np.float64]
+Point = tuple[float, float, float]
+
+
+def as_point(values: Iterable[float]) -> Point:
+    """Convert an array (3,) to plain numbers."""
+    x, y, z = (float(value) for value in values)
+    return x, y, z
+
+
+def rounded_point(values: Iterable[float]) -> Point:
+    """Convert an array (3,) to plain numbers of six decimals."""
+    x, y, z = (round(float(value), 6) for value in values)
+    return x, y, z
 
 
 def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
@@ -65,9 +80,8 @@ def matrix_of(pose: PoseRecord) -> Matrix:
 def pose_of(matrix: ArrayLike) -> PoseRecord:
     """Pose record of a homogeneous matrix."""
     values = np.asarray(matrix, dtype=float)
-    x, y, z = (float(v) for v in values[:3, 3])
     qw, qx, qy, qz = (float(v) for v in quaternion_from_rotation(values[:3, :3]))
-    return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))
+    return PoseRecord(translation_mm=as_point(values[:3, 3]), quaternion_wxyz=(qw, qx, qy, qz))
 
 
 def inverse(matrix: Matrix) -> Matrix:

@@ -72,11 +72,7 @@ class TrueArm:
         return pose
 
     def at_rest(
-        self,
-        encoders_rad: Sequence[float],
-        flanks: Sequence[float],
-        motion_number: int,
-        moved_s: float = 0.0,
+        self, encoders_rad: Sequence[float], flanks: Sequence[float], motion_number: int, moved_s: float = 0.0
     ) -> Matrix:
         """Pose (4, 4) at rest after the motion with this number."""
         pose = self.moving(encoders_rad, flanks, moved_s)

@@ -20,7 +20,7 @@ from sim.world.displacements import STILL, ShiftedRoom, rigid_move, yielding_fla
 from sim.world.faults import Fault, FaultBoard, FaultKind
 from sim.world.faults.room import BAD_SEAT, BENT_TIP, DEVICE, WRONG_LOAD, WRONG_MANDREL
 from sim.world.noise import noise
-from sim.world.rigid import Matrix, matrix_from, matrix_of, rotation_from_vector
+from sim.world.rigid import Matrix, as_point, matrix_from, matrix_of, rotation_from_vector
 from sim.world.world import World
 
 Vector = NDArray[np.float64]
@@ -65,8 +65,8 @@ def sample_instrument(world: World, guide: TrueGuide, target: str, stop_mm: floa
         theatre_time_s=world.clock.now_s(),
         mounted_tool=world.mounted_tool(),
         arm_at_rest=world.arm().at_rest,
-        tip_mm=_three(guide.instrument_tip_mm(stop_mm, target, draw)),
-        axis=_three(guide.tip_frame()[:3, 2]),
+        tip_mm=as_point(guide.instrument_tip_mm(stop_mm, target, draw)),
+        axis=as_point(guide.tip_frame()[:3, 2]),
         head_shift_mm=room.head_mm,
         head_turn_rad=room.head_rad,
     )
@@ -193,8 +193,3 @@ def _in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, 
         radius * np.array([np.cos(angle), np.sin(angle)]) for radius, angle in zip(radii, angles, strict=True)
     )
     return one, other
-
-
-def _three(vector: np.ndarray) -> Numbers3:
-    x, y, z = (float(value) for value in vector)
-    return (x, y, z)

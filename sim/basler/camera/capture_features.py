@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from typing import Any
-
 from ronna_hw.wire.gige_vision import AREA_STEP_X_PX as STEP_X
 from ronna_hw.wire.gige_vision import (
     EXPOSURE_MAXIMUM_US,
@@ -15,13 +13,14 @@ from ronna_hw.wire.gige_vision import (
     PixelFormat,
 )
 from sim.basler.camera.features import (
-    Commands,
+    CameraState,
     Feature,
     Kind,
-    always,
+    choice,
+    command,
     constant,
     setting,
-    single_entry,
+    single_choice,
     trigger_setting,
 )
 from sim.basler.settings import (
@@ -46,8 +45,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Width of the area of interest.",
         "width",
-        minimum=always(STEP_X),
-        maximum=lambda commands: SENSOR_WIDTH_PX - commands.settings.offset_x,
+        limits=(STEP_X, lambda camera: SENSOR_WIDTH_PX - camera.settings.offset_x),
         step=STEP_X,
         unit="px",
         locked=True,
@@ -57,8 +55,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Height of the area of interest.",
         "height",
-        minimum=always(1),
-        maximum=lambda commands: SENSOR_HEIGHT_PX - commands.settings.offset_y,
+        limits=(1, lambda camera: SENSOR_HEIGHT_PX - camera.settings.offset_y),
         unit="px",
         locked=True,
     ),
@@ -67,8 +64,7 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Column of the area's left edge; may change during an acquisition.",
         "offset_x",
-        minimum=always(0),
-        maximum=lambda commands: SENSOR_WIDTH_PX - commands.settings.width,
+        limits=(0, lambda camera: SENSOR_WIDTH_PX - camera.settings.width),
         step=STEP_X,
         unit="px",
     ),
@@ -77,16 +73,14 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
         IMAGE,
         "Row of the area's upper edge; may change during an acquisition.",
         "offset_y",
-        minimum=always(0),
-        maximum=lambda commands: SENSOR_HEIGHT_PX - commands.settings.height,
+        limits=(0, lambda camera: SENSOR_HEIGHT_PX - camera.settings.height),
         unit="px",
     ),
-    setting(
+    choice(
         "PixelFormat",
         IMAGE,
         "Format of the pixels on the wire.",
         "pixel_format",
-        kind=Kind.ENUMERATION,
         entries={
             "Mono8": PixelFormat.MONO8,
             "Mono12": PixelFormat.MONO12,
@@ -96,18 +90,17 @@ IMAGE_FEATURES: tuple[Feature, ...] = (
     ),
     Feature(
         "PixelSize",
-        Kind.ENUMERATION,
         IMAGE,
         "Bits of a pixel on the wire.",
-        read=lambda commands: bits_per_pixel(PixelFormat(commands.settings.pixel_format)),
+        Kind.ENUMERATION,
+        read=lambda camera: bits_per_pixel(PixelFormat(camera.settings.pixel_format)),
         entries=PIXEL_SIZES,
     ),
-    setting(
+    choice(
         "TestImageSelector",
         IMAGE,
         "A ramp instead of the sensor's image.",
         "test_image",
-        kind=Kind.ENUMERATION,
         entries={"Off": RampImage.OFF, "Testimage1": RampImage.FIXED, "Testimage2": RampImage.MOVING},
     ),
 )
@@ -120,43 +113,46 @@ OFF_ON = {"Off": 0, "On": 1}
 FRAME_TRIGGER_WAIT, ACQUISITION_ACTIVE = 0, 1
 
 
-def _status(commands: Commands) -> int:
-    if commands.settings.status_selector == FRAME_TRIGGER_WAIT:
-        return int(commands.acquisition.awaits_trigger)
-    return int(commands.acquiring)
-
-
-def _start(commands: Commands, _value: int) -> None:
-    commands.acquisition.start()
-
-
-def _stop(commands: Commands, _value: int) -> None:
-    commands.acquisition.stop()
+def _status(camera: CameraState) -> int:
+    if camera.settings.status_selector == FRAME_TRIGGER_WAIT:
+        return int(camera.acquisition.awaits_trigger)
+    return int(camera.acquiring)
 
 
 CONTROL = "AcquisitionTrigger"
 ACQUISITION_FEATURES: tuple[Feature, ...] = (
-    setting(
+    choice(
         "AcquisitionMode",
         CONTROL,
         "Acquisition mode.",
         "acquisition_mode",
-        kind=Kind.ENUMERATION,
         entries={"SingleFrame": AcquisitionMode.SINGLE_FRAME, "Continuous": AcquisitionMode.CONTINUOUS},
         locked=True,
     ),
-    Feature("AcquisitionStart", Kind.COMMAND, CONTROL, "Start the acquisition of frames.", write=_start),
-    Feature("AcquisitionStop", Kind.COMMAND, CONTROL, "Stop the acquisition of frames.", write=_stop),
-    Feature(
-        "AcquisitionAbort", Kind.COMMAND, CONTROL, "Stop the acquisition of frames at once.", write=_stop
+    command(
+        "AcquisitionStart",
+        CONTROL,
+        "Start the acquisition of frames.",
+        lambda camera: camera.acquisition.start(),
+    ),
+    command(
+        "AcquisitionStop",
+        CONTROL,
+        "Stop the acquisition of frames.",
+        lambda camera: camera.acquisition.stop(),
+    ),
+    command(
+        "AcquisitionAbort",
+        CONTROL,
+        "Stop the acquisition of frames at once.",
+        lambda camera: camera.acquisition.stop(),
     ),
     setting(
         "AcquisitionFrameCount",
         CONTROL,
         "Frames that one AcquisitionStart trigger permits.",
         "acquisition_frame_count",
-        minimum=always(1),
-        maximum=always(MOST_FRAMES_PER_ACQUISITION),
+        limits=(1, MOST_FRAMES_PER_ACQUISITION),
     ),
     setting(
         "AcquisitionFrameRateEnable",
@@ -171,34 +167,31 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         "Requested rate of the free-running camera.",
         "frame_rate_hz",
         kind=Kind.FLOAT,
-        minimum=always(FRAME_RATE_RANGE_HZ[0]),
-        maximum=always(FRAME_RATE_RANGE_HZ[1]),
+        limits=FRAME_RATE_RANGE_HZ,
         unit="Hz",
     ),
     Feature(
         "ResultingFrameRateAbs",
-        Kind.FLOAT,
         CONTROL,
         "Rate allowed by exposure, read-out, link and requested rate.",
-        read=lambda commands: 1e6 / free_running_period_us(commands.settings),
+        Kind.FLOAT,
+        read=lambda camera: 1e6 / free_running_period_us(camera.settings),
         unit="Hz",
     ),
-    setting(
+    choice(
         "AcquisitionStatusSelector",
         CONTROL,
         "Status shown by AcquisitionStatus.",
         "status_selector",
-        kind=Kind.ENUMERATION,
         entries={"FrameTriggerWait": FRAME_TRIGGER_WAIT, "AcquisitionActive": ACQUISITION_ACTIVE},
         selects=("AcquisitionStatus",),
     ),
-    Feature("AcquisitionStatus", Kind.BOOLEAN, CONTROL, "The selected status.", read=_status),
-    setting(
+    Feature("AcquisitionStatus", CONTROL, "The selected status.", Kind.BOOLEAN, read=_status),
+    choice(
         "TriggerSelector",
         CONTROL,
         "Trigger to which the following features apply.",
         "trigger_selector",
-        kind=Kind.ENUMERATION,
         entries={"AcquisitionStart": Trigger.ACQUISITION_START, "FrameStart": Trigger.FRAME_START},
         selects=("TriggerMode", "TriggerSource", "TriggerActivation", "TriggerDelayAbs", "TriggerSoftware"),
     ),
@@ -228,23 +221,20 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
         "Time from the trigger to the exposure.",
         "delay_us",
         Kind.FLOAT,
-        minimum=always(0.0),
-        maximum=always(LONGEST_TRIGGER_DELAY_US),
+        limits=(0.0, LONGEST_TRIGGER_DELAY_US),
         unit="us",
     ),
-    Feature(
+    command(
         "TriggerSoftware",
-        Kind.COMMAND,
         CONTROL,
         "Fire the selected trigger.",
-        write=lambda it, _: it.acquisition.software_trigger(),
+        lambda camera: camera.acquisition.software_trigger(),
     ),
     Feature(
         "OvertriggerCount",
-        Kind.INTEGER,
         CONTROL,
         "Frame triggers missed since AcquisitionStart because the camera was busy.",
-        read=lambda commands: commands.acquisition.missed_triggers,
+        read=lambda camera: camera.acquisition.missed_triggers,
         visibility="Guru",
     ),
 )
@@ -253,71 +243,60 @@ ACQUISITION_FEATURES: tuple[Feature, ...] = (
 BLACK_LEVEL_RAW_MAXIMUM = 255
 
 
-def _set_exposure(commands: Commands, value: float) -> None:
-    commands.settings.exposure_us = round(value)
+def _set_exposure(camera: CameraState, value: float) -> None:
+    camera.settings.exposure_us = round(value)
 
 
-EXPOSURE_LIMITS: dict[str, Any] = {
-    "minimum": always(EXPOSURE_MINIMUM_US),
-    "maximum": always(EXPOSURE_MAXIMUM_US),
-}
+EXPOSURE_LIMITS_US = (EXPOSURE_MINIMUM_US, EXPOSURE_MAXIMUM_US)
 ANALOG = "AnalogControls"
 INSIDE_C = 45.0  # a camera warmed up on its mount; constant here
 EXPOSURE_FEATURES: tuple[Feature, ...] = (
-    constant("ExposureMode", CONTROL, "Exposure mode.", 0, **single_entry("Timed")),
-    constant("ExposureAuto", CONTROL, "Automatic exposure.", 0, **single_entry("Off")),
+    single_choice("ExposureMode", CONTROL, "Exposure mode.", "Timed"),
+    single_choice("ExposureAuto", CONTROL, "Automatic exposure.", "Off"),
     Feature(
         "ExposureTimeAbs",
-        Kind.FLOAT,
         CONTROL,
         "Exposure time.",
-        read=lambda commands: commands.settings.exposure_us,
+        Kind.FLOAT,
+        read=lambda camera: camera.settings.exposure_us,
         write=_set_exposure,
         unit="us",
-        **EXPOSURE_LIMITS,
+        limits=EXPOSURE_LIMITS_US,
     ),
-    setting("ExposureTimeRaw", CONTROL, "Exposure time in time bases.", "exposure_us", **EXPOSURE_LIMITS),
+    setting(
+        "ExposureTimeRaw", CONTROL, "Exposure time in time bases.", "exposure_us", limits=EXPOSURE_LIMITS_US
+    ),
     constant("ExposureTimeBaseAbs", CONTROL, "Step of the exposure time.", 1.0, kind=Kind.FLOAT, unit="us"),
     Feature(
         "ReadoutTimeAbs",
-        Kind.FLOAT,
         CONTROL,
         "Read-out time of the current area.",
-        read=lambda commands: readout_us(commands.settings.frame()),
+        Kind.FLOAT,
+        read=lambda camera: readout_us(camera.settings.frame()),
         unit="us",
     ),
     constant("TemperatureAbs", ANALOG, "Inside the camera.", INSIDE_C, kind=Kind.FLOAT, unit="C"),
-    constant("GainAuto", ANALOG, "Automatic gain.", 0, **single_entry("Off")),
-    constant(
-        "GainSelector",
-        ANALOG,
-        "Signal to which the gain applies.",
-        0,
-        selects=("GainRaw",),
-        **single_entry("All"),
-    ),
+    single_choice("GainAuto", ANALOG, "Automatic gain.", "Off"),
+    single_choice("GainSelector", ANALOG, "Signal to which the gain applies.", "All", selects=("GainRaw",)),
     setting(
         "GainRaw",
         ANALOG,
         "Gain; 20 log10(value / 32) dB.",
         "gain_raw",
-        minimum=always(GAIN_RAW_MINIMUM),
-        maximum=always(GAIN_RAW_MAXIMUM),
+        limits=(GAIN_RAW_MINIMUM, GAIN_RAW_MAXIMUM),
     ),
-    constant(
+    single_choice(
         "BlackLevelSelector",
         ANALOG,
         "Signal to which the black level applies.",
-        0,
+        "All",
         selects=("BlackLevelRaw",),
-        **single_entry("All"),
     ),
     setting(
         "BlackLevelRaw",
         ANALOG,
         "Value of a dark pixel, on a 10-bit scale.",
         "black_level_raw",
-        minimum=always(0),
-        maximum=always(BLACK_LEVEL_RAW_MAXIMUM),
+        limits=(0, BLACK_LEVEL_RAW_MAXIMUM),
     ),
 )

@@ -18,7 +18,7 @@ from sim.basler.stream_channel import StreamChannel
 Number = int | float
 
 
-class Commands(Protocol):
+class CameraState(Protocol):
     """The camera as its features see it."""
 
     @property
@@ -48,8 +48,9 @@ class Kind(Enum):
     COMMAND = "Command"
 
 
-Getter = Callable[[Commands], Number]
-Setter = Callable[[Commands, Any], None]
+Getter = Callable[[CameraState], Number]
+Limit = Number | Getter  # a limit may depend on other settings
+Setter = Callable[[CameraState, Any], None]
 
 
 @dataclass(frozen=True)
@@ -61,13 +62,12 @@ class Feature:
     """
 
     name: str
-    kind: Kind
     category: str
     about: str
+    kind: Kind = Kind.INTEGER
     read: Getter | None = None
     write: Setter | None = None
-    minimum: Getter | None = None
-    maximum: Getter | None = None
+    limits: tuple[Limit, Limit] | None = None
     step: int = 1
     unit: str = ""
     entries: Mapping[str, int] = field(default_factory=dict)
@@ -75,7 +75,7 @@ class Feature:
     selects: tuple[str, ...] = ()
     visibility: str = "Beginner"
 
-    def accepts(self, commands: Commands, value: Number) -> bool:
+    def accepts(self, camera: CameraState, value: Number) -> bool:
         """Whether a value may be written."""
         if self.kind is Kind.ENUMERATION:
             return value in self.entries.values()
@@ -83,50 +83,66 @@ class Feature:
             return value in (0, 1)
         if self.kind is Kind.COMMAND:
             return True
-        low = self.minimum(commands) if self.minimum else 0
-        high = self.maximum(commands) if self.maximum else 0xFFFFFFFF
+        low, high = (at_present(limit, camera) for limit in self.limits or (0, 0xFFFFFFFF))
         # NaN fails every comparison.
         within = low <= value <= high
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def always(value: Number) -> Getter:
-    """Return a getter of a constant."""
-    return lambda _commands: value
+def at_present(limit: Limit, camera: CameraState) -> Number:
+    """Return the value of a limit."""
+    return limit(camera) if callable(limit) else limit
 
 
 def setting(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
-    """Define a feature backed by an attribute of the settings; an integer unless `kind` is given."""
+    """Define a feature backed by an attribute of the settings."""
     return Feature(
         name,
-        more.pop("kind", Kind.INTEGER),
         category,
         about,
-        read=lambda commands: getattr(commands.settings, attribute),
-        write=lambda commands, value: setattr(commands.settings, attribute, value),
+        read=lambda camera: getattr(camera.settings, attribute),
+        write=lambda camera, value: setattr(camera.settings, attribute, value),
         **more,
     )
+
+
+def choice(name: str, category: str, about: str, attribute: str, **more: Any) -> Feature:
+    """Define an enumeration backed by an attribute of the settings."""
+    return setting(name, category, about, attribute, kind=Kind.ENUMERATION, **more)
 
 
 def trigger_setting(name: str, about: str, attribute: str, kind: Kind, **more: Any) -> Feature:
     """Define a feature backed by an attribute of the selected trigger."""
     return Feature(
         name,
-        kind,
         "AcquisitionTrigger",
         about,
-        read=lambda commands: getattr(commands.settings.selected_trigger, attribute),
-        write=lambda commands, value: setattr(commands.settings.selected_trigger, attribute, value),
+        kind,
+        read=lambda camera: getattr(camera.settings.selected_trigger, attribute),
+        write=lambda camera, value: setattr(camera.settings.selected_trigger, attribute, value),
         **more,
     )
 
 
 def constant(name: str, category: str, about: str, value: float, **more: Any) -> Feature:
-    """Define a constant feature; an integer unless `kind` is given."""
-    kind = more.pop("kind", Kind.INTEGER)
-    return Feature(name, kind, category, about, read=always(value), **more)
+    """Define a constant feature."""
+    return Feature(name, category, about, read=lambda _camera: value, **more)
 
 
-def single_entry(entry: str) -> dict[str, Any]:
-    """Return the keywords of an enumeration with a single entry: the family's name, one choice here."""
-    return {"kind": Kind.ENUMERATION, "entries": {entry: 0}, "write": lambda _commands, _value: None}
+def single_choice(name: str, category: str, about: str, entry: str, **more: Any) -> Feature:
+    """Define an enumeration with a single entry: the family's name, one choice here."""
+    return constant(
+        name,
+        category,
+        about,
+        0,
+        kind=Kind.ENUMERATION,
+        entries={entry: 0},
+        write=lambda _camera, _value: None,
+        **more,
+    )
+
+
+def command(name: str, category: str, about: str, do: Callable[[CameraState], None], **more: Any) -> Feature:
+    """Define a command."""
+    return Feature(name, category, about, Kind.COMMAND, write=lambda camera, _value: do(camera), **more)

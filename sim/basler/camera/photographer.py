@@ -50,7 +50,7 @@ class Photographer:
         self._seed = world.scene.seed
         self._serial = camera.serial
         self._view = View(world, camera)
-        self._disturbances = Disturbances.of(world, camera)
+        self._disturbances = Disturbances(world, camera)
         self._optics = Optics(camera, world.scene.seed)
         self._sensor = Sensor(camera.read_noise_electrons, camera.full_well_electrons)
         self._drawing = threading.Lock()
@@ -112,7 +112,7 @@ class ImageRing:
         geometry = (frame.area.width, frame.area.height, frame.pixel_format)
         shown = self._images[0][0] if self._images else None
         if shown is None or (shown.area.width, shown.area.height, shown.pixel_format) != geometry:
-            self._renew(frame)
+            self._draw_next(frame)
         elif (self._refresher is None or not self._refresher.is_alive()) and self._is_stale(frame):
             self._refresher = threading.Thread(target=self._refresh, args=(frame,), daemon=True)
             self._refresher.start()
@@ -123,21 +123,15 @@ class ImageRing:
         return len(self._images) < RING_SIZE or self._photographer.dependencies(frame)[0] != self._drawn_for
 
     def _refresh(self, frame: FrameSettings) -> None:
-        if self._photographer.dependencies(frame)[0] != self._drawn_for:
-            self._renew(frame)
-        else:
-            self._add(frame)
+        self._draw_next(frame)
         time.sleep(REFRESH_PAUSE_S)
 
-    def _renew(self, frame: FrameSettings) -> None:
+    def _draw_next(self, frame: FrameSettings) -> None:
+        """Add an image; when the view has changed, it replaces all others."""
         dependencies, pose = self._photographer.dependencies(frame)
-        image = self._photographer.draw(frame, pose, 0, RING_LANE)
-        self._images, self._drawn_for = ((frame, image),), dependencies
-
-    def _add(self, frame: FrameSettings) -> None:
-        _, pose = self._photographer.dependencies(frame)
-        image = self._photographer.draw(frame, pose, len(self._images), RING_LANE)
-        self._images = (*self._images, (frame, image))
+        kept = self._images if dependencies == self._drawn_for else ()
+        image = self._photographer.draw(frame, pose, len(kept), RING_LANE)
+        self._images, self._drawn_for = (*kept, (frame, image)), dependencies
 
 
 def to_wire(pixels: Pixels, pixel_format: PixelFormat) -> bytes:

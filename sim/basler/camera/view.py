@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cached_property
 from math import pi, radians
 
@@ -97,29 +97,20 @@ class View:
         return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
 
 
-@dataclass(frozen=True)
 class Disturbances:
     """The optical disturbances of one camera, from the fault script and the scene."""
 
-    world: World
-    board: FaultBoard
-    camera: CameraTruth
-    room: ShiftedRoom
-
-    @classmethod
-    def of(cls, world: World, camera: CameraTruth) -> Disturbances:
-        """Build the disturbances of one camera."""
-        return cls(world, FaultBoard(world, "camera"), camera, ShiftedRoom(world))
-
-    @property
-    def side(self) -> str:
-        """Name of the camera in a fault script."""
-        return "left" if self.camera.serial == self.world.scene.left.serial else "right"
+    def __init__(self, world: World, camera: CameraTruth) -> None:
+        self._world = world
+        self._camera = camera
+        self._board = FaultBoard(world, "camera")
+        self._room = ShiftedRoom(world)
+        self._side = "left" if camera.serial == world.scene.left.serial else "right"
 
     @cached_property
-    def worn(self) -> Disturbance:
+    def _worn(self) -> Disturbance:
         """Permanent defects: spots of worn film, as dark as a stain."""
-        scene = self.world.scene
+        scene = self._world.scene
         spots = tuple(
             (one.number, draw_stains(scene.seed, one.number, one.worn_percent * PERCENT))
             for one in spheres_in_theatre(scene)
@@ -129,17 +120,15 @@ class Disturbances:
 
     def now(self) -> Disturbance:
         """Return the active disturbances; costs one query when there are no faults."""
-        room = self.room.now()
-        if self.board.empty:
-            return self.worn if room is NOTHING_MOVED else replace(self.worn, room=room)
-        seed = self.world.scene.seed
+        room = self._room.now()
+        if self._board.empty:
+            return self._worn if room is NOTHING_MOVED else replace(self._worn, room=room)
+        seed = self._world.scene.seed
         return Disturbance(
-            stains=self.worn.stains
+            stains=self._worn.stains
             + tuple(
-                (number, draw_stains(seed, number, float(share) * PERCENT))
-                for number, share in (
-                    (int(fault.arguments[0]), fault.arguments[1]) for fault in self.board.active("stain")
-                )
+                (int(number), draw_stains(seed, int(number), float(share) * PERCENT))
+                for number, share in (fault.arguments for fault in self._board.active("stain"))
             ),
             occluders=tuple(
                 self._occluder(float(fault.arguments[1])) for fault in self._own_faults("occluder")
@@ -151,21 +140,21 @@ class Disturbances:
         )
 
     def _own_faults(self, kind: str) -> list[Fault]:
-        return [fault for fault in self.board.active(kind) if fault.argument == self.side]
+        return [fault for fault in self._board.active(kind) if fault.argument == self._side]
 
     def _creep_rad(self, fault: Fault) -> float:
         """Return how far a drift has progressed since it began, or since its step was entered."""
-        begun_s = self.world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
-        acting_s = self.world.clock.now_s() - begun_s
+        begun_s = self._world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
+        acting_s = self._world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
 
     def _occluder(self, share_percent: float) -> Occluder:
-        direction = noise(self.world.scene.seed, f"occluder of camera {self.camera.serial}", 0)
+        direction = noise(self._world.scene.seed, f"occluder of camera {self._camera.serial}", 0)
         return Occluder(share_percent * PERCENT, float(direction.uniform(0.0, 2.0 * pi)))
 
     def _glare(self, radius_px: float) -> Glare:
-        place = noise(self.world.scene.seed, f"glare of camera {self.camera.serial}", 0)
-        columns, rows = self.camera.sensor_px
+        place = noise(self._world.scene.seed, f"glare of camera {self._camera.serial}", 0)
+        columns, rows = self._camera.sensor_px
         return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)
 
 

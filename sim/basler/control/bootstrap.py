@@ -37,6 +37,7 @@ from sim.basler.stream_channel import (
     PACKET_SIZE_STEP,
     SMALLEST_PACKET_SIZE,
     StreamChannel,
+    UdpChannel,
 )
 
 XML_ADDRESS = 0x100000
@@ -130,20 +131,14 @@ def _add_identity(registers: RegisterMap, identity: Identity) -> None:
     fixed = bytes(content)
     registers.add_memory(Memory(0, len(fixed), lambda: fixed))
 
-    def name() -> bytes:
-        return identity.user_name.encode()
-
     def rename(value: bytes) -> None:
         identity.user_name = value.split(b"\0")[0].decode(errors="replace")
 
-    registers.add_memory(
-        Memory(
-            Bootstrap.USER_DEFINED_NAME,
-            TEXT_BYTES[Bootstrap.USER_DEFINED_NAME],
-            name,
-            rename,
-        )
-    )
+    def name() -> bytes:
+        return identity.user_name.encode()
+
+    address = Bootstrap.USER_DEFINED_NAME
+    registers.add_memory(Memory(address, TEXT_BYTES[address], name, rename))
 
 
 def _add_description(registers: RegisterMap) -> None:
@@ -170,22 +165,15 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
     }
     for address, value in fixed.items():
         registers.add(address, _constant(value))
-
-    def set_heartbeat(value: int) -> None:
-        privilege.heartbeat_ms = value
-
-    registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, Word(lambda: privilege.heartbeat_ms, set_heartbeat))
+    registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, _attribute(privilege, "heartbeat_ms"))
     registers.add(Bootstrap.CCP, Word(lambda: privilege.value))
 
-    def owner_address() -> int:
-        return int.from_bytes(socket.inet_aton(privilege.owner[0]), "big") if privilege.owner else 0
+    def owner() -> tuple[str, int]:
+        return privilege.owner or ("0.0.0.0", 0)
 
-    registers.add(
-        Bootstrap.PRIMARY_APPLICATION_PORT, Word(lambda: privilege.owner[1] if privilege.owner else 0)
-    )
-    registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, Word(owner_address))
-    configuration = _Stored(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS)
-    registers.add(Bootstrap.GVCP_CONFIGURATION, Word(configuration.read, configuration.write))
+    registers.add(Bootstrap.PRIMARY_APPLICATION_PORT, Word(lambda: owner()[1]))
+    registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, Word(lambda: _address_number(owner()[0])))
+    registers.add(Bootstrap.GVCP_CONFIGURATION, _stored(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS))
 
 
 def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Callable[[], bool]) -> None:
@@ -210,23 +198,13 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
         if value & SCPS_FIRE_TEST:
             channel.fire_test_packet(wanted)
 
-    def set_delay(value: int) -> None:
-        channel.delay_ticks = value
-
-    def destination() -> int:
-        return int.from_bytes(socket.inet_aton(channel.destination), "big")
-
-    def set_destination(value: int) -> None:
-        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
-
     registers.add(Bootstrap.SCP, Word(lambda: channel.port, set_port))
     registers.add(Bootstrap.SCPS, Word(size, set_size))
-    registers.add(Bootstrap.SCPD, Word(lambda: channel.delay_ticks, set_delay))
-    registers.add(Bootstrap.SCDA, Word(destination, set_destination))
+    registers.add(Bootstrap.SCPD, _attribute(channel, "delay_ticks"))
+    registers.add(Bootstrap.SCDA, _destination(channel))
     registers.add(Bootstrap.SCSP, Word(lambda: channel.source_port))
-    registers.add(Bootstrap.SCC, Word(lambda: 0))
-    configuration = _Stored(allowed=0)  # clients request modes here that this camera does not have
-    registers.add(Bootstrap.SCCFG, Word(configuration.read, configuration.write))
+    registers.add(Bootstrap.SCC, _constant(0))
+    registers.add(Bootstrap.SCCFG, _stored(allowed=0))  # clients request modes that this camera does not have
 
 
 def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
@@ -236,8 +214,8 @@ def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
         if value & TIMESTAMP_LATCH:
             ticks.latch()
 
-    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, Word(lambda: TICK_FREQUENCY_HZ >> 32))
-    registers.add(Bootstrap.TICK_FREQUENCY_LOW, Word(lambda: TICK_FREQUENCY_HZ & 0xFFFFFFFF))
+    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant(TICK_FREQUENCY_HZ >> 32))
+    registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant(TICK_FREQUENCY_HZ & 0xFFFFFFFF))
     registers.add(Bootstrap.TIMESTAMP_CONTROL, Word(lambda: 0, control))
     registers.add(Bootstrap.TIMESTAMP_HIGH, Word(lambda: ticks.latched >> 32))
     registers.add(Bootstrap.TIMESTAMP_LOW, Word(lambda: ticks.latched & 0xFFFFFFFF))
@@ -247,18 +225,32 @@ def _constant(value: int) -> Word:
     return Word(lambda: value)
 
 
-class _Stored:
-    """A register that stores the allowed bits written to it, without any effect."""
+def _stored(allowed: int) -> Word:
+    """Define a register that stores the allowed bits written to it, without any effect."""
+    content = {"value": 0}
+    return Word(lambda: content["value"], lambda value: content.update(value=value & allowed))
 
-    def __init__(self, allowed: int) -> None:
-        self._allowed = allowed
-        self._value = 0
 
-    def read(self) -> int:
-        return self._value
+def _attribute(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
+    """Define a register that is an attribute of a part of the camera."""
 
-    def write(self, value: int) -> None:
-        self._value = value & self._allowed
+    def write(value: int) -> None:
+        if value > most:
+            raise Refusal(GevStatus.INVALID_PARAMETER)
+        setattr(owner, name, value)
+
+    return Word(lambda: int(getattr(owner, name)), write)
+
+
+def _destination(channel: UdpChannel) -> Word:
+    def write(value: int) -> None:
+        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
+
+    return Word(lambda: _address_number(channel.destination), write)
+
+
+def _address_number(address: str) -> int:
+    return int.from_bytes(socket.inet_aton(address), "big")
 
 
 def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None:
@@ -267,26 +259,8 @@ def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None
     def set_port(value: int) -> None:
         channel.port = value & MCP_PORT_MASK
 
-    def destination() -> int:
-        return int.from_bytes(socket.inet_aton(channel.destination), "big")
-
-    def set_destination(value: int) -> None:
-        channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
-
-    def set_timeout(value: int) -> None:
-        channel.timeout_ms = _within(value, LONGEST_TIMEOUT_MS)
-
-    def set_retries(value: int) -> None:
-        channel.retries = _within(value, MOST_RETRIES)
-
     registers.add(Bootstrap.MCP, Word(lambda: channel.port, set_port))
-    registers.add(Bootstrap.MCDA, Word(destination, set_destination))
-    registers.add(Bootstrap.MCTT_MS, Word(lambda: channel.timeout_ms, set_timeout))
-    registers.add(Bootstrap.MCRC, Word(lambda: channel.retries, set_retries))
+    registers.add(Bootstrap.MCDA, _destination(channel))
+    registers.add(Bootstrap.MCTT_MS, _attribute(channel, "timeout_ms", LONGEST_TIMEOUT_MS))
+    registers.add(Bootstrap.MCRC, _attribute(channel, "retries", MOST_RETRIES))
     registers.add(Bootstrap.MCSP, Word(lambda: channel.source_port))
-
-
-def _within(value: int, most: int) -> int:
-    if value > most:
-        raise Refusal(GevStatus.INVALID_PARAMETER)
-    return value

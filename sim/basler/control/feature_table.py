@@ -8,18 +8,28 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
 
 from ronna_hw.wire.gige_vision import GevStatus
 from sim.basler.camera.capture_features import ACQUISITION_FEATURES, EXPOSURE_FEATURES, IMAGE_FEATURES
-from sim.basler.camera.features import Commands, Feature, Kind, Number, always, constant, setting
+from sim.basler.camera.features import (
+    CameraState,
+    Feature,
+    Kind,
+    Limit,
+    Number,
+    at_present,
+    choice,
+    command,
+    constant,
+    setting,
+)
 from sim.basler.control.registers import Refusal, RegisterMap, Word
 from sim.basler.settings import EventKind, UserSet
 from sim.basler.stream_channel import LARGEST_PACKET_SIZE, PACKET_SIZE_STEP, SMALLEST_PACKET_SIZE
 
 
-def _set_packet_size(commands: Commands, value: int) -> None:
-    commands.channel.packet_size = value
+def _set_packet_size(camera: CameraState, value: int) -> None:
+    camera.channel.packet_size = value
 
 
 TRANSPORT = "TransportLayer"
@@ -28,23 +38,20 @@ SETS = "UserSets"
 TRANSPORT_FEATURES: tuple[Feature, ...] = (
     Feature(
         "PayloadSize",
-        Kind.INTEGER,
         TRANSPORT,
         "Image data of one frame.",
-        read=lambda commands: commands.settings.frame().payload_bytes,
+        read=lambda camera: camera.settings.frame().payload_bytes,
         unit="B",
     ),
     constant("GevVersionMajor", TRANSPORT, "Version of the standard.", 1, visibility="Expert"),
     constant("GevVersionMinor", TRANSPORT, "Version of the standard.", 2, visibility="Expert"),
     Feature(
         "GevSCPSPacketSize",
-        Kind.INTEGER,
         TRANSPORT,
         "Size of a stream packet with its IP and UDP headers.",
-        read=lambda commands: commands.channel.packet_size,
+        read=lambda camera: camera.channel.packet_size,
         write=_set_packet_size,
-        minimum=always(SMALLEST_PACKET_SIZE),
-        maximum=always(LARGEST_PACKET_SIZE),
+        limits=(SMALLEST_PACKET_SIZE, LARGEST_PACKET_SIZE),
         step=PACKET_SIZE_STEP,
         unit="B",
         locked=True,
@@ -54,8 +61,7 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         TRANSPORT,
         "1 while the client grabs: the format is locked.",
         "parameters_locked",
-        minimum=always(0),
-        maximum=always(1),
+        limits=(0, 1),
         visibility="Invisible",
     ),
     setting("ActionDeviceKey", ACTION, "Device key of accepted action commands.", "action_device_key"),
@@ -64,18 +70,16 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         ACTION,
         "Action to which the following features apply.",
         "action_selector",
-        minimum=always(1),
-        maximum=always(1),
+        limits=(1, 1),
         selects=("ActionGroupKey", "ActionGroupMask"),
     ),
     setting("ActionGroupKey", ACTION, "Group of the selected action.", "action_group_key"),
     setting("ActionGroupMask", ACTION, "Mask of the group.", "action_group_mask"),
-    setting(
+    choice(
         "UserSetSelector",
         SETS,
         "User set to load or save.",
         "user_set_selector",
-        kind=Kind.ENUMERATION,
         entries={
             "Default": UserSet.DEFAULT,
             "UserSet1": UserSet.FIRST,
@@ -84,20 +88,14 @@ TRANSPORT_FEATURES: tuple[Feature, ...] = (
         },
         selects=("UserSetLoad", "UserSetSave"),
     ),
-    Feature(
-        "UserSetLoad",
-        Kind.COMMAND,
-        SETS,
-        "Load the selected user set.",
-        write=lambda it, _: it.load_user_set(),
-        locked=True,
+    command(
+        "UserSetLoad", SETS, "Load the selected user set.", lambda camera: camera.load_user_set(), locked=True
     ),
-    Feature(
+    command(
         "UserSetSave",
-        Kind.COMMAND,
         SETS,
         "Save the current settings as the selected user set; Default is read-only.",
-        write=lambda it, _: it.save_user_set(),
+        lambda camera: camera.save_user_set(),
     ),
 )
 
@@ -106,31 +104,30 @@ EVENTS = "EventsGeneration"
 OFF, ON = 0, 1
 
 
-def _is_notified(commands: Commands) -> int:
-    return int(commands.settings.event_selector in commands.settings.events_notified)
+def _is_notified(camera: CameraState) -> int:
+    return int(camera.settings.event_selector in camera.settings.events_notified)
 
 
-def _set_notified(commands: Commands, value: int) -> None:
-    settings = commands.settings
+def _set_notified(camera: CameraState, value: int) -> None:
+    settings = camera.settings
     others = settings.events_notified - {settings.event_selector}
     settings.events_notified = others | {settings.event_selector} if value == ON else others
 
 
 EVENT_FEATURES: tuple[Feature, ...] = (
-    setting(
+    choice(
         "EventSelector",
         EVENTS,
         "Event to which EventNotification applies.",
         "event_selector",
-        kind=Kind.ENUMERATION,
         entries={kind.feature_name: int(kind) for kind in EventKind},
         selects=("EventNotification",),
     ),
     Feature(
         "EventNotification",
-        Kind.ENUMERATION,
         EVENTS,
         "Report the selected event on the message channel.",
+        Kind.ENUMERATION,
         read=_is_notified,
         write=_set_notified,
         entries={"Off": OFF, "On": ON},
@@ -155,38 +152,36 @@ def address_of(name: str) -> int:
     return ADDRESSES[name]
 
 
-def add_features(registers: RegisterMap, commands: Commands) -> None:
+def add_features(registers: RegisterMap, camera: CameraState) -> None:
     """Add the registers of all features."""
     for feature in FEATURES:
         address = address_of(feature.name)
-        registers.add(address, _value_register(feature, commands))
-        if feature.minimum is None or feature.maximum is None:
-            continue
-        registers.add(address + MINIMUM_OFFSET, _limit_register(feature, feature.minimum, commands))
-        registers.add(address + MAXIMUM_OFFSET, _limit_register(feature, feature.maximum, commands))
-        if feature.kind is Kind.INTEGER:
-            registers.add(address + STEP_OFFSET, _limit_register(feature, always(feature.step), commands))
+        registers.add(address, _value_register(feature, camera))
+        for offset, limit in zip((MINIMUM_OFFSET, MAXIMUM_OFFSET), feature.limits or (), strict=False):
+            registers.add(address + offset, _limit_register(feature, limit, camera))
+        if feature.limits and feature.kind is Kind.INTEGER:
+            registers.add(address + STEP_OFFSET, _limit_register(feature, feature.step, camera))
 
 
-def _value_register(feature: Feature, commands: Commands) -> Word:
+def _value_register(feature: Feature, camera: CameraState) -> Word:
     def read() -> int:
         # A command is never pending: it is done once its register has been written.
-        return 0 if feature.read is None else _encode(feature, feature.read(commands))
+        return 0 if feature.read is None else _encode(feature, feature.read(camera))
 
     def write(word: int) -> None:
         assert feature.write is not None
-        if feature.locked and commands.acquiring:
+        if feature.locked and camera.acquiring:
             raise Refusal(GevStatus.BUSY)
         value = _decode(feature, word)
-        if not feature.accepts(commands, value):
+        if not feature.accepts(camera, value):
             raise Refusal(GevStatus.INVALID_PARAMETER)
-        feature.write(commands, value)
+        feature.write(camera, value)
 
     return Word(read, None if feature.write is None else write)
 
 
-def _limit_register(feature: Feature, limit: Callable[[Commands], Number], commands: Commands) -> Word:
-    return Word(lambda: _encode(feature, limit(commands)))
+def _limit_register(feature: Feature, limit: Limit, camera: CameraState) -> Word:
+    return Word(lambda: _encode(feature, at_present(limit, camera)))
 
 
 def _encode(feature: Feature, value: Number) -> int:

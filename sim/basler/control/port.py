@@ -70,7 +70,7 @@ class ControlPort:
         *,
         mac: bytes,
         address: bytes,
-        counts_as_life: Callable[[], bool] = lambda: True,
+        refreshes_heartbeat: Callable[[], bool] = lambda: True,
     ) -> None:
         self._registers = registers
         self._privilege = privilege
@@ -78,7 +78,7 @@ class ControlPort:
         self._actions = actions
         self._mac = mac
         self._address = address
-        self._counts_as_life = counts_as_life
+        self._refreshes_heartbeat = refreshes_heartbeat
         self._handlers: dict[int, Callable[[bytes, Peer, int], bytes]] = {
             GvcpCommand.DISCOVERY: self._discovery,
             GvcpCommand.FORCEIP: self._force_ip,
@@ -98,8 +98,8 @@ class ControlPort:
         payload = datagram[GVCP_HEADER_BYTES:]
         if request_id == 0 or len(payload) != length or length > GVCP_PAYLOAD_LIMIT:
             return None
-        if self._counts_as_life():
-            self._privilege.sign_of_life(peer)
+        if self._refreshes_heartbeat():
+            self._privilege.refresh_heartbeat(peer)
         before = self._replay.find(peer, datagram)
         if before is not None:
             return before.answer

@@ -25,19 +25,9 @@ class Privilege:
         self._now_s = now_s
         self._released = released
         self._heartbeat_ms = DEFAULT_HEARTBEAT_MS
-        self._owner: Peer | None = None
-        self._value = CCP_OPEN
-        self._last_sign_s = 0.0
-
-    @property
-    def owner(self) -> Peer | None:
-        """The application in control, if any."""
-        return self._owner
-
-    @property
-    def value(self) -> int:
-        """Content of the CCP register."""
-        return self._value
+        self.owner: Peer | None = None  # the application in control
+        self.value = CCP_OPEN  # content of the CCP register
+        self._refreshed_s = 0.0
 
     @property
     def heartbeat_ms(self) -> int:
@@ -50,49 +40,48 @@ class Privilege:
 
     def may_read(self, peer: Peer) -> bool:
         """False if another application has exclusive access."""
-        return self._owner in (None, peer) or not self._value & CCP_EXCLUSIVE
+        return self.owner in (None, peer) or not self.value & CCP_EXCLUSIVE
 
     def may_write(self, peer: Peer) -> bool:
         """Whether this application is in control."""
-        return self._owner == peer
+        return self.owner == peer
 
     def request(self, peer: Peer, value: int) -> GevStatus:
         """Write the CCP register; returns the status."""
-        if self._owner not in (None, peer):
+        if self.owner not in (None, peer):
             return GevStatus.ACCESS_DENIED
         if value & ~(CCP_EXCLUSIVE | CCP_CONTROL):
             return GevStatus.INVALID_PARAMETER  # no switch-over
         if value == CCP_OPEN:
-            if self._owner is not None:
-                self._release()
+            self.drop()
             return GevStatus.SUCCESS
-        self._owner, self._value = peer, value
-        self._last_sign_s = self._now_s()
+        self.owner, self.value = peer, value
+        self._refreshed_s = self._now_s()
         return GevStatus.SUCCESS
 
-    def sign_of_life(self, peer: Peer) -> None:
+    def refresh_heartbeat(self, peer: Peer) -> None:
         """Record a command from this application."""
-        if peer == self._owner:
-            self._last_sign_s = self._now_s()
+        if peer == self.owner:
+            self._refreshed_s = self._now_s()
 
     def seize(self, wanted: bool) -> None:
         """Put another application in control while `wanted`, whatever the previous state."""
-        if wanted and self._owner != OTHER_APPLICATION:
+        if wanted and self.owner != OTHER_APPLICATION:
             self.drop()
-            self._owner, self._value = OTHER_APPLICATION, CCP_CONTROL
-        elif not wanted and self._owner == OTHER_APPLICATION:
+            self.owner, self.value = OTHER_APPLICATION, CCP_CONTROL
+        elif not wanted and self.owner == OTHER_APPLICATION:
             self.drop()
 
     def drop(self) -> None:
         """End control as if the owner had released it."""
-        if self._owner is not None:
+        if self.owner is not None:
             self._release()
 
     def seconds_left(self) -> float | None:
         """Return the time until the owner loses control; None without an owner."""
-        if self._owner in (None, OTHER_APPLICATION):
+        if self.owner in (None, OTHER_APPLICATION):
             return None
-        return self._last_sign_s + self._heartbeat_ms / 1e3 - self._now_s()
+        return self._refreshed_s + self._heartbeat_ms / 1e3 - self._now_s()
 
     def expire(self) -> None:
         """End the control of an owner that has timed out."""
@@ -101,6 +90,6 @@ class Privilege:
             self._release()
 
     def _release(self) -> None:
-        self._owner, self._value = None, CCP_OPEN
+        self.owner, self.value = None, CCP_OPEN
         self._heartbeat_ms = DEFAULT_HEARTBEAT_MS
         self._released()

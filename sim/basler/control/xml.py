@@ -20,13 +20,7 @@ from ronna_hw.wire.gige_vision import (
     Bootstrap,
 )
 from sim.basler.camera.features import Feature, Kind
-from sim.basler.control.feature_table import (
-    FEATURES,
-    MAXIMUM_OFFSET,
-    MINIMUM_OFFSET,
-    STEP_OFFSET,
-    address_of,
-)
+from sim.basler.control.feature_table import FEATURES, MAXIMUM_OFFSET, MINIMUM_OFFSET, STEP_OFFSET, address_of
 from sim.basler.settings import EventKind
 
 
@@ -127,8 +121,15 @@ def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> Stan
     )
 
 
-def _message(name: str, address: Bootstrap, about: str, access: str = "RW") -> StandardFeature:
-    return StandardFeature(name, "TransportLayer", "Integer", address, about, access)
+def _integer(
+    name: str, address: Bootstrap, about: str, access: str = "RW", size: int = REGISTER_BYTES
+) -> StandardFeature:
+    return StandardFeature(name, "TransportLayer", "Integer", address, about, access, size)
+
+
+def _time_command(name: str, about: str, value: int) -> StandardFeature:
+    address = Bootstrap.TIMESTAMP_CONTROL
+    return StandardFeature(name, "TransportLayer", "Command", address, about, "WO", command=value)
 
 
 STANDARD_FEATURES = (
@@ -139,56 +140,17 @@ STANDARD_FEATURES = (
     _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
     _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
     _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
-    StandardFeature(
-        "GevHeartbeatTimeout",
-        "TransportLayer",
-        "Integer",
-        Bootstrap.HEARTBEAT_TIMEOUT_MS,
-        "Heartbeat timeout, ms.",
-        "RW",
-    ),
-    StandardFeature(
-        "GevSCPD", "TransportLayer", "Integer", Bootstrap.SCPD, "Pause between packets, ticks.", "RW"
-    ),
-    StandardFeature(
-        "GevTimestampTickFrequency",
-        "TransportLayer",
-        "Integer",
-        Bootstrap.TICK_FREQUENCY_HIGH,
-        "Ticks per second.",
-        size=8,
-    ),
-    StandardFeature(
-        "GevTimestampControlLatch",
-        "TransportLayer",
-        "Command",
-        Bootstrap.TIMESTAMP_CONTROL,
-        "Latch the current time stamp.",
-        "WO",
-        command=TIMESTAMP_LATCH,
-    ),
-    StandardFeature(
-        "GevTimestampControlReset",
-        "TransportLayer",
-        "Command",
-        Bootstrap.TIMESTAMP_CONTROL,
-        "Reset the time stamp to zero.",
-        "WO",
-        command=TIMESTAMP_RESET,
-    ),
-    StandardFeature(
-        "GevTimestampValue",
-        "TransportLayer",
-        "Integer",
-        Bootstrap.TIMESTAMP_HIGH,
-        "The latched time stamp, ticks.",
-        size=8,
-    ),
-    _message("GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."),
-    _message("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
-    _message("GevMCTT", Bootstrap.MCTT_MS, "Timeout of a message acknowledge, ms."),
-    _message("GevMCRC", Bootstrap.MCRC, "Number of retransmissions of a message."),
-    _message("GevMCSP", Bootstrap.MCSP, "UDP source port of messages.", "RO"),
+    _integer("GevHeartbeatTimeout", Bootstrap.HEARTBEAT_TIMEOUT_MS, "Heartbeat timeout, ms."),
+    _integer("GevSCPD", Bootstrap.SCPD, "Pause between packets, ticks."),
+    _integer("GevTimestampTickFrequency", Bootstrap.TICK_FREQUENCY_HIGH, "Ticks per second.", "RO", 8),
+    _time_command("GevTimestampControlLatch", "Latch the current time stamp.", TIMESTAMP_LATCH),
+    _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", TIMESTAMP_RESET),
+    _integer("GevTimestampValue", Bootstrap.TIMESTAMP_HIGH, "The latched time stamp, ticks.", "RO", 8),
+    _integer("GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."),
+    _integer("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
+    _integer("GevMCTT", Bootstrap.MCTT_MS, "Timeout of a message acknowledge, ms."),
+    _integer("GevMCRC", Bootstrap.MCRC, "Number of retransmissions of a message."),
+    _integer("GevMCSP", Bootstrap.MCSP, "UDP source port of messages.", "RO"),
 )
 
 
@@ -245,13 +207,11 @@ def _add_categories(root: ElementTree.Element) -> None:
 
 
 def _add_standard(root: ElementTree.Element, it: StandardFeature) -> None:
-    if it.kind == "StringReg":
-        node = _node(root, it.kind, it.name)
-        _child(node, "ToolTip", it.about)
-        _locate(node, it.address, it.access, it.size)
-        return
     node = _node(root, it.kind, it.name)
     _child(node, "ToolTip", it.about)
+    if it.kind == "StringReg":
+        _locate(node, it.address, it.access, it.size)
+        return
     _child(node, "pValue", f"{it.name}Register")
     if it.command is not None:
         _child(node, "CommandValue", str(it.command))
@@ -295,7 +255,7 @@ def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
 
 
 def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: Feature, address: int) -> None:
-    if feature.minimum is None or feature.maximum is None:
+    if feature.limits is None:
         return
     limits = [("Min", MINIMUM_OFFSET), ("Max", MAXIMUM_OFFSET)]
     if feature.kind is Kind.INTEGER:

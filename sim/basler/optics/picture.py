@@ -11,16 +11,7 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import (
-    LARGEST_SIGMA_PX,
-    Area,
-    Canvas,
-    Image,
-    Lens,
-    blur,
-    bounds_of,
-    spread_px,
-)
+from sim.basler.optics.canvas import LARGEST_SIGMA_PX, Area, Canvas, Image, Lens, blur, bounds_of, spread_px
 from sim.basler.optics.film import Film, Grain, Stain
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
 from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm

@@ -131,11 +131,7 @@ def _squared_miss(rays: Rays, sphere: Sphere) -> Image:
 
 
 def _sample_rim(
-    sphere: Sphere,
-    lens: Lens,
-    film: Film,
-    band: tuple[NDArray[np.intp], ...],
-    image: BodyImage,
+    sphere: Sphere, lens: Lens, film: Film, band: tuple[NDArray[np.intp], ...], image: BodyImage
 ) -> None:
     rows, columns = band
     if not len(rows):

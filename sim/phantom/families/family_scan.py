@@ -38,12 +38,12 @@ from sim.phantom.head.obstacles import (
     skin_point,
 )
 from sim.phantom.head.painting import Streak
-from sim.phantom.head.shapes import ellipsoid_depth, rounded_point
+from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.world.noise import noise
-from sim.world.rigid import rotation_towards
-from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM
+from sim.world.rigid import rounded_point
+from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, draw_direction
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
 from sim.world.scene.named_scenes import named_scene
 from sim.world.scene.parts import Target
@@ -336,10 +336,7 @@ def _buried_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]
 
 
 def _cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
-    cosine, turn = generator.uniform(np.cos(half_angle_rad), 1.0), generator.uniform(0.0, 2 * pi)
-    sine = (1.0 - cosine**2) ** 0.5
-    frame = rotation_towards(np.array(CAP_AXIS_CT), (1.0, 0.0, 0.0))
-    return np.asarray(frame @ np.array([sine * np.cos(turn), sine * np.sin(turn), cosine]))
+    return draw_direction(generator, np.array(CAP_AXIS_CT), half_angle_rad)
 
 
 def _free_direction(

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 
 from sim.errors import BadScene
 from sim.phantom.head.painting import Band, Streak
-from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Point, Rod, Shape, Trough, Values, ellipsoid_depth
+from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Shape, Trough, Values, ellipsoid_depth
 from sim.world.noise import noise
+from sim.world.rigid import Point
 from sim.world.scene.model import Fiducial, Head, Scene
 
 AIR_HU = -1000.0

@@ -6,14 +6,15 @@ mistake it for a sphere: these are painted as precisely as markers.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sim.phantom.head.anatomy import AIR_HU, METAL_HU
-from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Point, Ring, Rod, Shape, rounded_point
+from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Ring, Rod, Shape
+from sim.world.rigid import Point, rounded_point
 
 Vector = NDArray[np.float64]
 
@@ -68,34 +69,53 @@ class Seat:
 Draw = Callable[[Seat], LookAlike]
 
 
+def _look_alike(kind: str, shapes: Sequence[Shape], *places: Vector) -> LookAlike:
+    return LookAlike(kind, tuple(shapes), tuple(rounded_point(place) for place in places))
+
+
+def _ball(hu: float, centre: Vector, radius: float) -> Ball:
+    return Ball(hu, rounded_point(centre), radius)
+
+
+def _rod(hu: float, start: Vector, along: Vector, length: float, radius: float) -> Rod:
+    return Rod(hu, rounded_point(start), rounded_point(along), length, radius)
+
+
+def _capsule(hu: float, start: Vector, end: Vector, radius: float) -> Capsule:
+    return Capsule(hu, rounded_point(start), rounded_point(end), radius)
+
+
+def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: float) -> Dome:
+    return Dome(hu, rounded_point(centre), rounded_point(outward), radius, height)
+
+
+def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
+    """Turn an ellipsoid in any direction."""
+    a, b, c = semi_axes
+    return Egg(hu, rounded_point(centre), (a, b, c), seat.axes())
+
+
 def capsule(seat: Seat) -> LookAlike:
     """A rod round at both ends, 2 to 24 mm longer than wide."""
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
-    body = Capsule(
-        seat.polymer(), rounded_point(middle - half), rounded_point(middle + half), seat.between(5.5, 6.0)
-    )
-    return LookAlike(
-        "capsule",
-        (body,),
-        (rounded_point(middle - half), rounded_point(middle), rounded_point(middle + half)),
-    )
+    body = _capsule(seat.polymer(), middle - half, middle + half, seat.between(5.5, 6.0))
+    return _look_alike("capsule", [body], middle - half, middle, middle + half)
 
 
 def round_ended_rod(seat: Seat) -> LookAlike:
     """A rod with one end round, the other flat."""
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
-    rod = Rod(hu, rounded_point(end), rounded_point(along), seat.between(12.0, 30.0), radius)
-    return LookAlike("round-ended rod", (Ball(hu, rounded_point(end), radius), rod), (rounded_point(end),))
+    rod = _rod(hu, end, along, seat.between(12.0, 30.0), radius)
+    return _look_alike("round-ended rod", [_ball(hu, end, radius), rod], end)
 
 
 def egg(seat: Seat) -> LookAlike:
     """An ellipsoid a quarter to a seventh longer than wide."""
-    middle = rounded_point(seat.middle())
-    longer = seat.between(0.07, 0.2)
-    semi_axes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
-    return LookAlike("egg", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
+    middle, longer = seat.middle(), seat.between(0.07, 0.2)
+    sizes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
+    return _look_alike("egg", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def beads(seat: Seat) -> LookAlike:
@@ -103,106 +123,85 @@ def beads(seat: Seat) -> LookAlike:
     count, spacing = int(seat.random.integers(3, 6)), seat.between(9.0, 11.4)
     first, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius = seat.between(5.6, 5.9)
-    places = [rounded_point(first + along * spacing * (k - 0.5 * (count - 1))) for k in range(count)]
-    string = Rod(hu, places[0], rounded_point(along), spacing * (count - 1), seat.between(0.5, 1.0))
-    return LookAlike("beads", (string, *(Ball(hu, place, radius) for place in places)), tuple(places))
+    places = [first + along * spacing * (k - 0.5 * (count - 1)) for k in range(count)]
+    string = _rod(hu, places[0], along, spacing * (count - 1), seat.between(0.5, 1.0))
+    return _look_alike("beads", [string, *(_ball(hu, place, radius) for place in places)], *places)
 
 
 def knob(seat: Seat) -> LookAlike:
     """A ball at the end of a rod that is much thicker than a post."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
-    rod = Rod(
-        hu, rounded_point(middle), rounded_point(along), seat.between(16.0, 26.0), seat.between(3.6, 5.0)
-    )
-    ball = Ball(hu, rounded_point(middle), seat.between(5.6, 5.9))
-    return LookAlike("knob", (rod, ball), (rounded_point(middle),))
+    rod = _rod(hu, middle, along, seat.between(16.0, 26.0), seat.between(3.6, 5.0))
+    return _look_alike("knob", [rod, _ball(hu, middle, seat.between(5.6, 5.9))], middle)
 
 
 def elbow(seat: Seat) -> LookAlike:
     """Two rods that meet in a round joint."""
     joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
-    one, other = seat.along(), seat.along()
-    arms = tuple(
-        Capsule(hu, rounded_point(joint), rounded_point(joint + way * seat.between(8.0, 22.0)), radius)
-        for way in (one, other)
-    )
-    return LookAlike("elbow", arms, (rounded_point(joint), *(arm.end for arm in arms)))
+    ways = seat.along(), seat.along()
+    ends = [joint + way * seat.between(8.0, 22.0) for way in ways]
+    return _look_alike("elbow", [_capsule(hu, joint, end, radius) for end in ends], joint, *ends)
 
 
 def thumb(seat: Seat) -> LookAlike:
     """A rod that narrows towards its round end."""
     end, along, hu = seat.middle(), seat.along(), seat.polymer()
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
-    balls = [
-        Ball(hu, rounded_point(end + along * step), radius + opening * step)
-        for step in np.arange(0.0, 16.0, 1.0)
-    ]
-    return LookAlike("thumb", tuple(balls), (rounded_point(end),))
+    steps = np.arange(0.0, 16.0, 1.0)
+    balls = [_ball(hu, end + along * step, radius + opening * step) for step in steps]
+    return _look_alike("thumb", balls, end)
 
 
 def dome(seat: Seat) -> LookAlike:
     """Half a ball on the skin, a little more or less."""
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
-    ball = Dome(
-        seat.polymer(), rounded_point(centre), rounded_point(seat.normal), radius, -seat.between(0.0, 2.0)
-    )
-    return LookAlike("dome", (ball,), (rounded_point(centre),))
+    ball = _dome(seat.polymer(), centre, seat.normal, radius, -seat.between(0.0, 2.0))
+    return _look_alike("dome", [ball], centre)
 
 
 def mushroom(seat: Seat) -> LookAlike:
     """A cap on a stem: two thirds to nine tenths of a ball's height, flat below."""
     middle, hu = seat.middle(), seat.polymer()
-    inward = -seat.normal
-    cap = Dome(
-        hu, rounded_point(middle), rounded_point(seat.normal), RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75)
-    )
-    stem = Rod(METAL_HU, rounded_point(middle + 2.5 * inward), rounded_point(inward), 24.0, 1.5)
-    return LookAlike("mushroom", (cap, stem), (rounded_point(middle),))
+    cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
+    stem = _rod(METAL_HU, middle + 2.5 * -seat.normal, -seat.normal, 24.0, 1.5)
+    return _look_alike("mushroom", [cap, stem], middle)
 
 
 def barrel(seat: Seat) -> LookAlike:
     """A cylinder as high as wide, with rounded edges."""
-    middle = rounded_point(seat.middle())
-    radius = seat.between(5.2, 5.9)
-    body = Barrel(
-        seat.polymer(),
-        middle,
-        rounded_point(seat.along()),
-        seat.between(10.5, 12.5),
-        radius,
-        seat.between(2.0, 4.2),
-    )
-    return LookAlike("barrel", (body,), (middle,))
+    middle, radius = seat.middle(), seat.between(5.2, 5.9)
+    hu, along = seat.polymer(), rounded_point(seat.along())
+    length, edge = seat.between(10.5, 12.5), seat.between(2.0, 4.2)
+    return _look_alike("barrel", [Barrel(hu, rounded_point(middle), along, length, radius, edge)], middle)
 
 
 def button(seat: Seat) -> LookAlike:
     """A lens: an ellipsoid flattened by a fifth to a half."""
-    middle = rounded_point(seat.middle())
-    width = seat.between(5.75, 6.6)
-    semi_axes = (width, width, width * seat.between(0.5, 0.8))
-    return LookAlike("button", (Egg(seat.polymer(), middle, semi_axes, seat.axes()),), (middle,))
+    middle, width = seat.middle(), seat.between(5.75, 6.6)
+    sizes = (width, width, width * seat.between(0.5, 0.8))
+    return _look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def hollow_ball(seat: Seat) -> LookAlike:
     """A ball of a marker's size with air inside."""
-    middle = rounded_point(seat.middle())
-    core = Ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
-    return LookAlike("hollow ball", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
+    middle = seat.middle()
+    core = _ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
+    return _look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def other_ball(seat: Seat) -> LookAlike:
     """A whole ball with a diameter of 9.5 to 10.6, or of 12.5 to 14 mm."""
-    middle = rounded_point(seat.middle())
+    middle = seat.middle()
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
-    return LookAlike("other ball", (Ball(seat.polymer(), middle, radius),), (middle,))
+    return _look_alike("other ball", [_ball(seat.polymer(), middle, radius)], middle)
 
 
 def near_ball(seat: Seat) -> LookAlike:
     """A whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
-    middle = rounded_point(seat.middle())
-    return LookAlike("near ball", (Ball(seat.polymer(), middle, seat.between(5.3, 5.6)),), (middle,))
+    middle = seat.middle()
+    return _look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
 
 def gel(seat: Seat) -> LookAlike:
@@ -212,87 +211,63 @@ def gel(seat: Seat) -> LookAlike:
     for _ in range(int(seat.random.integers(2, 5))):
         way = seat.random.standard_normal(3)
         place = middle + way / np.linalg.norm(way) * seat.between(1.5, 5.0)
-        bubbles.append(Ball(AIR_HU, rounded_point(place), seat.between(1.5, 3.0)))
-    return LookAlike(
-        "gel with bubbles",
-        (Ball(hu, rounded_point(middle), seat.between(5.6, 6.6)), *bubbles),
-        (rounded_point(middle),),
-    )
+        bubbles.append(_ball(AIR_HU, place, seat.between(1.5, 3.0)))
+    return _look_alike("gel with bubbles", [_ball(hu, middle, seat.between(5.6, 6.6)), *bubbles], middle)
 
 
 def ring(seat: Seat) -> LookAlike:
     """A thick ring."""
-    middle = rounded_point(seat.middle())
-    tube = seat.between(2.4, 3.2)
-    body = Ring(seat.polymer(), middle, seat.axes()[0], seat.between(2.6, 3.4), tube)
-    return LookAlike("ring", (body,), (middle,))
+    middle, tube = seat.middle(), seat.between(2.4, 3.2)
+    body = Ring(seat.polymer(), rounded_point(middle), seat.axes()[0], seat.between(2.6, 3.4), tube)
+    return _look_alike("ring", [body], middle)
 
 
 def acrylic_teeth(seat: Seat) -> LookAlike:
     """Three artificial teeth in a row."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
-    places = [rounded_point(middle + along * 9.0 * k) for k in (-1, 0, 1)]
-    bodies = tuple(
-        Egg(hu, place, (seat.between(4.6, 5.4), seat.between(5.0, 5.8), seat.between(5.6, 7.0)), seat.axes())
-        for place in places
-    )
-    return LookAlike("acrylic teeth", bodies, tuple(places))
+    places = [middle + along * 9.0 * k for k in (-1, 0, 1)]
+    sizes = ((4.6, 5.4), (5.0, 5.8), (5.6, 7.0))
+    bodies = [_egg(seat, hu, place, *(seat.between(*size) for size in sizes)) for place in places]
+    return _look_alike("acrylic teeth", bodies, *places)
 
 
 def pearl(seat: Seat) -> LookAlike:
     """A ball of polymer around a metal core."""
-    middle = rounded_point(seat.middle())
-    core = Ball(METAL_HU, middle, seat.between(1.0, 2.2))
-    return LookAlike("pearl", (Ball(seat.polymer(), middle, RADIUS_MM), core), (middle,))
+    middle = seat.middle()
+    core = _ball(METAL_HU, middle, seat.between(1.0, 2.2))
+    return _look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def threaded_ball(seat: Seat) -> LookAlike:
     """A ball with a pin all the way through it."""
     middle, along = seat.middle(), seat.along()
-    pin = Rod(
-        METAL_HU, rounded_point(middle - 12.0 * along), rounded_point(along), 24.0, seat.between(0.8, 1.6)
-    )
-    return LookAlike(
-        "threaded ball",
-        (Ball(seat.polymer(), rounded_point(middle), RADIUS_MM), pin),
-        (rounded_point(middle),),
-    )
+    pin = _rod(METAL_HU, middle - 12.0 * along, along, 24.0, seat.between(0.8, 1.6))
+    return _look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
 
 
 def plated_dome(seat: Seat) -> LookAlike:
     """Half a ball and more on a plate."""
-    middle, hu = seat.middle(), seat.polymer()
-    inward = -seat.normal
+    middle, hu, inward = seat.middle(), seat.polymer(), -seat.normal
     below = seat.between(0.0, 3.5)
-    cap = Dome(hu, rounded_point(middle), rounded_point(seat.normal), RADIUS_MM, -below)
-    plate = Rod(
-        hu,
-        rounded_point(middle + below * inward),
-        rounded_point(inward),
-        seat.between(1.5, 3.0),
-        seat.between(6.5, 10.0),
-    )
-    return LookAlike("plated dome", (cap, plate), (rounded_point(middle),))
+    cap = _dome(hu, middle, seat.normal, RADIUS_MM, -below)
+    plate = _rod(hu, middle + below * inward, inward, seat.between(1.5, 3.0), seat.between(6.5, 10.0))
+    return _look_alike("plated dome", [cap, plate], middle)
 
 
 def peanut(seat: Seat) -> LookAlike:
     """Two balls fused into one."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
-    balls = (
-        Ball(hu, rounded_point(middle), seat.between(5.5, 5.9)),
-        Ball(hu, rounded_point(middle + apart), seat.between(4.5, 5.9)),
-    )
-    return LookAlike("peanut", balls, (rounded_point(middle), rounded_point(middle + 0.5 * apart)))
+    balls = [_ball(hu, middle, seat.between(5.5, 5.9)), _ball(hu, middle + apart, seat.between(4.5, 5.9))]
+    return _look_alike("peanut", balls, middle, middle + 0.5 * apart)
 
 
 def cup_electrode(seat: Seat) -> LookAlike:
     """A dome of polymer over a metal disc on the skin."""
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
-    cap = Dome(seat.polymer(), rounded_point(centre), rounded_point(seat.normal), seat.between(5.6, 6.0), 0.0)
-    start = rounded_point(centre - 1.5 * seat.normal)
-    disc = Rod(METAL_HU, start, rounded_point(seat.normal), 1.5, seat.between(3.0, 5.0))
-    return LookAlike("cup electrode", (disc, cap), (rounded_point(centre),))
+    cap = _dome(seat.polymer(), centre, seat.normal, seat.between(5.6, 6.0), 0.0)
+    disc = _rod(METAL_HU, centre - 1.5 * seat.normal, seat.normal, 1.5, seat.between(3.0, 5.0))
+    return _look_alike("cup electrode", [disc, cap], centre)
 
 
 ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)

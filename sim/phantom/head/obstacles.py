@@ -29,9 +29,9 @@ from sim.phantom.head.anatomy import (
     shifted,
 )
 from sim.phantom.head.painting import Streak
-from sim.phantom.head.shapes import Ball, EllipsoidShell, Point, Rod, Shape, Slab, as_point
-from sim.world.rigid import rotation_towards
-from sim.world.scene.head import CAP_AXIS_CT
+from sim.phantom.head.shapes import Ball, EllipsoidShell, Rod, Shape, Slab
+from sim.world.rigid import Point, as_point, rotation_towards
+from sim.world.scene.head import CAP_AXIS_CT, skin_at
 from sim.world.scene.model import Fiducial, Head
 
 Vector = NDArray[np.float64]
@@ -77,10 +77,8 @@ class Obstacles:
 
 def skin_point(head: Head, direction: Vector) -> tuple[Vector, Vector]:
     """Return the skin point in a direction from the head's centre, CT frame, and the outward normal there."""
-    axes = np.array(head.semi_axes_mm)
-    point = direction / np.linalg.norm(direction / axes)
-    normal = point / axes**2
-    return point + np.array(head.centre_ct_mm), normal / np.linalg.norm(normal)
+    point, normal = skin_at(direction, head.semi_axes_mm)
+    return point + np.array(head.centre_ct_mm), normal
 
 
 def cushion(head: Head) -> Obstacles:

@@ -8,7 +8,8 @@ from math import cos, erf, exp, sin, sqrt
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.phantom.head.shapes import Ball, Point, Shape, Values
+from sim.phantom.head.shapes import Ball, Shape, Values
+from sim.world.rigid import Point
 
 PLANE_SIGMA_MM = 0.42  # in the slice: 1 mm full width at half maximum
 SLICE_SIGMA_MM = 0.35  # along z, before the slice's own thickness

@@ -6,6 +6,7 @@ LPS mm; x, y and z may be any arrays that broadcast together.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from math import hypot, inf
 from typing import Protocol
@@ -13,8 +14,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from sim.world.rigid import Point, as_point
+
 Values = NDArray[np.float32]
-Point = tuple[float, float, float]
 Bounds = tuple[Point, Point]  # lowest and highest x, y, z
 
 
@@ -98,9 +100,7 @@ class Rod:
 
     def bounds(self) -> Bounds:
         end = [s + self.length * a for s, a in zip(self.start, self.along, strict=True)]
-        low = [min(s, e) - self.radius for s, e in zip(self.start, end, strict=True)]
-        high = [max(s, e) + self.radius for s, e in zip(self.start, end, strict=True)]
-        return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+        return _around_line(self.start, end, self.radius)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         sx, sy, sz = _as_float32(self.start)
@@ -179,18 +179,6 @@ class Cable:
         return np.float32(self.radius) - distance / np.float32(slope)
 
 
-def as_point(values: NDArray[np.float64]) -> Point:
-    """Convert an array (3,) to a point."""
-    x, y, z = (float(value) for value in values)
-    return x, y, z
-
-
-def rounded_point(values: NDArray[np.float64]) -> Point:
-    """Convert an array (3,) to a point of six decimals."""
-    x, y, z = (round(float(value), 6) for value in values)
-    return x, y, z
-
-
 def ellipsoid_depth(x: Values, y: Values, z: Values, centre: Point, semi_axes: Point) -> Values:
     """Return the depth below an ellipsoid, first-order near its surface: f (1 - f) / |grad f|.
 
@@ -212,7 +200,13 @@ def _as_float32(point: Point) -> tuple[np.float32, np.float32, np.float32]:
 def _around(centre: Point, half_sides: tuple[float, ...]) -> Bounds:
     low = [value - size for value, size in zip(centre, half_sides, strict=True)]
     high = [value + size for value, size in zip(centre, half_sides, strict=True)]
-    return (low[0], low[1], low[2]), (high[0], high[1], high[2])
+    return as_point(low), as_point(high)
+
+
+def _around_line(start: Sequence[float], end: Sequence[float], radius: float) -> Bounds:
+    low = [min(s, e) - radius for s, e in zip(start, end, strict=True)]
+    high = [max(s, e) + radius for s, e in zip(start, end, strict=True)]
+    return as_point(low), as_point(high)
 
 
 @dataclass(frozen=True)
@@ -225,7 +219,7 @@ class Capsule:
     radius: float
 
     def bounds(self) -> Bounds:
-        return _box(np.minimum(self.start, self.end), np.maximum(self.start, self.end), self.radius)
+        return _around_line(self.start, self.end, self.radius)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         line = np.subtract(self.end, self.start)
@@ -249,7 +243,7 @@ class Egg:
     axes: tuple[Point, Point, Point]
 
     def bounds(self) -> Bounds:
-        return _box(np.array(self.centre), np.array(self.centre), max(self.semi_axes))
+        return _around(self.centre, (max(self.semi_axes),) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         scaled = [
@@ -277,8 +271,7 @@ class Barrel:
     edge: float
 
     def bounds(self) -> Bounds:
-        half_side = float(np.hypot(self.radius, 0.5 * self.length))
-        return _box(np.array(self.centre), np.array(self.centre), half_side)
+        return _around(self.centre, (float(np.hypot(self.radius, 0.5 * self.length)),) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         height, across = _height_and_distance(x, y, z, self.centre, self.along)
@@ -301,7 +294,7 @@ class Dome:
     height: float = 0.0
 
     def bounds(self) -> Bounds:
-        return _box(np.array(self.centre), np.array(self.centre), self.radius)
+        return _around(self.centre, (self.radius,) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         height, across = _height_and_distance(x, y, z, self.centre, self.outward)
@@ -321,7 +314,7 @@ class Ring:
     tube: float
 
     def bounds(self) -> Bounds:
-        return _box(np.array(self.centre), np.array(self.centre), self.radius + self.tube)
+        return _around(self.centre, (self.radius + self.tube,) * 3)
 
     def depth(self, x: Values, y: Values, z: Values) -> Values:
         height, across = _height_and_distance(x, y, z, self.centre, self.axis)
@@ -346,8 +339,3 @@ def _height_and_distance(
     squared = sum((value - np.float32(start)) ** 2 for value, start in zip((x, y, z), origin, strict=True))
     across: Values = np.sqrt(np.maximum(squared - height * height, np.float32(0.0)))
     return height, across
-
-
-def _box(low: np.ndarray, high: np.ndarray, half_side: float) -> Bounds:
-    (a, b, c), (d, e, f) = (low - half_side).tolist(), (high + half_side).tolist()
-    return (a, b, c), (d, e, f)

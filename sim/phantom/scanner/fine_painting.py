@@ -12,9 +12,10 @@ from numpy.typing import NDArray
 
 from sim.phantom.head.anatomy import HeadLayers
 from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM, blur_spread_mm, blur_weights, paint
-from sim.phantom.head.shapes import Point, Rod, Shape, Values
+from sim.phantom.head.shapes import Rod, Shape, Values
 from sim.phantom.scanner.faults import Kernel
 from sim.phantom.scanner.grid import CtGrid
+from sim.world.rigid import Point
 
 HALF_SIDE_MM = 10.0  # estimators use up to 9 mm from the centre
 WIDER = 2.0  # width of what a kernel subtracts to enhance edges, relative to what it adds

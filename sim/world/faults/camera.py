@@ -78,12 +78,7 @@ STREAM_FAULTS = (
     share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
     lasting("shift_area", "shift area NAME", "The leader reports an area 16 px off the configured one."),
     lasting("truncate", "truncate NAME", "Images contain only half of their data."),
-    lasting(
-        "path",
-        "narrow path NAME INT bytes",
-        "The network drops larger stream packets.",
-        _path,
-    ),
+    lasting("path", "narrow path NAME INT bytes", "The network drops larger stream packets.", _path),
 )
 CONTROL_FAULTS = (
     lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),

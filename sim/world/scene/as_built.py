@@ -17,7 +17,15 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.calibration import PoseRecord
-from sim.world.rigid import inverse, matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.world.rigid import (
+    Point,
+    as_point,
+    inverse,
+    matrix_from,
+    pose_of,
+    rotation_from_vector,
+    rotation_towards,
+)
 from sim.world.scene.model import ArmTruth, CameraTruth, LinkError, Mount
 
 LINK_TRANSLATION_MM = 0.40
@@ -59,8 +67,8 @@ def draw_arm(generator: np.random.Generator) -> ArmTruth:
     def six(scale: float) -> Any:
         return tuple(float(value) for value in generator.normal(0.0, scale, 6))
 
-    def three(scale: float) -> Any:
-        return tuple(float(value) for value in generator.normal(0.0, scale, 3))
+    def three(scale: float) -> Point:
+        return as_point(generator.normal(0.0, scale, 3))
 
     def phases() -> Any:
         return tuple(float(value) for value in generator.uniform(0.0, 2 * np.pi, 6))

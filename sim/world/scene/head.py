@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from math import cos, radians, sin
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +16,15 @@ from numpy.typing import NDArray
 from ronna_hw.marker_template import MarkerTemplate
 from ronna_hw.x_frame import BAR_BELOW_MM, BAR_RADIUS_MM, SPHERE_CENTRES_MM, STANDOFF_MM, bodies
 from sim.errors import BadScene
-from sim.world.rigid import apply, matrix_from, pose_of, rotation_from_vector, rotation_towards
+from sim.world.rigid import (
+    Point,
+    apply,
+    matrix_from,
+    pose_of,
+    rotation_from_vector,
+    rotation_towards,
+    rounded_point,
+)
 from sim.world.scene.model import Fiducial, Head
 from sim.world.scene.parts import Target
 from sim.world.scene.plan_feasibility import PlanFeasibility
@@ -104,14 +111,18 @@ def _draw_pose(generator: np.random.Generator) -> Vector:
 def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducial, ...]:
     axis = np.array(CAP_AXIS_CT)
     for _ in range(ATTEMPTS):
-        found = [skin_at(drawn_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
+        found = [skin_at(draw_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
         centres = np.array([point + normal * SPHERE_STANDOFF_MM for point, normal in found])
         if _well_spread(centres):
             break
     else:
         raise BadScene(f"{count} markers do not fit on the head")
     return tuple(
-        Fiducial(number=k + 1, centre_ct_mm=_three(centres[k] + CENTRE_CT_MM), post_ct=_three(found[k][1]))
+        Fiducial(
+            number=k + 1,
+            centre_ct_mm=rounded_point(centres[k] + CENTRE_CT_MM),
+            post_ct=rounded_point(found[k][1]),
+        )
         for k in range(count)
     )
 
@@ -121,7 +132,7 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
-        fiducial = Fiducial(number=number, centre_ct_mm=_three(centre), post_ct=marker.post)
+        fiducial = Fiducial(number=number, centre_ct_mm=rounded_point(centre), post_ct=marker.post)
         height = centre - CENTRE_CT_MM
         if np.linalg.norm(height / np.array(SEMI_AXES_MM)) <= 1.0 or np.dot(height, marker.post) <= 0.0:
             raise BadScene(f"marker {number} of the template is not on this head")
@@ -155,8 +166,8 @@ def _draw_targets(
     targets: list[Target] = []
     drawn: list[tuple[Vector, Vector]] = []  # entries and targets in the robot frame
     for _ in range(ATTEMPTS):
-        point, normal = skin_at(drawn_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
-        inward = drawn_direction(generator, -normal, TILT_RAD)
+        point, normal = skin_at(draw_direction(generator, axis, ENTRY_HALF_ANGLE_RAD))
+        inward = draw_direction(generator, -normal, TILT_RAD)
         entry = point + CENTRE_CT_MM
         if np.linalg.norm(spheres - entry, axis=1).min() < ENTRY_CLEARANCE_MM:
             continue
@@ -168,7 +179,11 @@ def _draw_targets(
             continue
         drawn.append(ends)
         targets.append(
-            Target(identifier=f"T{len(targets) + 1}", entry_ct_mm=_three(entry), target_ct_mm=_three(target))
+            Target(
+                identifier=f"T{len(targets) + 1}",
+                entry_ct_mm=rounded_point(entry),
+                target_ct_mm=rounded_point(target),
+            )
         )
         if len(targets) == count:
             return tuple(targets)
@@ -212,7 +227,10 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
         return FrameOnHead(
             tuple(
                 Fiducial(
-                    number=number, centre_ct_mm=_three(centre), post_ct=_three(normal), base_mm=BAR_BELOW_MM
+                    number=number,
+                    centre_ct_mm=rounded_point(centre),
+                    post_ct=rounded_point(normal),
+                    base_mm=BAR_BELOW_MM,
                 )
                 for number, centre in enumerate(centres, start=1)
             ),
@@ -231,7 +249,7 @@ def _along(start: tuple[float, ...], end: tuple[float, ...]) -> Vector:
     return np.linspace(start, end, 2 + round(length / SAMPLE_MM))
 
 
-def drawn_direction(generator: np.random.Generator, axis: Vector, half_angle_rad: float) -> Vector:
+def draw_direction(generator: np.random.Generator, axis: Vector, half_angle_rad: float) -> Vector:
     """Draw a direction within a cone, uniform over its solid angle."""
     cosine = generator.uniform(cos(half_angle_rad), 1.0)
     turn = generator.uniform(0.0, 2 * np.pi)
@@ -241,13 +259,9 @@ def drawn_direction(generator: np.random.Generator, axis: Vector, half_angle_rad
     return direction
 
 
-def skin_at(direction: Vector) -> tuple[Vector, Vector]:
+def skin_at(direction: Vector, semi_axes_mm: Point = SEMI_AXES_MM) -> tuple[Vector, Vector]:
     """Point on the skin in a direction from the centre, relative to the centre, and its outward normal."""
-    axes = np.array(SEMI_AXES_MM)
+    axes = np.array(semi_axes_mm)
     point = direction / np.linalg.norm(direction / axes)
     normal = point / axes**2
     return point, normal / np.linalg.norm(normal)
-
-
-def _three(vector: Vector) -> Any:
-    return tuple(round(float(value), 6) for value in vector)

@@ -23,7 +23,7 @@ from sim.errors import BadScene
 from sim.world.scene.parts import (
     Facing,
     Guide,
-    Hands,
+    ManualAccuracy,
     MarkerCentres,
     NotNegative,
     PartNumber,
@@ -58,8 +58,7 @@ class Fiducial(Strict):
         default=BASE_MM, description="Length of the sphere's base at the CT, from the screw to its centre."
     )
     base_in_theatre: Count | None = Field(
-        default=None,
-        description="Number of the sphere whose base is now on this screw; default: its own.",
+        default=None, description="Number of the sphere whose base is now on this screw; default: its own."
     )
     displaced_mm: Numbers3 = Field(
         default=(0.0, 0.0, 0.0),
@@ -189,8 +188,7 @@ class ArmTruth(Strict):
         description="Sag of the flange per kilogram of load above the load data in the controller.",
     )
     thermal_drift_mm: NotNegative = Field(
-        default=0.0,
-        description="Drift of the flange when the arm is warm; driven by motion, not by time.",
+        default=0.0, description="Drift of the flange when the arm is warm; driven by motion, not by time."
     )
     thermal_time_s: Positive = Field(
         default=1200.0, description="Time in motion until two thirds of the drift is reached."
@@ -332,8 +330,7 @@ class CalibrationError(Strict):
         description="True: frame and tip never measured; their records hold design values and have expired.",
     )
     arm: ArmResidual | None = Field(
-        default=None,
-        description="Errors of the arm's calibration record; without it the head is nominal.",
+        default=None, description="Errors of the arm's calibration record; without it the head is nominal."
     )
 
 
@@ -355,7 +352,7 @@ class Scene(Strict):
     left: CameraTruth = Field(description="The left camera.")
     right: CameraTruth = Field(description="The right camera.")
     stand: Stand = Field(default=Stand(), description="The calibration stand.")
-    hands: Hands = Field(default=Hands(), description="Accuracy of manual tasks.")
+    hands: ManualAccuracy = Field(default=ManualAccuracy(), description="Accuracy of manual tasks.")
     servo_area_px: tuple[Count, Count] = Field(
         default=(1024, 1024), description="Area of interest that contains a sphere with room to move."
     )

@@ -16,7 +16,7 @@ from ronna_hw.x_frame import OUTWARD, SPHERE_CENTRES_MM
 from ronna_hw.x_frame import PART_NUMBER as X_FRAME_PART_NUMBER
 from sim.errors import BadScene
 from sim.world.noise import noise
-from sim.world.rigid import apply, matrix_from, matrix_of, pose_of, rotation_towards
+from sim.world.rigid import apply, as_point, matrix_from, matrix_of, pose_of, rotation_towards
 from sim.world.scene.as_built import draw_arm, draw_cameras, draw_mount
 from sim.world.scene.head import draw_head
 from sim.world.scene.model import CtProtocol, Scene, Stand, TrackerTool, TrackerTruth
@@ -103,15 +103,10 @@ def named_scene(
 def _stand(seed: int) -> Stand:
     """Draw the stand with noise of its own, on which the rest of a scene does not depend."""
     generator = noise(seed, "stand", 0)
-
-    def three(values: np.ndarray) -> tuple[float, float, float]:
-        x, y, z = values.tolist()
-        return (x, y, z)
-
     return Stand(
-        ball_mm=three(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
-        divot_from_ball_mm=three(generator.normal(0.0, DIVOT_MM, 3)),
-        dials_turned_rad=three(generator.normal(0.0, DIALS_RAD, 3)),
+        ball_mm=as_point(np.array(STAND_MM) + generator.uniform(-STAND_SPREAD_MM, STAND_SPREAD_MM, 3)),
+        divot_from_ball_mm=as_point(generator.normal(0.0, DIVOT_MM, 3)),
+        dials_turned_rad=as_point(generator.normal(0.0, DIALS_RAD, 3)),
     )
 
 

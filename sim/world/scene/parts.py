@@ -125,8 +125,8 @@ class Guide(Strict):
     )
 
 
-class Hands(Strict):
-    """Manual accuracy."""
+class ManualAccuracy(Strict):
+    """Accuracy of what the staff do by hand."""
 
     gauge_mm: NotNegative = Field(
         default=0.005, description="Error of a dial reading on the gauge, one standard deviation."

@@ -25,7 +25,7 @@ from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of
-from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, drawn_direction, skin_at
+from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, draw_direction, skin_at
 from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
@@ -166,7 +166,7 @@ def _flat(count: int, random: np.random.Generator) -> Array:
     """Spheres on bases of such lengths that all are nearly in one plane."""
     axis = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
     while True:
-        found = [skin_at(drawn_direction(random, axis, np.radians(45.0))) for _ in range(count)]
+        found = [skin_at(draw_direction(random, axis, np.radians(45.0))) for _ in range(count)]
         points = np.array([point + normal * STANDOFF_MM for point, normal in found])
         middle = points[:3].mean(axis=0)
         normal = np.cross(points[1] - points[0], points[2] - points[0])

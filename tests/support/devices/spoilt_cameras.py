@@ -170,7 +170,7 @@ def tells_no_index(_camera: Camera, true: Callable[..., bytes]) -> Callable[...,
 def gives_way(camera: Camera, true: Callable[..., GevStatus]) -> Callable[..., GevStatus]:
     def request(peer: Any, value: int) -> GevStatus:
         if value:
-            camera.privilege._owner = None
+            camera.privilege.owner = None
         return true(peer, value)
 
     return request

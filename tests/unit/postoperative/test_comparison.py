@@ -32,7 +32,8 @@ from procedures.postoperative.errors import (
 )
 from procedures.postoperative.planned_line import ExpectedFit, FitQuality, PlannedLine
 from procedures.postoperative.summary import summary_of
-from sim.phantom.postoperative_scan import Instrument, Kind, draw_scan
+from sim.phantom.postoperative_scan import Instrument, draw_scan
+from sim.world.options import InstrumentKind
 from sim.world.scene.model import CtProtocol, Scene
 from sim.world.scene.named_scenes import MINI_CT, named_scene
 
@@ -59,7 +60,7 @@ def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegi
 
 
 def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Volume) -> None:
-    left = misplaced(scene, Kind.ELECTRODE, SEED)
+    left = misplaced(scene, InstrumentKind.ELECTRODE, SEED)
     post, _ = _after(scene, left)
     proof = compare(plan_of(scene), planned, post)
     assert [one.id for one in proof.trajectories] == ["T1", "T2"]
@@ -74,7 +75,7 @@ def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Vo
 def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
     seed = 88  # strong ones; left unfitted they shift the tip by 0.24 mm
     scene = named_scene("default", seed=seed, targets=1).model_copy(update={"ct": MINI_CT})
-    left = misplaced(scene, Kind.ELECTRODE, seed)
+    left = misplaced(scene, InstrumentKind.ELECTRODE, seed)
     scan = draw_scan(scene, left, seed)
     truth = BoneRegistration(RigidTransform.from_matrix(scan.pose.scan_from_head), 1.0, 1.0, 0.0)
     (found,) = compare_registered(truth, plan_of(scene), before(scene), after(scan)).trajectories
@@ -86,7 +87,7 @@ def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
 def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> None:
     target = scene.head.targets[0]
     deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
-    left = (Instrument("T1", Kind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
+    left = (Instrument("T1", InstrumentKind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
     plan = plan_of(scene)
     proof = compare_registered(truth, plan, planned, post, ["T1"])
@@ -106,7 +107,7 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
 
 
 def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, planned: Volume) -> None:
-    left = misplaced(scene, Kind.DRILL_HOLE, SEED)
+    left = misplaced(scene, InstrumentKind.DRILL_HOLE, SEED)
     post, truth = _after(scene, left)
     for one, found in zip(
         left, compare_registered(truth, plan_of(scene), planned, post).trajectories, strict=True
@@ -124,7 +125,7 @@ def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, plan
 def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
     scene: Scene, planned: Volume
 ) -> None:
-    post, truth = _after(scene, misplaced(scene, Kind.ELECTRODE, SEED)[:1])
+    post, truth = _after(scene, misplaced(scene, InstrumentKind.ELECTRODE, SEED)[:1])
     with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
         compare_registered(truth, plan_of(scene), planned, post)
     assert [
@@ -133,9 +134,9 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
 
 
 @pytest.mark.hazard(43)
-@pytest.mark.parametrize("kind", [Kind.ELECTRODE, Kind.DRILL_HOLE])
+@pytest.mark.parametrize("kind", [InstrumentKind.ELECTRODE, InstrumentKind.DRILL_HOLE])
 def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
-    scene: Scene, planned: Volume, kind: Kind
+    scene: Scene, planned: Volume, kind: InstrumentKind
 ) -> None:
     left = misplaced(scene, kind, SEED)[:1]
     post, truth = _after(scene, left)
@@ -183,14 +184,14 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
 
 
 @pytest.mark.hazard(43)
-@pytest.mark.parametrize("kind", [Kind.ELECTRODE, Kind.DRILL_HOLE])
+@pytest.mark.parametrize("kind", [InstrumentKind.ELECTRODE, InstrumentKind.DRILL_HOLE])
 def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_reason(
-    scene: Scene, planned: Volume, kind: Kind
+    scene: Scene, planned: Volume, kind: InstrumentKind
 ) -> None:
     post, truth = _after(scene, misplaced(scene, kind, SEED))
     target = scene.head.targets[0]
     cut = _between(post, _slice_of(post, truth, target.target_ct_mm) + 10, len(post.voxels))
-    if kind is Kind.DRILL_HOLE:
+    if kind is InstrumentKind.DRILL_HOLE:
         cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
     with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
         compare_registered(truth, plan_of(scene), planned, cut, ["T1"])

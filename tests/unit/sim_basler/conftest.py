@@ -75,6 +75,7 @@ class Bench:
     host_s: HostSeconds
     images: PlainImages
     receiver: socket.socket
+    moments: TriggerMoments
     ids: Iterator[int] = field(default_factory=lambda: itertools.count(1))
 
     def ask(
@@ -109,15 +110,21 @@ class Bench:
         word = struct.unpack(">I", struct.pack(">f", value))[0] if isinstance(value, float) else value
         return self.write(address_of(name), word)
 
+    def put(self, **features: int | float) -> None:
+        """Write features in this order."""
+        for name, value in features.items():
+            assert self.set(name, value) == OK, name
+
+    def stream(self, **features: int | float) -> None:
+        """Take control with small frames, then write features in this order."""
+        self.take_control(stream=True)
+        self.put(Width=64, Height=48, **features)
+
     def take_control(self, *, stream: bool = False) -> None:
         assert self.write(Bootstrap.CCP, 2) == OK
         if stream:
             assert self.write(Bootstrap.SCDA, 0x7F000001) == OK
             assert self.write(Bootstrap.SCP, self.receiver.getsockname()[1]) == OK
-
-    def small_frames(self) -> None:
-        assert self.set("Width", 64) == OK
-        assert self.set("Height", 48) == OK
 
     def packets(self, count: int) -> list[bytes]:
         return [self.receiver.recv(65536) for _ in range(count)]
@@ -129,19 +136,22 @@ class Bench:
             found += self.packets(1)
         return found
 
-    def packet_or_none(self) -> bytes | None:
-        """The next packet, or None when none comes for a while."""
-        self.receiver.settimeout(0.05)
-        try:
-            return self.receiver.recv(65536)
-        except TimeoutError:
-            return None
-        finally:
-            self.receiver.settimeout(30.0)
+    def shoot(self) -> list[bytes]:
+        """Trigger a frame, and return its packets."""
+        self.put(TriggerSoftware=1)
+        return self.frame()
 
     def nothing_comes(self) -> bool:
         """True when no packet comes for a while."""
-        return self.packet_or_none() is None
+        self.receiver.settimeout(0.05)
+        try:
+            self.receiver.recv(65536)
+        except TimeoutError:
+            return True
+        else:
+            return False
+        finally:
+            self.receiver.settimeout(30.0)
 
 
 MakeBench = Callable[..., Bench]
@@ -157,10 +167,9 @@ def make_bench() -> Iterator[MakeBench]:
         receiver.settimeout(30.0)
         clock = beside.clock if beside else StillClock()
         host_s, images = HostSeconds(), PlainImages()
-        moments = beside.moments if beside else TriggerMoments(clock)  # type: ignore[attr-defined]
+        moments = beside.moments if beside else TriggerMoments(clock)
         camera = Camera(Identity("127.0.0.1", serial, name), images, clock, moments, now_s=host_s)
-        bench = Bench(camera, clock, host_s, images, receiver)
-        bench.moments = moments  # type: ignore[attr-defined]
+        bench = Bench(camera, clock, host_s, images, receiver, moments)
         camera.open()
         made.append(bench)
         return bench

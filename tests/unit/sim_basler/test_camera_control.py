@@ -62,12 +62,10 @@ def test_nothing_can_be_written_while_another_client_has_control(bench: Any) -> 
 
 def test_control_can_also_be_taken_by_a_memory_write(bench: Any) -> None:
     assert bench.ask(WRITEMEM, struct.pack(">II", Bootstrap.CCP, 2))[0] == OK
-    assert bench.set("GainRaw", 40) == OK
+    bench.put(GainRaw=40)
 
 
-def test_exclusive_control_blocks_memory_reads_by_others_but_not_discovery(
-    bench: Any,
-) -> None:
+def test_exclusive_control_blocks_memory_reads_by_others_but_not_discovery(bench: Any) -> None:
     assert bench.write(Bootstrap.CCP, 1) == OK
     assert bench.ask(READMEM, struct.pack(">IHH", 0, 0, 4), peer=OTHER)[0] == ACCESS_DENIED
     assert bench.ask(DISCOVERY, peer=OTHER)[0] == OK
@@ -90,8 +88,7 @@ def test_every_command_of_the_owner_is_a_heartbeat_and_commands_of_others_are_no
 def test_a_silent_owner_loses_control_stream_and_acquisition(bench: Any) -> None:
     bench.take_control(stream=True)
     assert bench.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, 1000) == OK
-    assert bench.set("TriggerMode", 1) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.put(TriggerMode=1, AcquisitionStart=1)
     bench.host_s.now += 0.95
     bench.camera.privilege.expire()
     assert bench.camera.acquiring
@@ -126,23 +123,17 @@ def test_values_out_of_range_are_refused_and_not_stored(
 
 
 def test_acquisition_locks_the_packet_size_but_not_exposure_and_offset(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("TriggerMode", 1) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(TriggerMode=1, AcquisitionStart=1)
     assert bench.set("GevSCPSPacketSize", 8000) == BUSY
     assert bench.write(Bootstrap.SCPS, 8000) == BUSY
-    assert bench.set("ExposureTimeRaw", 9000) == OK
-    assert bench.set("OffsetX", 160) == OK
-    assert bench.set("AcquisitionStop", 1) == OK
-    assert bench.set("Width", 128) == OK
+    bench.put(ExposureTimeRaw=9000, OffsetX=160, AcquisitionStop=1, Width=128)
 
 
 def test_a_repeated_command_gets_the_same_answer(bench: Any) -> None:
     bench.take_control()
     datagram = bench.datagram(WRITEREG, struct.pack(">II", address_of("GainRaw"), 100), request_id=77)
     first = bench.camera.port.answer(datagram, CLIENT)
-    assert bench.set("GainRaw", 200) == OK
+    bench.put(GainRaw=200)
     assert bench.camera.port.answer(datagram, CLIENT) == first
     # the last command of the client was another one by now, so this is a new command with an old id
     assert bench.get("GainRaw") == 100
@@ -152,12 +143,12 @@ def test_a_repeated_command_gets_the_same_answer(bench: Any) -> None:
 
 def test_user_sets_keep_and_restore_settings(bench: Any) -> None:
     bench.take_control()
-    assert bench.set("Width", 640) == bench.set("GainRaw", 77) == OK
+    bench.put(Width=640, GainRaw=77)
     assert bench.set("UserSetSave", 1) == WRITE_PROTECT  # Default
-    assert bench.set("UserSetSelector", 1) == bench.set("UserSetSave", 1) == OK
-    assert bench.set("UserSetSelector", 0) == bench.set("UserSetLoad", 1) == OK
+    bench.put(UserSetSelector=1, UserSetSave=1)
+    bench.put(UserSetSelector=0, UserSetLoad=1)
     assert (bench.get("Width"), bench.get("GainRaw")) == (2048, 36)
-    assert bench.set("UserSetSelector", 1) == bench.set("UserSetLoad", 1) == OK
+    bench.put(UserSetSelector=1, UserSetLoad=1)
     assert (bench.get("Width"), bench.get("GainRaw")) == (640, 77)
 
 
@@ -172,9 +163,9 @@ def test_the_user_can_name_the_camera(bench: Any) -> None:
 
 def test_exposure_is_one_value_under_two_names(bench: Any) -> None:
     bench.take_control()
-    assert bench.set("ExposureTimeAbs", 2500.4) == OK
+    bench.put(ExposureTimeAbs=2500.4)
     assert bench.get("ExposureTimeRaw") == 2500
-    assert bench.set("ExposureTimeRaw", 60_000) == OK
+    bench.put(ExposureTimeRaw=60_000)
     assert bench.get_float("ExposureTimeAbs") == 60_000.0
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(1e6 / 60_000)
 
@@ -182,19 +173,18 @@ def test_exposure_is_one_value_under_two_names(bench: Any) -> None:
 def test_the_link_limits_the_rate_of_twelve_bit_frames(bench: Any) -> None:
     bench.take_control()
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(50.0)
-    assert bench.set("PixelFormat", PixelFormat.MONO12) == OK
+    bench.put(PixelFormat=PixelFormat.MONO12)
     assert 25.0 < bench.get_float("ResultingFrameRateAbs") < 27.0
-    assert bench.set("AcquisitionFrameRateEnable", 1) == OK
-    assert bench.set("AcquisitionFrameRateAbs", 10.0) == OK
+    bench.put(AcquisitionFrameRateEnable=1, AcquisitionFrameRateAbs=10.0)
     assert bench.get_float("ResultingFrameRateAbs") == pytest.approx(10.0)
 
 
 def test_each_trigger_has_its_own_settings(bench: Any) -> None:
     bench.take_control()
-    assert bench.set("TriggerSelector", 1) == bench.set("TriggerMode", 1) == OK
-    assert bench.set("TriggerSelector", 0) == OK
+    bench.put(TriggerSelector=1, TriggerMode=1)
+    bench.put(TriggerSelector=0)
     assert bench.get("TriggerMode") == 0
-    assert bench.set("TriggerSelector", 1) == OK
+    bench.put(TriggerSelector=1)
     assert bench.get("TriggerMode") == 1
 
 
@@ -216,6 +206,8 @@ def test_force_ip_is_answered_only_by_the_addressed_camera(bench: Any) -> None:
 def test_the_capability_registers_list_the_supported_features(bench: Any) -> None:
     assert bench.read(Bootstrap.GVCP_CAPABILITY) == CAPABILITIES
     assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
+    assert bench.read(Bootstrap.MESSAGE_CHANNEL_CAPABILITY) == 0x8000_0000
+    assert bench.read(Bootstrap.MCSP) == bench.camera.messages.source_port
     assert CAPABILITIES & 0b111000 == 0b011000  # events with and without data, no PENDING
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from camera_views import FOCAL_PX, FULL, PRINCIPAL_PX, RADIUS_MM, aim_at_first_sphere, ball, bare_camera
 from numpy.typing import NDArray
 
 from sim.basler.camera.photographer import Photographer
@@ -15,35 +16,13 @@ from sim.basler.optics.sensor import Sensor
 from sim.basler.optics.sphere import Sphere
 from sim.basler.settings import FrameSettings, Settings
 from sim.errors import BadFaultScript
-from sim.world.displacements import spheres_in_theatre
 from sim.world.faults import check_faults, parse_faults
-from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.world.rigid import matrix_of
 from sim.world.scene.model import CameraTruth
 from sim.world.scene.named_scenes import named_scene
-from sim.world.world import ArmState, World
+from sim.world.world import World
 
 Array = NDArray[np.float64]
-
-FOCAL_PX = 11364.0
-PRINCIPAL_PX = (1020.0, 540.0)
-RADIUS_MM = 5.75
-FULL = Area(0, 0, 2048, 1088)
-
-
-def bare_camera() -> CameraTruth:
-    """The left camera of a scene, without distortion."""
-    return named_scene("default").left.model_copy(
-        update={
-            "focal_px": (FOCAL_PX, FOCAL_PX),
-            "principal_point_px": PRINCIPAL_PX,
-            "distortion": (0.0, 0.0, 0.0, 0.0, 0.0),
-        }
-    )
-
-
-def ball(centre_mm: tuple[float, float, float] = (0.0, 0.0, 250.0)) -> Sphere:
-    upright = np.diag([1.0, -1.0, -1.0])  # the post points away from the camera
-    return Sphere(np.array(centre_mm), RADIUS_MM, upright, 1)
 
 
 def light(disturbance: Disturbance, spheres: list[Sphere] | None = None) -> Array:
@@ -156,11 +135,7 @@ def test_a_fault_changes_the_pictures_of_its_cameras_only_while_it_is_active(lin
 def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
     world = World.create(named_scene("default", seed=4), paced=False)
     scene = world.scene
-    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
-    tool = matrix_from(centre, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
-    world.publish_arm(
-        ArmState((0.0,) * 6, tool @ inverse(matrix_of(scene.mount.flange_from_tool_true)), 1, True)
-    )
+    aim_at_first_sphere(world)
     for truth in (scene.left, scene.right):
         view = View(world, truth)
         straight, twisted = (view.spheres(view.pose(), angle)[0].centre_mm for angle in (0.0, 1e-3))
@@ -173,7 +148,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
 
 def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
     world = World.create(named_scene("bench"), paced=False)
-    left, right = (Disturbances.of(world, truth) for truth in (world.scene.left, world.scene.right))
+    left, right = (Disturbances(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
     turned_deg = []
     for _ in range(4):  # at 0, 25, 50 and 75 s

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 
 import pytest
 
-from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
+from ronna_hw.wire.gige_vision import Bootstrap
 from sim.basler.faults import NoFaults
 from sim.basler.message_channel import EVENTS_KEPT, EVENTS_PER_MESSAGE, Event, MessageChannel
 from sim.basler.settings import EventKind
@@ -56,6 +56,13 @@ class Listener:
         answer = struct.pack(">HHHH", 0, message.command + 1, 0, message.request_id)
         self.socket.sendto(answer, self.sender)
 
+    def taken(self, channel: MessageChannel) -> Message:
+        """The next message, acknowledged to the channel that sent it."""
+        message = self.message()
+        self.acknowledge(message)
+        channel.receive()
+        return message
+
     def nothing(self) -> bool:
         """True when nothing has come. Messages go out in the call that causes them, on loopback at once."""
         self.socket.settimeout(0.0)
@@ -77,27 +84,13 @@ def listener() -> Iterator[Listener]:
 
 def subscribe(bench: Any, listener: Listener, *kinds: EventKind) -> None:
     """As a client does: control, where messages go, what is to be told."""
-    bench.take_control(stream=True)
-    bench.small_frames()
+    bench.stream()
     assert bench.write(Bootstrap.MCDA, 0x7F000001) == OK
     assert bench.write(Bootstrap.MCTT_MS, TIMEOUT_MS) == OK
     assert bench.write(Bootstrap.MCRC, 2) == OK
     assert bench.write(Bootstrap.MCP, listener.port) == OK
     for kind in kinds:
-        assert bench.set("EventSelector", int(kind)) == OK
-        assert bench.set("EventNotification", 1) == OK
-
-
-def streaming(bench: Any, *, triggers: bool = True) -> None:
-    assert bench.set("TriggerMode", int(triggers)) == bench.set("AcquisitionStart", 1) == OK
-
-
-def test_the_camera_reports_its_message_channel(bench: Any) -> None:
-    assert bench.read(Bootstrap.MESSAGE_CHANNELS) == 1
-    assert bench.read(Bootstrap.MESSAGE_CHANNEL_CAPABILITY) == 0x8000_0000
-    wanted = GvcpCapability.EVENT | GvcpCapability.EVENTDATA
-    assert bench.read(Bootstrap.GVCP_CAPABILITY) & wanted == wanted
-    assert bench.read(Bootstrap.MCSP) == bench.camera.messages.source_port
+        bench.put(EventSelector=int(kind), EventNotification=1)
 
 
 def test_the_message_channel_belongs_to_the_client_in_control(bench: Any) -> None:
@@ -125,11 +118,11 @@ def test_the_client_in_control_can_be_read(bench: Any) -> None:
 
 def test_the_end_of_an_exposure_is_reported_with_its_frame_and_time(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
-    streaming(bench)
+    bench.put(TriggerMode=1, AcquisitionStart=1)
     exposure_us = bench.get("ExposureTimeRaw")
     for number in (1, 2):
         moment_ns = bench.clock.time_ns
-        assert bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSoftware=1)
         message = listener.message()
         ticks = (moment_ns + exposure_us * 1000) // 8
         assert (message.command, message.flags) == (EVENTDATA, 1)
@@ -143,11 +136,11 @@ def test_the_end_of_an_exposure_is_reported_with_its_frame_and_time(bench: Any, 
 
 def test_a_trigger_that_comes_too_early_is_reported(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.FRAME_START_OVERTRIGGER)
-    streaming(bench)
+    bench.put(TriggerMode=1, AcquisitionStart=1)
     bench.images.gate.clear()
     moment_ns = bench.clock.time_ns
     for _ in range(3):
-        assert bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSoftware=1)
     # one exposes, the next is refused
     message = listener.message()
     assert message.command == EVENT
@@ -165,19 +158,15 @@ def test_acquisition_and_frame_triggers_are_reported_whether_obeyed_or_not(
         EventKind.ACQUISITION_START_OVERTRIGGER,
         EventKind.FRAME_START,
     )
-    assert bench.set("TriggerSelector", 0) == bench.set("TriggerMode", 1) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.put(TriggerSelector=0, TriggerMode=1, AcquisitionStart=1)
     bench.images.gate.clear()
-    assert bench.set("TriggerMode", 1) == OK
-    assert bench.set("TriggerSelector", 1) == bench.set("TriggerMode", 1) == OK
+    bench.put(TriggerMode=1, TriggerSelector=1)
+    bench.put(TriggerMode=1)
     for selector in (0, 0, 1):
-        assert bench.set("TriggerSelector", selector) == bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSelector=selector, TriggerSoftware=1)
     said: list[int] = []
     while len(said) < 3:
-        message = listener.message()
-        said += [item[0] for item in message.items]
-        listener.acknowledge(message)
-        bench.camera.messages.receive()
+        said += [item[0] for item in listener.taken(bench.camera.messages).items]
     assert said == [
         EventKind.ACQUISITION_START,
         EventKind.ACQUISITION_START_OVERTRIGGER,
@@ -187,17 +176,16 @@ def test_acquisition_and_frame_triggers_are_reported_whether_obeyed_or_not(
 
 def test_only_enabled_events_are_sent(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
-    assert bench.set("EventNotification", 0) == OK
-    streaming(bench)
-    assert bench.set("TriggerSoftware", 1) == OK
-    bench.frame()
+    bench.put(EventNotification=0)
+    bench.put(TriggerMode=1, AcquisitionStart=1)
+    bench.shoot()
     assert listener.nothing()
     assert bench.get("EventNotification") == 0
 
 
 def test_a_free_running_camera_reports_its_exposures_too(bench: Any, listener: Listener) -> None:
     subscribe(bench, listener, EventKind.EXPOSURE_END)
-    streaming(bench, triggers=False)
+    bench.put(AcquisitionStart=1)
     assert listener.message().items[0][:2] == (EventKind.EXPOSURE_END, 1)
 
 
@@ -263,10 +251,7 @@ def test_an_acknowledge_ends_the_repeats_and_releases_the_next_message(channel: 
     assert channel.listener.nothing()
     channel.listener.acknowledge(first)
     channel.channel.receive()
-    second = channel.listener.message()
-    assert [item[1] for item in second.items] == [2, 3]
-    channel.listener.acknowledge(second)
-    channel.channel.receive()
+    assert [item[1] for item in channel.listener.taken(channel.channel).items] == [2, 3]
     assert channel.channel.due_s() is None
 
 
@@ -296,14 +281,12 @@ def test_an_event_with_data_is_sent_alone(channel: Channel) -> None:
         channel.tell(block=block, data=data)
     found = []
     for _ in range(4):
-        message = channel.listener.message()
+        message = channel.listener.taken(channel.channel)
         found.append((message.command, [item[1] for item in message.items], message.data))
-        channel.listener.acknowledge(message)
-        channel.channel.receive()
     assert found == [(EVENT, [1], b""), (EVENT, [2], b""), (EVENTDATA, [3], b"abcd"), (EVENT, [4], b"")]
 
 
-def test_the_events_of_one_message_fit_the_datagram_limit(channel: Channel) -> None:
+def test_the_events_of_one_message_fit_the_datagram_limit() -> None:
     assert EVENTS_PER_MESSAGE * 16 <= 540 < (EVENTS_PER_MESSAGE + 1) * 16
 
 
@@ -313,17 +296,14 @@ def test_excess_events_are_lost_and_at_most_one_overrun_event_reports_it(
 ) -> None:
     kinds = [EventKind.FRAME_START_OVERTRIGGER] + [EventKind.EVENT_OVERRUN] * overruns
     subscribe(bench, listener, *kinds)
-    streaming(bench)
+    bench.put(TriggerMode=1, AcquisitionStart=1)
     bench.images.gate.clear()
     # one message under way, the queue behind it, and three that find it full
     for _ in range(2 + 1 + EVENTS_KEPT + 3):
-        assert bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSoftware=1)
     said: list[int] = []
     for _ in range(2 if EVENTS_KEPT < EVENTS_PER_MESSAGE else 3):
-        message = listener.message()
-        said += [item[0] for item in message.items]
-        listener.acknowledge(message)
-        bench.camera.messages.receive()
+        said += [item[0] for item in listener.taken(bench.camera.messages).items]
     assert said.count(EventKind.FRAME_START_OVERTRIGGER) == 1 + EVENTS_KEPT
     assert said.count(EventKind.EVENT_OVERRUN) == overruns
 

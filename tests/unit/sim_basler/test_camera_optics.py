@@ -6,6 +6,7 @@ import time
 
 import numpy as np
 import pytest
+from camera_views import FOCAL_PX, FULL, PRINCIPAL_PX, RADIUS_MM, STRAIGHT, ball, bare_camera
 from numpy.typing import NDArray
 from scipy.optimize import curve_fit
 from scipy.special import ndtr
@@ -17,26 +18,15 @@ from sim.basler.optics.sensor import Lighting
 from sim.basler.optics.sphere import Sphere, draw_sphere
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
-from sim.world.scene.model import CameraTruth
 from sim.world.scene.named_scenes import named_scene
 
 Array = NDArray[np.float64]
 
-FOCAL_PX = 11364.0
-PRINCIPAL_PX = (1020.0, 540.0)
-STRAIGHT = (0.0, 0.0, 0.0, 0.0, 0.0)
-RADIUS_MM = 5.75
-FULL = Area(0, 0, 2048, 1088)
 PLAIN_FILM = Film(Grain(0, 1), RADIUS_MM)
 
 
 def lens(distortion: tuple[float, float, float, float, float] = STRAIGHT) -> Lens:
     return Lens((FOCAL_PX, FOCAL_PX), PRINCIPAL_PX, distortion, 250.0)
-
-
-def ball(centre_mm: tuple[float, float, float], rotation: Array | None = None) -> Sphere:
-    upright = np.diag([1.0, -1.0, -1.0])  # the post points away from the camera
-    return Sphere(np.array(centre_mm), RADIUS_MM, upright if rotation is None else rotation, 1)
 
 
 def expected_ellipse(centre_mm: tuple[float, float, float]) -> tuple[Array, Array]:
@@ -61,10 +51,7 @@ def moments(cover: NDArray[np.float32]) -> tuple[Array, Array]:
     centre = np.array([(weight * columns).sum(), (weight * rows).sum()]) / total
     x, y = columns - centre[0], rows - centre[1]
     spread = np.array(
-        [
-            [(weight * x * x).sum(), (weight * x * y).sum()],
-            [(weight * x * y).sum(), (weight * y * y).sum()],
-        ]
+        [[(weight * x * x).sum(), (weight * x * y).sum()], [(weight * x * y).sum(), (weight * y * y).sum()]]
     )
     # each pixel of a filled area has a variance of its own, 1/12
     spread = spread / total - np.eye(2) / 12
@@ -129,18 +116,6 @@ def test_a_distorting_lens_moves_the_outline_as_computed() -> None:
     assert np.linalg.norm(centroid - straight) > 0.4  # the distortion is seen at all
     assert np.abs(centre - centroid).max() < 0.003
     assert image.cover.sum() == pytest.approx(abs(cross.sum()) / 2, rel=2e-5)
-
-
-def bare_camera() -> CameraTruth:
-    """The left camera of a scene, without distortion."""
-    truth = named_scene("default").left
-    return truth.model_copy(
-        update={
-            "focal_px": (FOCAL_PX, FOCAL_PX),
-            "principal_point_px": PRINCIPAL_PX,
-            "distortion": STRAIGHT,
-        }
-    )
 
 
 def rim_points(light: Array, start: Array, radius_px: float) -> Array:

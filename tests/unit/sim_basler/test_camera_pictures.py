@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from camera_views import aim_at_first_sphere
 from numpy.typing import NDArray
 
 from ronna_hw.wire.gige_vision import PixelFormat
@@ -13,11 +14,10 @@ from sim.basler.camera.view import View
 from sim.basler.optics.canvas import Area
 from sim.basler.optics.sensor import Sensor
 from sim.basler.settings import FrameSettings, RampImage, Settings
-from sim.world.displacements import spheres_in_theatre
 from sim.world.noise import noise
-from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
+from sim.world.rigid import apply, matrix_of, rotation_towards
 from sim.world.scene.named_scenes import named_scene
-from sim.world.world import ArmState, World
+from sim.world.world import World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0
 AREA = Area(512, 32, 1024, 1024)
@@ -116,19 +116,10 @@ def test_nothing_is_in_view_without_an_arm() -> None:
     assert brightest(Photographer(world, world.scene.left).triggered(frame(), 1)) < 30
 
 
-def at_first_fiducial(world: World, offset_mm: tuple[float, float, float] = (0.0, 0.0, 0.0)) -> None:
-    """Put the true tool centre point on the first sphere, the head looking down."""
-    scene = world.scene
-    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
-    tool = matrix_from(centre + offset_mm, rotation_towards((0.0, 0.0, -1.0), (1.0, 0.0, 0.0)))
-    flange = tool @ inverse(matrix_of(scene.mount.flange_from_tool_true))
-    world.publish_arm(ArmState((0.0,) * 6, flange, 1, True))
-
-
 def test_a_sphere_near_the_tool_centre_point_has_its_computed_place_in_both_cameras() -> None:
     world = World.create(named_scene("default", seed=4), paced=False)
     for offset in ((0.0, 0.0, 0.0), (4.0, -3.0, 2.0)):
-        at_first_fiducial(world, offset)
+        aim_at_first_sphere(world, offset)
         for truth in (world.scene.left, world.scene.right):
             view = View(world, truth)
             spheres = {sphere.number: sphere for sphere in view.spheres(view.pose())}
@@ -142,7 +133,7 @@ def test_a_sphere_near_the_tool_centre_point_has_its_computed_place_in_both_came
 
 def test_a_camera_sees_nothing_while_the_guide_is_mounted() -> None:
     world = World.create(named_scene("default"), paced=False)
-    at_first_fiducial(world)
+    aim_at_first_sphere(world)
     camera = Photographer(world, world.scene.left)
     assert brightest(camera.triggered(frame(), 1)) > 150
     world.mount_tool(world.scene.mount.tool_number_guide)
@@ -151,7 +142,7 @@ def test_a_camera_sees_nothing_while_the_guide_is_mounted() -> None:
 
 def test_a_free_running_camera_repeats_prepared_pictures_until_the_view_changes() -> None:
     world = World.create(named_scene("default"), paced=False)
-    at_first_fiducial(world)
+    aim_at_first_sphere(world)
     camera = Photographer(world, world.scene.left)
     first = camera.running(frame(), 0)[1]
     assert brightest(first) > 150
@@ -179,12 +170,9 @@ def test_a_picture_is_rendered_wherever_the_head_is_over_a_sphere(seed: int) -> 
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)
     generator = np.random.default_rng(seed)
-    centre = apply(matrix_of(scene.head.robot_from_ct), spheres_in_theatre(scene)[0].centre_ct_mm)
     frame = Settings().frame()
     for number in range(12):
         axis = generator.normal(0.0, 0.4, 3) - (0.0, 0.0, 1.0)
-        tool = matrix_from(centre + generator.normal(0.0, 12.0, 3), rotation_towards(axis, (1.0, 0.0, 0.0)))
-        flange = tool @ inverse(matrix_of(scene.mount.flange_from_tool_true))
-        world.publish_arm(ArmState((0.0,) * 6, flange, 1, True))
+        aim_at_first_sphere(world, generator.normal(0.0, 12.0, 3), axis)
         image = photographer.triggered(frame, number)
         assert len(image) == frame.payload_bytes

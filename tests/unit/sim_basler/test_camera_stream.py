@@ -30,10 +30,7 @@ LEADER_LAYOUT = ">HHQIIIIIHH"
 
 def triggered(bench: Any) -> None:
     """A camera that waits for software triggers, small frames."""
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("TriggerMode", 1) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(TriggerMode=1, AcquisitionStart=1)
 
 
 def header(packet: bytes) -> tuple[int, int, int, int]:
@@ -48,21 +45,18 @@ def stamp(frame: list[bytes]) -> int:
 
 def test_a_frame_carries_the_picture_and_its_trailer_the_number_of_rows(bench: Any) -> None:
     triggered(bench)
-    assert bench.set("TriggerSoftware", 1) == OK
-    frame = bench.frame()
+    frame = bench.shoot()
     assert b"".join(packet[8:] for packet in frame[1:-1]) == b"\1" * (64 * 48)
     assert struct.unpack_from(">HHI", frame[-1], 8) == (0, 1, 48)
 
 
 def test_the_leader_carries_geometry_format_and_time(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
+    bench.stream()
     for name, value in (("OffsetX", 160), ("OffsetY", 33), ("PixelFormat", PixelFormat.MONO12)):
         assert bench.set(name, value) == OK
-    assert bench.set("TriggerMode", 1) == bench.set("AcquisitionStart", 1) == OK
+    bench.put(TriggerMode=1, AcquisitionStart=1)
     moment_ns = bench.clock.time_ns
-    assert bench.set("TriggerSoftware", 1) == OK
-    leader = struct.unpack_from(LEADER_LAYOUT, bench.frame()[0], 8)
+    leader = struct.unpack_from(LEADER_LAYOUT, bench.shoot()[0], 8)
     assert leader == (0, 1, moment_ns // 8, PixelFormat.MONO12, 64, 48, 160, 33, 0, 0)
 
 
@@ -70,24 +64,22 @@ def test_block_ids_restart_at_one_with_every_acquisition(bench: Any) -> None:
     triggered(bench)
     for round_number in range(2):
         for expected in (1, 2, 3):
-            assert bench.set("TriggerSoftware", 1) == OK
-            frame = bench.frame()
+            frame = bench.shoot()
             assert {header(packet)[1] for packet in frame} == {expected}
             assert frame[1][8] == expected, f"image of another trigger in round {round_number}"
-        assert bench.set("AcquisitionStop", 1) == bench.set("AcquisitionStart", 1) == OK
+        bench.put(AcquisitionStop=1, AcquisitionStart=1)
 
 
 def pictures(bench: Any, count: int) -> list[int]:
     """Numbers of the pictures that so many triggers give."""
     found = []
     for _ in range(count):
-        assert bench.set("TriggerSoftware", 1) == OK
-        found.append(bench.frame()[1][8])
+        found.append(bench.shoot()[1][8])
     return found
 
 
 def restart(bench: Any) -> None:
-    assert bench.set("AcquisitionStop", 1) == bench.set("AcquisitionStart", 1) == OK
+    bench.put(AcquisitionStop=1, AcquisitionStart=1)
 
 
 def test_restarting_an_acquisition_at_the_same_position_repeats_its_last_picture(bench: Any) -> None:
@@ -106,13 +98,13 @@ def test_an_acquisition_at_another_position_or_setting_counts_from_one(
     bench.images.where = b"here"
     triggered(bench)
     assert pictures(bench, 2) == [1, 2]
-    assert bench.set("AcquisitionStop", 1) == OK
+    bench.put(AcquisitionStop=1)
     name, value = change
     if name == "place":
         bench.images.where = value
     else:
         assert bench.set(name, value) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.put(AcquisitionStart=1)
     assert pictures(bench, 2) == [1, 2]
 
 
@@ -121,16 +113,14 @@ def test_block_ids_wrap_to_one(bench: Any) -> None:
     bench.camera.channel._next_block_id = 65535
     found = []
     for _ in range(2):
-        assert bench.set("TriggerSoftware", 1) == OK
-        found.append(header(bench.frame()[0])[1])
+        found.append(header(bench.shoot()[0])[1])
     assert found == [65535, 1]
 
 
 def test_one_software_trigger_gives_exactly_one_frame(bench: Any) -> None:
     triggered(bench)
     assert bench.nothing_comes()
-    assert bench.set("TriggerSoftware", 1) == OK
-    bench.frame()
+    bench.shoot()
     assert bench.nothing_comes()
 
 
@@ -138,7 +128,7 @@ def test_triggers_while_busy_are_dropped_and_counted(bench: Any) -> None:
     triggered(bench)
     bench.images.gate.clear()
     for _ in range(4):
-        assert bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSoftware=1)
     assert bench.get("AcquisitionStatus") == 0
     bench.images.gate.set()
     bench.frame()
@@ -149,75 +139,55 @@ def test_triggers_while_busy_are_dropped_and_counted(bench: Any) -> None:
 
 @pytest.mark.parametrize("spoil", [("TriggerMode", 0), ("TriggerSource", 1), ("TriggerSelector", 0)])
 def test_a_trigger_that_is_not_enabled_does_nothing(bench: Any, spoil: tuple[str, int]) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("TriggerMode", 1) == OK
+    bench.stream(TriggerMode=1)
     assert bench.set("TriggerSoftware", 1) == OK  # before the start
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.put(AcquisitionStart=1)
     if spoil == ("TriggerMode", 0):
-        assert bench.set("AcquisitionStop", 1) == OK
+        bench.put(AcquisitionStop=1)
         assert bench.set(*spoil) == OK
     else:
         assert bench.set(*spoil) == OK
-        assert bench.set("TriggerSoftware", 1) == OK
+        bench.put(TriggerSoftware=1)
     assert bench.nothing_comes()
 
 
 def test_timestamps_grow_even_when_theatre_time_stops(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(AcquisitionStart=1)
     stamps = [stamp(bench.frame()) for _ in range(5)]
     assert np.all(np.diff(stamps) > 0)
 
 
 def test_free_running_frames_are_one_period_apart(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("AcquisitionFrameRateEnable", 1) == OK
-    assert bench.set("AcquisitionFrameRateAbs", 40.0) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(AcquisitionFrameRateEnable=1, AcquisitionFrameRateAbs=40.0, AcquisitionStart=1)
     stamps = [stamp(bench.frame()) for _ in range(5)]
     assert np.diff(stamps).tolist() == [125_000_000 // 40] * 4
 
 
 def test_single_frame_mode_takes_one_frame(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("AcquisitionMode", 0) == OK
+    bench.stream(AcquisitionMode=0)
     for _ in range(2):
-        assert bench.set("AcquisitionStart", 1) == OK
+        bench.put(AcquisitionStart=1)
         assert header(bench.frame()[0])[1] == 1
         assert bench.nothing_comes()
 
 
 def test_an_acquisition_start_trigger_permits_a_number_of_frames(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("TriggerSelector", 0) == bench.set("TriggerMode", 1) == OK
-    assert bench.set("AcquisitionFrameCount", 3) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(TriggerSelector=0, TriggerMode=1, AcquisitionFrameCount=3, AcquisitionStart=1)
     assert bench.nothing_comes()
-    assert bench.set("TriggerSoftware", 1) == OK
-    assert [header(bench.frame()[0])[1] for _ in range(3)] == [1, 2, 3]
+    assert [header(bench.shoot()[0])[1] for _ in range(3)] == [1, 2, 3]
     assert bench.nothing_comes()
 
 
 def test_a_trigger_delay_postpones_the_exposure(bench: Any) -> None:
-    bench.take_control(stream=True)
-    bench.small_frames()
-    assert bench.set("TriggerMode", 1) == bench.set("TriggerDelayAbs", 800.0) == OK
-    assert bench.set("AcquisitionStart", 1) == OK
+    bench.stream(TriggerMode=1, TriggerDelayAbs=800.0, AcquisitionStart=1)
     moment_ns = bench.clock.time_ns
-    assert bench.set("TriggerSoftware", 1) == OK
-    assert stamp(bench.frame()) == (moment_ns + 800_000) // 8
+    assert stamp(bench.shoot()) == (moment_ns + 800_000) // 8
 
 
 def test_a_trigger_in_lock_step_advances_the_theatre_by_exposure_and_readout(bench: Any) -> None:
     triggered(bench)
     begun_ns = bench.clock.time_ns
-    assert bench.set("TriggerSoftware", 1) == OK
-    bench.frame()
+    bench.shoot()
     frame = Settings(width=64, height=48).frame()
     assert bench.clock.time_ns - begun_ns == frame.exposure_us * 1000 + round(readout_us(frame) * 1e3)
 
@@ -229,10 +199,8 @@ def test_a_pair_in_lock_step_takes_the_time_of_one_frame(make_bench: Any) -> Non
         triggered(camera)
     begun_ns = left.clock.time_ns
     for number in range(3):
-        assert left.set("TriggerSoftware", 1) == OK
-        first = stamp(left.frame())  # the theatre has advanced before the second trigger comes
-        assert right.set("TriggerSoftware", 1) == OK
-        second = stamp(right.frame())
+        first = stamp(left.shoot())  # the theatre has advanced before the second trigger comes
+        second = stamp(right.shoot())
         assert 0 <= second - first <= SOFTWARE_TRIGGER_SKEW_NS // 8
         frame = Settings(width=64, height=48).frame()
         one_ns = frame.exposure_us * 1000 + round(readout_us(frame) * 1e3)
@@ -263,8 +231,7 @@ def test_a_scheduled_action_is_refused_without_a_common_clock(bench: Any) -> Non
 
 def test_only_the_requested_range_of_packets_is_resent(bench: Any) -> None:
     triggered(bench)
-    assert bench.set("TriggerSoftware", 1) == OK
-    frame = bench.frame()
+    frame = bench.shoot()
     for flags, payload in (
         (0, struct.pack(">HHII", 0, 1, 1, 2)),
         (0x10, struct.pack(">HHIIQ", 0, 0, 1, 2, 1)),
@@ -277,8 +244,7 @@ def test_only_the_requested_range_of_packets_is_resent(bench: Any) -> None:
 def test_a_request_for_an_unavailable_packet_is_answered_by_a_header_that_says_so(bench: Any) -> None:
     triggered(bench)
     for _ in range(KEPT_BLOCKS + 1):
-        assert bench.set("TriggerSoftware", 1) == OK
-        bench.frame()
+        bench.shoot()
     for block, packet in ((1, 2), (999, 1), (KEPT_BLOCKS + 1, 700)):
         request = bench.datagram(RESEND, struct.pack(">HHII", 0, block, packet, packet), flags=0)
         bench.camera.port.answer(request, ("127.0.0.1", 1))
@@ -289,8 +255,7 @@ def test_a_request_for_an_unavailable_packet_is_answered_by_a_header_that_says_s
 
 def test_another_host_cannot_request_packets(bench: Any) -> None:
     triggered(bench)
-    assert bench.set("TriggerSoftware", 1) == OK
-    bench.frame()
+    bench.shoot()
     request = bench.datagram(RESEND, struct.pack(">HHII", 0, 1, 1, 1), flags=0)
     bench.camera.port.answer(request, ("127.0.0.9", 1))
     assert bench.nothing_comes()
@@ -302,8 +267,7 @@ def test_losing_control_ends_the_stream_and_the_next_client_starts_from_one(benc
     assert bench.read(Bootstrap.SCP) == 0
     assert not bench.camera.acquiring
     triggered(bench)
-    assert bench.set("TriggerSoftware", 1) == OK
-    assert header(bench.frame()[0])[1] == 1
+    assert header(bench.shoot()[0])[1] == 1
 
 
 PACKET_BYTES = 8000

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import numpy as np
 import pydicom
+import pytest
 
-from sim.phantom.case import write_case
+from sim.phantom.case import PhantomCase, write_case
 from sim.world.scene.model import Scene
 
 
@@ -20,6 +21,11 @@ def digest(folder: Path) -> dict[str, str]:
         for path in sorted(folder.rglob("*"))
         if path.is_file()
     }
+
+
+@pytest.fixture(scope="module")
+def case(coarse_scene: Scene, tmp_path_factory: pytest.TempPathFactory) -> PhantomCase:
+    return write_case(coarse_scene, tmp_path_factory.mktemp("case"))
 
 
 def test_the_same_scene_gives_the_same_bytes_and_another_seed_a_different_series(
@@ -33,8 +39,7 @@ def test_the_same_scene_gives_the_same_bytes_and_another_seed_a_different_series
     assert first["series_instance_uid"] != other.series_instance_uid
 
 
-def test_the_series_is_a_ct_with_complete_geometry(coarse_scene: Scene, tmp_path: Path) -> None:
-    case = write_case(coarse_scene, tmp_path)
+def test_the_series_is_a_ct_with_complete_geometry(case: PhantomCase) -> None:
     truth = json.loads(case.truth.read_text())
     slices = [pydicom.dcmread(path) for path in sorted(case.series.glob("*.dcm"))]
     assert len(slices) == case.slices == 52
@@ -53,28 +58,30 @@ def test_the_series_is_a_ct_with_complete_geometry(coarse_scene: Scene, tmp_path
         assert one.pixel_array.max() <= 4095
 
 
-def test_the_plan_matches_the_scene(coarse_scene: Scene, tmp_path: Path) -> None:
-    case = write_case(coarse_scene, tmp_path)
+def test_the_plan_matches_the_scene(coarse_scene: Scene, case: PhantomCase) -> None:
     plan = tomllib.loads(case.plan.read_text())
     target = coarse_scene.head.targets[0]
-    assert plan["schema"] == 1
-    assert plan["series_instance_uid"] == case.series_instance_uid
-    assert plan["patient_orientation"] == "HFS"
-    assert plan["implanted"] == len(coarse_scene.head.fiducials)
-    assert plan["fiducials"] == "free"
-    assert plan["tool"] == "guide"
-    (trajectory,) = plan["trajectories"]
-    assert trajectory == {
+    trajectory = {
         "id": target.identifier,
         "entry_mm": list(target.entry_ct_mm),
         "target_mm": list(target.target_ct_mm),
         "free_angle_deg": target.free_angle_deg,
         "margin_mm": target.margin_mm,
     }
+    wanted = {
+        "schema": 1,
+        "series_instance_uid": case.series_instance_uid,
+        "patient_orientation": "HFS",
+        "implanted": len(coarse_scene.head.fiducials),
+        "fiducials": "free",
+        "tool": "guide",
+        "trajectories": [trajectory],
+    }
+    assert {key: plan[key] for key in wanted} == wanted
 
 
-def test_the_truth_lists_every_sphere(coarse_scene: Scene, tmp_path: Path) -> None:
-    truth = json.loads(write_case(coarse_scene, tmp_path).truth.read_text())
+def test_the_truth_lists_every_sphere(coarse_scene: Scene, case: PhantomCase) -> None:
+    truth = json.loads(case.truth.read_text())
     wanted = [list(fiducial.centre_ct_mm) for fiducial in coarse_scene.head.fiducials]
     assert [fiducial["centre_mm"] for fiducial in truth["fiducials"]] == wanted
     assert {fiducial["post_material"] for fiducial in truth["fiducials"]} <= {"metal", "polymer"}

@@ -14,11 +14,10 @@ from sim.phantom.case import write_case
 from sim.phantom.families.catalogue import FAMILIES, PAIR_DISTANCE_MM, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import CLEARANCE_MM, family_scan
 from sim.phantom.head.obstacles import XFRAME, XFRAME_CLOSE
-from sim.phantom.head.shapes import Ball, Point, Rod
+from sim.phantom.head.shapes import Ball, Rod
 from sim.phantom.scan import Scan
-from sim.world.scene.model import CtProtocol
-
-COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
+from sim.world.rigid import Point
+from sim.world.scene.model import Scene
 
 
 def centres(scan: Scan) -> np.ndarray:
@@ -130,10 +129,10 @@ def test_an_impossible_family_is_refused(arguments: dict[str, object], words: st
         family_scan(**({"name": "plain", "protocol": "good"} | arguments))  # type: ignore[arg-type]
 
 
-def test_the_truth_of_a_family_is_written_with_the_series(tmp_path: Path) -> None:
+def test_the_truth_of_a_family_is_written_with_the_series(coarse_scene: Scene, tmp_path: Path) -> None:
     scan = family_scan("bandage", "poor", seed=3)
     coarse = Scan(
-        scan.scene.model_copy(update={"ct": COARSE}),
+        scan.scene.model_copy(update={"ct": coarse_scene.ct}),
         scan.grid.__class__(scan.grid.origin_mm, 2.0, 4.0, 128, 128, 52),
         scan.anatomy,
         truth=scan.truth,

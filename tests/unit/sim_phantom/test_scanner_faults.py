@@ -23,11 +23,14 @@ from sim.phantom.scanner.grid import place_grid
 from sim.world.scene.model import Scene
 
 
-def planes_of(scene: Scene, **faults: Any) -> Planes:
+def scan_of(scene: Scene, **faults: Any) -> Scan:
+    """A scan without noise."""
     quiet = scene.model_copy(update={"ct": scene.ct.model_copy(update={"noise_HU": 0.0})})
-    planes = Planes(
-        Scan(quiet, place_grid(quiet.head, quiet.ct), draw_anatomy(quiet), faults=ScannerFaults(**faults))
-    )
+    return Scan(quiet, place_grid(quiet.head, quiet.ct), draw_anatomy(quiet), faults=ScannerFaults(**faults))
+
+
+def planes_of(scene: Scene, **faults: Any) -> Planes:
+    planes = Planes(scan_of(scene, **faults))
     with ThreadPoolExecutor(1) as pool:
         planes.paint_patches(pool)
     return planes
@@ -99,9 +102,8 @@ MIDDLE = 26  # a slice whose tilted rows stay within the straight ones
 
 
 def series_of(scene: Scene, folder: Path, **faults: Any) -> Path:
-    quiet = scene.model_copy(update={"ct": scene.ct.model_copy(update={"noise_HU": 0.0})})
-    scan = Scan(quiet, place_grid(quiet.head, quiet.ct), draw_anatomy(quiet), faults=ScannerFaults(**faults))
-    return write_case(quiet, folder, scan=scan).series
+    scan = scan_of(scene, **faults)
+    return write_case(scan.scene, folder, scan=scan).series
 
 
 def middle_of(series: Path) -> pydicom.Dataset:

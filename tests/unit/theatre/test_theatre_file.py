@@ -10,7 +10,7 @@ import tomli_w
 from drivers.kuka_rsi.options import read_options
 from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
-from ronna_hw.config import ProcedureSettings, parse_theatre, read_theatre_file
+from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError
 from sim.errors import BadCalibrationFile
 from sim.theatre.launch import CALIBRATION_FILE, read_calibrations
@@ -39,6 +39,12 @@ def _written(scene: Scene, folder: Path) -> Path:
     return path
 
 
+def _records(scene: Scene, folder: Path) -> Calibrations:
+    calibration = read_theatre_file(_written(scene, folder)).calibration
+    assert calibration is not None
+    return calibration
+
+
 def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:
     theatre = read_theatre_file(_written(named_scene("mini", seed=4), tmp_path))
     assert theatre.banner
@@ -49,8 +55,7 @@ def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path
     found, angles_rad = [], []
     for seed in range(30):
         scene = named_scene("mini", seed=seed)
-        record = read_theatre_file(_written(scene, tmp_path)).calibration
-        assert record is not None
+        record = _records(scene, tmp_path)
         tip = np.subtract(
             record.tool_tip.flange_from_tool.translation_mm,
             scene.mount.flange_from_tool_nominal.translation_mm,
@@ -58,24 +63,20 @@ def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path
         found.append(float(tip @ tip))
         angles_rad.append(2.0 * np.arccos(min(1.0, record.tool_tip.flange_from_tool.quaternion_wxyz[0])))
         assert not np.allclose(tip, 0.0)
-    stated = read_theatre_file(tmp_path / "theatre.toml").calibration
-    assert stated is not None
-    assert 0.7 < np.sqrt(np.mean(found)) / stated.tool_tip.stated_error_mm < 1.3
-    assert 0.7 < np.sqrt(np.mean(np.square(angles_rad))) / stated.tool_tip.stated_direction_error_rad < 1.3
+        assert 0.7 < np.sqrt(np.mean(found)) / record.tool_tip.stated_error_mm < 1.3
+    assert 0.7 < np.sqrt(np.mean(np.square(angles_rad))) / record.tool_tip.stated_direction_error_rad < 1.3
 
 
 def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_path: Path) -> None:
     scene = named_scene("mini", seed=4)
-    record = read_theatre_file(_written(scene, tmp_path)).calibration
-    assert record is not None
+    record = _records(scene, tmp_path)
     assert record.stereo_head.flange_from_tool == scene.mount.flange_from_tool_nominal
     assert record.stereo_head.flange_from_tool != scene.mount.flange_from_tool_true
 
 
 def test_a_camera_record_is_within_a_tenth_of_a_millimetre_of_the_truth(tmp_path: Path) -> None:
     scene = named_scene("mini", seed=4)
-    record = read_theatre_file(_written(scene, tmp_path)).calibration
-    assert record is not None
+    record = _records(scene, tmp_path)
     true = matrix_of(scene.left.camera_from_tool)
     stated = matrix_of(record.stereo_head.left.camera_from_tool)
     shift = (inverse(true) @ stated)[:3, 3]
@@ -84,8 +85,7 @@ def test_a_camera_record_is_within_a_tenth_of_a_millimetre_of_the_truth(tmp_path
 
 def test_a_calibrated_arm_has_a_record_with_a_small_residual_error(tmp_path: Path) -> None:
     scene = load_scene("mini", seed=4, calibrated=True)
-    record = read_theatre_file(_written(scene, tmp_path)).calibration
-    assert record is not None
+    record = _records(scene, tmp_path)
     assert record.arm is not None
     off = np.subtract(record.arm.joint_offset_rad, scene.arm.joint_offset_rad)
     assert 0.0 < np.abs(off).max() < 6e-4

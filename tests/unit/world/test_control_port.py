@@ -239,10 +239,7 @@ def test_one_fault_is_cleared_and_one_that_was_not_injected_is_refused(
     assert world.fault_script()[1] == ""
 
 
-@pytest.mark.parametrize(
-    "line",
-    ["at 0 s: tracker occlude marker 99 for 1 s", "tea"],
-)
+@pytest.mark.parametrize("line", ["at 0 s: tracker occlude marker 99 for 1 s", "tea"])
 def test_an_impossible_live_fault_is_refused_with_its_code(room: Room, line: str) -> None:
     answer: dict[str, Any] = room.answer({"do": "fault", "line": line})
     assert not answer["ok"]

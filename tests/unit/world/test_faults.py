@@ -17,6 +17,11 @@ from sim.world.scene.named_scenes import named_scene
 from sim.world.world import World
 
 
+@pytest.fixture
+def world() -> World:
+    return World.create(named_scene("mini"), paced=False)
+
+
 def arguments(board: FaultBoard, kind: str) -> tuple[str, ...]:
     return tuple(fault.argument for fault in board.active(kind))
 
@@ -64,10 +69,7 @@ def test_a_script_is_read_line_by_line_with_comments() -> None:
             "since step == relocalization: robot dorp 5 % for 1 s",
             "line 2, .* Did you mean: since step == relocalization: robot drop 5 % for 1 s",
         ),
-        (
-            "at 3 s: room loosen screw 1",
-            "line 2, .* expected 'marker', got 'screw'. Write for example: ",
-        ),
+        ("at 3 s: room loosen screw 1", "line 2, .* expected 'marker', got 'screw'. Write for example: "),
         ("at 3 s: emergency stop", "line 2, .* got 'emergency'. Did you mean: at 3 s: robot emergency stop"),
         (
             "robot drop 5 %",
@@ -87,8 +89,7 @@ def test_a_wrong_line_is_refused_with_its_position_the_expectation_and_a_suggest
         parse_faults("# first\n" + line)
 
 
-def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+def test_a_fault_acts_from_its_onset_for_its_duration(world: World) -> None:
     board = FaultBoard(world, "tracker")
     world.set_fault_script("at 1 s: tracker occlude marker 2 for 0.5 s")
     seen = []
@@ -98,8 +99,7 @@ def test_a_fault_acts_from_its_onset_for_its_duration() -> None:
     assert seen == [(), (), ("2",), ()]
 
 
-def test_a_fault_tied_to_a_step_begins_with_it_and_affects_only_its_device() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+def test_a_fault_tied_to_a_step_begins_with_it_and_affects_only_its_device(world: World) -> None:
     world.set_fault_script("when step == relocalization: robot drop 5 % for 1 s")
     robot, tracker = FaultBoard(world, "robot"), FaultBoard(world, "tracker")
     assert robot.active("drop") == ()
@@ -188,8 +188,7 @@ def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
         read_faults(tmp_path, named_scene("mini"))
 
 
-def test_a_fault_without_a_duration_lasts_to_the_end() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+def test_a_fault_without_a_duration_lasts_to_the_end(world: World) -> None:
     world.set_fault_script("now: robot drop 5 %")
     world.clock.sleep(1e6)
     assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
@@ -200,15 +199,15 @@ def test_now_is_replaced_by_the_time_of_the_request() -> None:
     assert begin_now("at 1 s: robot drop 5 %", 12.5) == "at 1 s: robot drop 5 %"
 
 
-def test_a_fault_that_begins_now_acts_while_the_clock_is_stopped() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+def test_a_fault_that_begins_now_acts_while_the_clock_is_stopped(world: World) -> None:
     world.clock.sleep(1 / 60)  # as after a frame of the tracker: no whole microsecond
     world.set_fault_script(begin_now("robot drop 5 %", world.clock.now_s()))
     assert arguments(FaultBoard(world, "robot"), "drop") == ("5",)
 
 
-def test_a_fault_requested_again_after_clearing_happens_again_while_the_clock_is_stopped() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+def test_a_fault_requested_again_after_clearing_happens_again_with_a_stopped_clock(
+    world: World,
+) -> None:
     board = FaultBoard(world, "robot")
     happened = []
     for script in ("at 0 s: robot collision", "", "at 0 s: robot collision", "at 0 s: robot drives off"):

@@ -42,7 +42,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
     guide = scene.mount.guide.model_copy(update=of_the_guide)
     scene = scene.model_copy(update={"mount": scene.mount.model_copy(update={"guide": guide})})
     world = World.create(scene, paced=False)
-    arm, hands = TrueArm(scene.arm, seed), Staff(world, None)
+    arm, staff = TrueArm(scene.arm, seed), Staff(world, None)
     recorded = Gauge.model_validate(GAUGE_AT.model_dump() | gauge_readings(scene), strict=False)
     for mounting in range(MOUNTINGS):
         world.mount_tool(scene.mount.tool_number_guide)
@@ -50,7 +50,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
         for motion in range(mounting * MOST_APPROACHES, (mounting + 1) * MOST_APPROACHES):
             flange = arm.at_rest(JOINTS_RAD, ALL_FROM_BELOW, motion)
             world.publish_arm(ArmState(JOINTS_RAD, flange, motion, True, ALL_FROM_BELOW))
-            read.append(hands.work(GAUGE, "", (*GAUGE_AT.joints_deg, GAUGE_AT.base_mm)))
+            read.append(staff.work(GAUGE, "", (*GAUGE_AT.joints_deg, GAUGE_AT.base_mm)))
             offset_mm, tilt_deg = compared(recorded, read)
             as_recorded = np.linalg.norm(offset_mm) <= GUIDE_NOTICEABLE_MM and tilt_deg <= TILT_LIMIT_DEG
             if len(read) >= APPROACHES and as_recorded:

@@ -34,15 +34,20 @@ def moved(scene: Scene, world: World) -> Manipulator:
     return arm
 
 
+def continued(world: World, folder: Path) -> World:
+    """The world of a theatre that continues this one."""
+    save_world(world, folder)
+    saved = read_saved_world(folder)
+    assert saved is not None
+    return saved.restore(world.scene, paced=False)
+
+
 def test_arm_tool_and_time_continue_from_where_they_were_left(scene: Scene, tmp_path: Path) -> None:
     world = World.create(scene, paced=False)
     before = moved(scene, world)
     world.mount_tool(2)
     world.clock.sleep(12.5)
-    save_world(world, tmp_path)
-    left = read_saved_world(tmp_path)
-    assert left is not None
-    again = left.restore(scene, paced=False)
+    again = continued(world, tmp_path)
     after = Manipulator(scene.arm, scene.seed, again.publish_arm, ControllerParameters(), again.arm())
     assert (again.clock.now_s(), again.mounted_tool(), again.mountings()) == (12.5, 2, 1)
     assert after.axes_deg == pytest.approx(before.axes_deg, abs=1e-12)
@@ -62,25 +67,18 @@ def test_lasting_changes_persist_and_occlusions_and_pushes_end(scene: Scene, tmp
         "at 99 s: room loosen marker 2 1 0 0 mm",
     )
     world.set_fault_script("\n".join(lines))
-    save_world(world, tmp_path)
-    left = read_saved_world(tmp_path)
-    assert left is not None
-    again = left.restore(scene, paced=False)
+    again = continued(world, tmp_path)
     assert ShiftedRoom(again).now() == RoomShift(head_mm=(0.0, 0.5, 0.0))
     (twist,) = FaultBoard(again, "camera").acting()
     assert (twist.kind.name, twist.duration_s) == ("twist", pytest.approx(14.0))
     assert FaultBoard(again, "tracker").empty
 
 
-def test_a_rolling_cart_continues_from_its_current_position(tmp_path: Path) -> None:
-    scene = named_scene("mini", seed=3)
+def test_a_rolling_cart_continues_from_its_current_position(scene: Scene, tmp_path: Path) -> None:
     world = World.create(scene, paced=False)
     world.set_fault_script("at 0 s: room unlocked cart 0 6 0 mm per min")
     world.clock.advance_cycle(30_000_000_000)
-    save_world(world, tmp_path)
-    left = read_saved_world(tmp_path)
-    assert left is not None
-    again = left.restore(scene, paced=False)
+    again = continued(world, tmp_path)
     assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -3.0, 0.0))
     again.clock.advance_cycle(10_000_000_000)
     assert ShiftedRoom(again).now().head_mm == pytest.approx((0.0, -4.0, 0.0))

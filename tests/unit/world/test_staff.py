@@ -37,9 +37,9 @@ def a_world(guide: Guide = EXACT) -> World:
 
 
 def tip_mm(world: World, folder: Path) -> np.ndarray:
-    hands = Staff(world, folder)
-    hands.work(DEPTH_STOP, "T1", (STOP_MM,))
-    hands.work(INSERT, "T1", ())
+    staff = Staff(world, folder)
+    staff.work(DEPTH_STOP, "T1", (STOP_MM,))
+    staff.work(INSERT, "T1", ())
     return np.array(read_samples(folder)[-1].tip_mm)
 
 

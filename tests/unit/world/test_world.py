@@ -1,12 +1,18 @@
+"""The shared world, the samples of its truth, and its noise."""
+
+from __future__ import annotations
+
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from ronna_hw.clock import CLOCK, open_clock
-from sim.errors import WorldUnavailable
+from sim.errors import BadTruth, WorldUnavailable
+from sim.world.noise import noise
 from sim.world.rigid import matrix_from, rotation_from_vector
 from sim.world.scene.named_scenes import named_scene
+from sim.world.truth import TRUTH_FILE, TipSample, TrueGuide, append_sample, read_samples, sample_instrument
 from sim.world.world import ArmState, World
 
 
@@ -39,3 +45,50 @@ def test_the_clock_is_in_its_own_memory_block_without_the_scene() -> None:
     assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK.size_bytes
     world.clock.sleep(2.0)
     assert World.open(world.endpoint).clock.now_s() == open_clock(world.clock_endpoint).now_s() == 2.0
+
+
+def sampled() -> TipSample:
+    world = World.create(named_scene("mini"), paced=False)
+    return sample_instrument(world, TrueGuide(world), "T1", 165.0, 0)
+
+
+def test_samples_are_read_back_unchanged(tmp_path: Path) -> None:
+    sample = sampled()
+    append_sample(sample, tmp_path)
+    assert read_samples(tmp_path) == [sample]
+
+
+def test_every_bad_line_of_the_truth_is_reported(tmp_path: Path) -> None:
+    append_sample(sampled(), tmp_path)
+    with (tmp_path / TRUTH_FILE).open("a") as file:
+        file.write('{"target": "T1"\nnonsense\n')
+    with pytest.raises(BadTruth, match=r"SIM-007: .* invalid lines: line 2: .*line 3: "):
+        read_samples(tmp_path)
+
+
+def test_truth_that_is_not_text_is_refused(tmp_path: Path) -> None:
+    (tmp_path / TRUTH_FILE).write_bytes(b"\xff\xfe")
+    with pytest.raises(BadTruth, match="not UTF-8 text"):
+        read_samples(tmp_path)
+
+
+def test_the_same_key_and_counter_always_give_the_same_numbers() -> None:
+    assert np.array_equal(noise(7, "tracker", 12).normal(size=5), noise(7, "tracker", 12).normal(size=5))
+
+
+def test_seed_device_counter_and_lane_each_change_the_numbers() -> None:
+    keys = [
+        (7, "tracker", 12, 0),
+        (8, "tracker", 12, 0),
+        (7, "arm", 12, 0),
+        (7, "tracker", 13, 0),
+        (7, "tracker", 12, 1),
+    ]
+    first = [noise(*key).normal() for key in keys]
+    assert len(set(first)) == len(keys)
+
+
+def test_the_numbers_of_many_counters_are_standard_normal() -> None:
+    values = np.array([noise(1, "arm", counter).normal(size=3) for counter in range(2000)])
+    assert abs(values.mean()) < 0.05
+    assert abs(values.std() - 1.0) < 0.05

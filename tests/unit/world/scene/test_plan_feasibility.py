@@ -25,6 +25,22 @@ from sim.world.scene.plan_feasibility import PlanFeasibility
 LEAST_BEND_RAD = math.radians(4.0)
 
 
+def setting_of(scene: Scene) -> ArmSetting:
+    arm = kr6_r900(scene.arm.variant)
+    return ArmSetting(
+        arm,
+        scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),
+        scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL),
+        strategy_named("ocs"),
+        start_rad=radians6(*scene.arm.home_deg),
+        limits=working_limits(arm),
+    )
+
+
+def trajectories_of(scene: Scene) -> list[Trajectory]:
+    return [Trajectory(t.identifier, t.entry_ct_mm, t.target_ct_mm) for t in scene.head.targets]
+
+
 @pytest.mark.parametrize("seed", range(8))
 @pytest.mark.parametrize(
     ("name", "markers", "targets"), [("default", 5, 3), ("default", 8, 6), ("mini", 3, 1)]
@@ -33,15 +49,7 @@ def test_every_pose_of_a_built_in_scene_is_within_reach_and_away_from_singularit
     name: str, markers: int, targets: int, seed: int
 ) -> None:
     scene = named_scene(name, seed=seed, markers=markers, targets=targets)
-    setting = ArmSetting(
-        kr6_r900(scene.arm.variant),
-        scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),
-        scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL),
-        strategy_named("ocs"),
-        start_rad=radians6(*scene.arm.home_deg),
-        limits=working_limits(kr6_r900(scene.arm.variant)),
-    )
-    trajectories = [Trajectory(t.identifier, t.entry_ct_mm, t.target_ct_mm) for t in scene.head.targets]
+    setting, trajectories = setting_of(scene), trajectories_of(scene)
     check = check_paths(setting, trajectories, [f.centre_ct_mm for f in scene.head.fiducials])
     assert check.passed, check.unmet
     assert min(setting.kinematics.wrist_bend_rad(one.at_rad) for one in check.reached) > LEAST_BEND_RAD
@@ -103,15 +111,9 @@ def test_the_planner_accepts_eight_markers_and_ten_targets_of_a_hundred_seeds() 
 
 def accept(scene: Scene) -> None:
     """Plan the drawn trajectories with the planner, which raises if it refuses them."""
-    robot_from_ct = scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
-    tool = scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
-    arm = kr6_r900(scene.arm.variant)
-    setting = ArmSetting(arm, robot_from_ct, tool, strategy_named("ocs"), arm.home_rad, working_limits(arm))
-    trajectories = [
-        Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm)
-        for target in scene.head.targets
-    ]
     left, right = (inverse(matrix_of(camera.camera_from_tool))[:3, 3] for camera in (scene.left, scene.right))
     fiducials = [fiducial.centre_ct_mm for fiducial in scene.head.fiducials]
-    turned = choose_free_angles(setting, trajectories, fiducials, StereoSight(left, right))
+    turned = choose_free_angles(
+        setting_of(scene), trajectories_of(scene), fiducials, StereoSight(left, right)
+    )
     turned.check.require()
