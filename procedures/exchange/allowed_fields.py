@@ -7,12 +7,14 @@ are named by their DICOM UIDs: without them no other program could overlay the r
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
 
 from pydicom.dataset import Dataset
 
 from procedures.exchange.errors import FieldNotAllowed
+
+M = TypeVar("M")
 
 # Trajectory names are free text in the plan and may contain a patient's name: only plain labels such as T1 or
 # L12 are exported; any other trajectory is identified by its number.
@@ -64,6 +66,11 @@ FILLED_ATTRIBUTES = (
     *("FrameOfReferenceTransformationMatrix", "UsedFiducialsSequence", "ReferencedSOPClassUID"),
     "ReferencedSOPInstanceUID",
 )
+
+
+def named_spheres(markers: Iterable[M]) -> dict[str, M]:
+    """Name the spheres of a localization M1, M2, ... in their order."""
+    return {f"M{number}": marker for number, marker in enumerate(markers, 1)}
 
 
 def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:

@@ -14,10 +14,9 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import (
     UID,
@@ -28,8 +27,9 @@ from pydicom.uid import (
 )
 from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import label_of, require_allowed
+from procedures.exchange.allowed_fields import label_of, named_spheres, require_allowed
 from procedures.exchange.errors import NotWritable
+from procedures.imaging.markers import Marker
 from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
 from ronna_hw.records import canonical_json, write_whole
@@ -55,70 +55,42 @@ class Origin:
     key: str
 
 
-@dataclass(frozen=True)
-class Fiducial:
-    """A point: name, position (LPS, mm), radius of its uncertainty (3-D rms, mm), and kind.
-
-    An uncertainty of 0 means not stated.
-    """
-
-    name: str
-    centre_mm: tuple[float, float, float]
-    uncertainty_mm: float
-    description: str = "marker sphere"
-
-
-class Located(Protocol):
-    """A sphere of the CT: centre (3,) in LPS mm and its covariance (3, 3) in mm2."""
-
-    @property
-    def centre_mm(self) -> ArrayLike: ...
-
-    @property
-    def covariance_mm2(self) -> ArrayLike: ...
-
-
-def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
-    """Spheres of a localization, named M1, M2, ... in their order."""
-    made = []
-    for number, marker in enumerate(markers, 1):
-        x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
-        rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
-        made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
-    return tuple(made)
-
-
-def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
+def fiducial_uid(origin: Origin, name: str) -> str:
     """The UID of a sphere, both in the fiducials object and in a registration that used it."""
-    return str(uid(origin, "fiducial", fiducial.name))
+    return str(uid(origin, "fiducial", name))
 
 
-def spatial_fiducials(
-    fiducials: Sequence[Fiducial],
-    origin: Origin,
-    *,
-    label: str = "MARKERS",
-    description: str = "centres of marker spheres",
-) -> Dataset:
-    """The object for the points of one CT series."""
+def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
+    """The object for the spheres of one CT series, M1, M2, ... in their order."""
+    points = [
+        _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
+        for name, marker in named_spheres(markers).items()
+    ]
+    return _spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
+
+
+def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:
     made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
     group = Dataset()
     group.FrameOfReferenceUID = origin.frame_of_reference_uid
-    group.FiducialSequence = [_fiducial_item(fiducial, origin) for fiducial in fiducials]
+    group.FiducialSequence = points
     made.FiducialSetSequence = [group]
     return made
 
 
-def _fiducial_item(fiducial: Fiducial, origin: Origin) -> Dataset:
+def _point(
+    name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
+) -> Dataset:
+    """An item for a point, LPS mm; an uncertainty (3-D rms) of 0 is not stated."""
     item = Dataset()
-    item.FiducialIdentifier = fiducial.name
-    item.FiducialDescription = fiducial.description
-    item.FiducialUID = fiducial_uid(origin, fiducial)
+    item.FiducialIdentifier = name
+    item.FiducialDescription = description
+    item.FiducialUID = fiducial_uid(origin, name)
     item.ShapeType = "POINT"
     item.NumberOfContourPoints = 1
-    item.ContourData = decimals(fiducial.centre_mm)
-    if fiducial.uncertainty_mm > 0.0:
-        item.ContourUncertaintyRadius = fiducial.uncertainty_mm
+    item.ContourData = decimals(place_mm)
+    if uncertainty_mm > 0.0:
+        item.ContourUncertaintyRadius = uncertainty_mm
     return item
 
 
@@ -203,8 +175,8 @@ def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], fold
     """
     key = hashlib.sha256(canonical_json(check.model_dump(mode="json"))).hexdigest()
     origin = Origin(check.pre_series_instance_uid, frames[0], datetime.now(UTC), key)
-    points = spatial_fiducials(
-        _points(check), origin, label="POSTOPERATIVE", description="planned and found entries and targets"
+    points = _spatial_fiducials(
+        _trajectory_points(check, origin), origin, "POSTOPERATIVE", "planned and found entries and targets"
     )
     written = [write(require_allowed(points), folder / POINTS_FILE)]
     if frames[0] != frames[1]:
@@ -216,7 +188,7 @@ def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], fold
     return tuple(written)
 
 
-def _points(check: PostoperativeCheck) -> list[Fiducial]:
+def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Dataset]:
     found = []
     for number, one in enumerate(check.trajectories, start=1):
         label = label_of(one.id, number)
@@ -227,7 +199,7 @@ def _points(check: PostoperativeCheck) -> list[Fiducial]:
             "tip": one.tip_mm,
         }
         found += [
-            Fiducial(f"{label} {what}", place, 0.0, "point of a trajectory")
+            _point(f"{label} {what}", place, origin, "point of a trajectory")
             for what, place in places.items()
             if place is not None
         ]

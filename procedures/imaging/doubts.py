@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.sphere_centre.ball_model import Stretch
-from procedures.imaging.sphere_centre.ball_voxels import METAL_HU
+from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch
 from procedures.imaging.sphere_centre.radial_edge import (
     INLIER,
     OUTSIDE_FROM,

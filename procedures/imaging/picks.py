@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
-from procedures.imaging.examination import as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine, judge_shape
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
@@ -27,8 +27,7 @@ from procedures.imaging.localization import (
     judge_together,
     require_count,
 )
-from procedures.imaging.markers import PICKED, Candidate, Localization
-from procedures.imaging.measurement import Sphere
+from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_faults import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
@@ -81,16 +80,14 @@ def localize_picks(
     ]
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)
-    markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]
+    markers = (as_marker(sphere, found, volume, radius_mm) for sphere in found)
     return Localization(
-        markers=tuple(
-            sorted((replace(marker, flags=(*marker.flags, PICKED)) for marker in markers), key=head_to_foot)
-        ),
+        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
         candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=distortion_warnings(markers, radius_mm),
+        warnings=distortion_warnings([sphere.stretch for sphere in found], radius_mm),
     )
 
 

@@ -89,15 +89,14 @@ def localize_as_thesis(
             centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
             if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
                 marker, reason = None, "overlaps a marker that was already found"
-            x, y, z = volume.geometry.grid_mm_to_patient_mm(centre_mm).tolist()
-            candidates.append(Candidate((x, y, z), marker is not None, reason, 0.0))
+            candidates.append(Candidate(volume.patient_mm(centre_mm), marker is not None, reason, 0.0))
             if marker is not None:
                 markers.append(marker)
                 taken.append(centre_mm)
         progress((number + 1) / len(boxes))
     require_count(len(markers), expected, tuple(candidates))
     return Localization(
-        markers=tuple(sorted(markers, key=head_to_foot)),
+        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
         candidates=tuple(candidates),
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
@@ -114,12 +113,13 @@ def _marker(
     if abs(found_radius_mm - radius_mm) > RADIUS_TOLERANCE_MM:
         return centre_mm, None, f"has radius {found_radius_mm:.2f} mm instead of {radius_mm:.2f}"
     marker = Marker(
-        centre_mm=volume.geometry.grid_mm_to_patient_mm(centre_mm),
-        covariance_mm2=REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3),
+        centre_mm=volume.patient_mm(centre_mm),
+        covariance_mm2=(REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3)).tolist(),
         radius_mm=found_radius_mm,
         quality=share,
         agreement_mm=float(np.linalg.norm(by_lines_mm - by_sphere_mm)),
         flags=(COVARIANCE_ASSUMED,),
+        odds=1.0,
     )
     return centre_mm, marker, "is a marker"
 

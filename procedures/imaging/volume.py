@@ -107,6 +107,11 @@ class Volume:
         """Size along (slice, row, column) from face to face, (3,) mm."""
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
 
+    def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
+        """Patient position (LPS) of a grid position (3,) mm."""
+        x, y, z = self.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
+        return x, y, z
+
 
 @dataclass(frozen=True, eq=False)
 class Region:

@@ -21,22 +21,20 @@ from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
+    HIDDEN_DEPTH_MM,
     IN,
+    MIN_VOXELS,
     OUT,
     RADIUS,
     SLOPE,
     SXY,
     SZ,
-    Stretch,
-    polynomial,
-    products,
-)
-from procedures.imaging.sphere_centre.ball_voxels import (
-    HIDDEN_DEPTH_MM,
-    MIN_VOXELS,
     BallVoxels,
+    Stretch,
     first_guess,
     in_directions,
+    polynomial,
+    products,
     voxels_of_ball,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (

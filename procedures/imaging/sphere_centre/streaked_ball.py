@@ -20,21 +20,19 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from procedures.imaging.sphere_centre.ball_model import (
+    BLUR_LIMITS_MM,
+    MIN_VOXELS,
     OUT,
     RADIUS,
     SXY,
     SZ,
     Stretch,
+    first_guess,
     flat_weights,
+    in_directions,
     intensities,
     scale,
     stretched_ball,
-)
-from procedures.imaging.sphere_centre.ball_voxels import (
-    BLUR_LIMITS_MM,
-    MIN_VOXELS,
-    first_guess,
-    in_directions,
     voxels_of_ball,
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions

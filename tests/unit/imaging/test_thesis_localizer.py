@@ -48,7 +48,7 @@ def test_the_third_of_exactly_three_spheres_is_not_lost(tmp_path: Path) -> None:
 
 def test_the_covariance_is_the_error_reported_in_the_thesis(volume: Volume) -> None:
     marker = localize_as_thesis(volume, ThesisFit.SPHERE).markers[0]
-    assert np.sqrt(marker.covariance_mm2.trace()) == pytest.approx(0.1617)
+    assert marker.sigma_mm == pytest.approx(0.1617)
 
 
 def test_an_empty_scan_and_impossible_requests_are_refused(make_scan: Callable[..., Any]) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.imaging.measurement import combine
+from procedures.imaging.examination import combine
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     IN,
@@ -19,12 +19,12 @@ from procedures.imaging.sphere_centre.ball_model import (
     SLOPE,
     SXY,
     SZ,
+    BallVoxels,
     Stretch,
     intensities,
     polynomial,
     products,
 )
-from procedures.imaging.sphere_centre.ball_voxels import BallVoxels
 from procedures.imaging.sphere_centre.blurred_ball import (
     BENT,
     EDGE,
