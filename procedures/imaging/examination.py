@@ -5,6 +5,7 @@ with them. The estimators see the same noise, so their errors are correlated. Wh
 noise explains, the image fits neither model, and the difference is added to the covariance. A streak band
 across the ball can pull the model's radius and intensities far off, and its centre with them. Edges found by
 rays cannot move that far: then they alone determine centre and radius.
+"""
 
 from __future__ import annotations
 
