@@ -25,7 +25,13 @@ from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slope
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
-from procedures.calibration.pose_set import PlannedLook, order_by_orientation, require_count, turned_about
+from procedures.calibration.pose_set import (
+    PlannedLook,
+    held_out_indices,
+    order_by_orientation,
+    require_count,
+    turned_about,
+)
 from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -92,8 +98,8 @@ class FrameLooks(Measurements):
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
     """Assign a purpose to each measurement, with those for validation spread evenly."""
     total = count + validation
-    judging = {round((number + 0.5) * total / validation) for number in range(validation)}
-    return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
+    held_out = held_out_indices(total, validation)
+    return tuple(Use.VALIDATION if number in held_out else Use.FIT for number in range(total))
 
 
 def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Literal
 
@@ -107,11 +107,6 @@ class TipLooks(Measurements):
     def records(self) -> Mapping[str, Dated | None]:
         """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
-
-
-def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
-    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
-    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
 @dataclass(frozen=True)
@@ -286,10 +281,6 @@ class TipPairs:
     def count(self) -> int:
         """Number of orientations."""
         return len(self.at_ball)
-
-    def only(self, rows: NDArray[np.bool_]) -> TipPairs:
-        """Select orientations."""
-        return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:

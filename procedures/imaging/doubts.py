@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch
+from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch, stretch_matrix, stretch_terms
 from procedures.imaging.sphere_centre.radial_edge import (
     INLIER,
     OUTSIDE_FROM,
@@ -112,10 +112,11 @@ def _doubts(
     place, left = _first_fall(profiles, shares, levels_hu)
     opens = informative & left
     covered = informative & ~left
-    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), informative)
+    border_hu = _around(np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative)
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
-        early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
+        middle, before = _levels_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)
+        early_hu = max(float((middle - before)[covered].mean()), 0.0)
     limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
     joined = covered & (border_hu < limit_hu)
     # at the rim of a cover or of metal the edge belongs to that
@@ -152,10 +153,7 @@ def _doubts(
 
 def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
     """Shift (rays,) of each ray above the usual levels on both sides of the edge, within limits."""
-    near, far = (
-        profiles[:, (shares > low) & (shares < high)].mean(axis=1)
-        for low, high in (STEP_INSIDE, STEP_OUTSIDE)
-    )
+    near, far = _levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)
     most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
 
@@ -176,10 +174,9 @@ def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array
     return np.where(falls.any(axis=1), place, CORE), np.asarray(~above.all(axis=1))
 
 
-def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
-    """Fall in intensity of each ray from one span of radii to another."""
-    near, far = (profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in (inner, outer))
-    return np.asarray(near - far)
+def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
+    """Mean intensity of each ray over spans of radii."""
+    return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
 def _around(values: Array, informative: Rays) -> Array:
@@ -208,14 +205,11 @@ def _extent_difference(ways: Array, offsets: Array) -> float:
     stretch is shrunk towards zero.
     """
     usable = np.abs(offsets) < EXTENT_CLIP
-    x, y, z = ways[usable].T
-    stretch = (x * x - z * z, y * y - z * z, x * y, x * z, y * z)
-    design = np.column_stack([np.ones(len(x)), x, y, z, *stretch])
+    seen = ways[usable]
+    design = np.column_stack([np.ones(len(seen)), seen, stretch_terms(seen)])
     drawn = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
-    a, b, c, d, e = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:].tolist()
-    matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
-    values = np.linalg.eigvalsh(matrix)
-    return float(np.ptp(values))
+    terms = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:]
+    return float(np.ptp(np.linalg.eigvalsh(stretch_matrix(terms))))
 
 
 def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -106,6 +107,12 @@ class Volume:
     def extent_mm(self) -> Array:
         """Size along (slice, row, column) from face to face, (3,) mm."""
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
+
+    def sample(self, places_mm: ArrayLike, outside_hu: float) -> NDArray[Any]:
+        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; else `outside_hu`."""
+        index = np.moveaxis(self.geometry.to_index(places_mm), -1, 0)
+        sampled = map_coordinates(self.voxels, index, output=np.float32, order=1, cval=outside_hu)
+        return np.asarray(sampled)
 
     def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
         """Patient position (LPS) of a grid position (3,) mm."""

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import ndimage
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
@@ -89,8 +88,7 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
     side = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM, STEP_MM)
     grid = along[:, None, None] * np.array([1.0, 0.0, 0.0]) + side[:, None] * across
     places = post_from_pre.apply(line.to_patient_mm(grid).reshape(-1, 3))
-    index = post.geometry.to_index(places).T
-    values = ndimage.map_coordinates(post.voxels, index, output=np.float32, order=1, cval=-1000)
+    values = post.sample(places, -1000)
     figure = Figure(figsize=(3.2, 6.4), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.18, 0.08, 0.8, 0.85))

@@ -26,7 +26,7 @@ from scipy.spatial import cKDTree
 from scipy.special import erfc
 
 from procedures.imaging.volume import Region
-from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.robust_scale import CAUCHY, cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -41,7 +41,6 @@ Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,)
 
 STEPS = 25
 DONE_MM = 5e-5
-CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
 FLAT_TO = 6.0  # standard deviations, at which the weight is a half
 MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
 MIN_GROWTH = 0.1
@@ -119,10 +118,8 @@ class Stretch:
     @classmethod
     def of_last_terms(cls, found: Array, covariance: Array) -> Self:
         """Extract the stretch from the parameters of a stretched ball and their covariance."""
-        a, b, c, d, e = found[-TERMS:].tolist()
-        matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
-        return cls(matrix, float(np.sqrt(variance)))
+        return cls(stretch_matrix(found[-TERMS:]), float(np.sqrt(variance)))
 
     @property
     def difference_mm(self) -> float:
@@ -132,11 +129,21 @@ class Stretch:
 
 def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
     """Append to a ball's derivatives (n, m) at points (n, 3) those by its stretch terms, (n, m + 5)."""
-    ways = points_mm - unknowns[:3]
-    ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
-    x, y, z = ways.T
-    terms = np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
-    return np.column_stack((derivatives, derivatives[:, RADIUS, None] * terms))
+    directions = points_mm - unknowns[:3]
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
+    return np.column_stack((derivatives, derivatives[:, RADIUS, None] * stretch_terms(directions)))
+
+
+def stretch_terms(directions: Array) -> Array:
+    """The five terms (n, 5) of a stretch along unit directions (n, 3)."""
+    x, y, z = directions.T
+    return np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
+
+
+def stretch_matrix(terms: Array) -> Array:
+    """The symmetric matrix (3, 3) without trace of five stretch terms."""
+    a, b, c, d, e = terms.tolist()
+    return np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
@@ -178,11 +185,6 @@ def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array]
 def scale(residuals: Array) -> float:
     """Robust standard deviation of the residuals."""
     return max(robust_sigma(residuals), MIN_NOISE_HU)
-
-
-def cauchy_weights(residuals: Array, noise: float) -> Array:
-    """Weights (n,) from 1 down to almost zero for outliers."""
-    return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * noise)) ** 2))
 
 
 def flat_weights(residuals: Array, noise: float) -> Array:

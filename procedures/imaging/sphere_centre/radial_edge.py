@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Region
-from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,6 @@ EDGE_TO = 1.10  # of the fitted radius: beyond this the edge has been passed
 PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
-CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
 MIN_SCALE_MM = 1e-3
 MIN_RAYS = 24
 
@@ -205,7 +204,7 @@ def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array,
         distances = np.linalg.norm(offsets, axis=1)
         residuals = distances - radius_mm
         scale = max(robust_sigma(residuals), MIN_SCALE_MM)
-        weights = 1.0 / (1.0 + (residuals / (CAUCHY * scale)) ** 2)
+        weights = cauchy_weights(residuals, scale)
         jacobian = np.column_stack([-offsets / distances[:, None], -np.ones(len(offsets))])
         normal = jacobian.T @ (weights[:, None] * jacobian)
         step = np.linalg.solve(normal + 1e-9 * np.eye(4), -jacobian.T @ (weights * residuals))
