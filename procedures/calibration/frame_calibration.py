@@ -30,6 +30,7 @@ from procedures.calibration.pose_set import (
     held_out_indices,
     order_by_orientation,
     require_count,
+    rms_mm,
     turned_about,
 )
 from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
@@ -208,12 +209,11 @@ def _validate(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]
     statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
     limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
-        rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
         got, refused_from = side_by_side(statistic, limit, 0)
         raise DoesNotFit(
             "the frame does not agree with the poses kept for validation",
             limit=f"chi-square {refused_from}",
-            got=f"{got}: {rms_mm:.2f} mm",
+            got=f"{got}: {rms_mm(misses[:, :3]):.2f} mm",
         )
     variances = np.einsum("mii->mi", covariances)
     mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))

@@ -35,7 +35,7 @@ from procedures.calibration.errors import (
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
-from procedures.calibration.pose_set import require_count, require_spread
+from procedures.calibration.pose_set import require_count, require_spread, rms_mm
 from ronna_hw.calibration import (
     ArmCalibration,
     Dated,
@@ -188,12 +188,12 @@ def _validate(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
-    rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+    found_mm = rms_mm(misses)
     # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
     ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
     limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
-    if rms_mm > limit_mm:
-        rms, limit = side_by_side(rms_mm, limit_mm, 3)
+    if found_mm > limit_mm:
+        rms, limit = side_by_side(found_mm, limit_mm, 3)
         raise DoesNotFit(
             "the tip does not agree with the readings kept for validation",
             limit=f"{limit} mm rms",

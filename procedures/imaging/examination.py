@@ -281,7 +281,7 @@ def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Spher
         edge.radius_mm,
         edge.inside_hu,
         edge.outside_hu,
-        hidden_ways=unseen if hidden else None,
+        hidden_directions=unseen if hidden else None,
     )
     if rough is None:
         return measure_under_streaks(region, edge, nominal_radius_mm)

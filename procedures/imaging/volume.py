@@ -167,14 +167,21 @@ class Region:
 
 def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region:
     """Cut the voxels within a cube around a grid position, clipped to the volume."""
-    spacing_mm = volume.geometry.spacing_mm
-    shape = np.array(volume.geometry.shape)
-    low = np.clip(np.floor((centre_mm - half_width_mm) / spacing_mm).astype(int), 0, shape - 1)
-    high = np.clip(np.ceil((centre_mm + half_width_mm) / spacing_mm).astype(int) + 1, low + 1, shape)
-    piece = volume.voxels[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    cube = cube_around(volume.geometry, centre_mm, half_width_mm)
+    piece = volume.voxels[cube]
     values = piece.astype(float)
     values[piece < OUTSIDE_FIELD_HU] = np.nan
-    return Region(values, low.astype(np.int64), spacing_mm)
+    start = np.array([part.start for part in cube], dtype=np.int64)
+    return Region(values, start, volume.geometry.spacing_mm)
+
+
+def cube_around(geometry: VoxelGeometry, centre_mm: Array, half_width_mm: float) -> tuple[slice, ...]:
+    """Voxels (slices, rows, columns) within a cube around a grid position, at least one along each axis."""
+    shape = np.array(geometry.shape)
+    low = np.clip(np.floor((centre_mm - half_width_mm) / geometry.spacing_mm).astype(int), 0, shape - 1)
+    high = np.ceil((centre_mm + half_width_mm) / geometry.spacing_mm).astype(int) + 1
+    high = np.clip(high, low + 1, shape)
+    return tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
 
 
 def _side(direction: Array) -> str:

@@ -126,16 +126,22 @@ def _agreeing(points_px: Array) -> NDArray[np.bool_]:
     """Mark the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
-    ab, ac = b - a, c - a
-    area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    area = np.where(np.abs(area) < 1e-6, np.inf, area)  # a repeated point: a circle of radius 0
-    square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
-    x = (ac[:, 1] * square_ab - ab[:, 1] * square_ac) / area
-    y = (ab[:, 0] * square_ac - ac[:, 0] * square_ab) / area
-    centre = a + np.stack([x, y], axis=1)
+    offset = circumcentre_offsets(b - a, c - a, least_area=1e-6)
+    centre = a + offset
     distance = np.hypot(points_px[:, 0] - centre[:, :1], points_px[:, 1] - centre[:, 1:])
-    near = np.abs(distance - np.hypot(x, y)[:, None]) < AGREEMENT_PX
+    near = np.abs(distance - np.hypot(offset[:, 0], offset[:, 1])[:, None]) < AGREEMENT_PX
     return np.asarray(near[near.sum(axis=1).argmax()])
+
+
+def circumcentre_offsets(ab: Array, ac: Array, least_area: float) -> Array:
+    """Centres (n, 2) of the circles through a, b and c, relative to a; 0 for nearly collinear points."""
+    doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    doubled_area = np.where(np.abs(doubled_area) < least_area, np.inf, doubled_area)
+    square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
+    offset = np.stack(
+        [ac[:, 1] * square_ab - ab[:, 1] * square_ac, ab[:, 0] * square_ac - ac[:, 0] * square_ab], axis=1
+    )
+    return np.asarray(offset / doubled_area[:, None])
 
 
 def _tukey(residual: Array) -> tuple[Array, float]:

@@ -278,11 +278,11 @@ class BallVoxels:
         """Drop voxels that do not belong to the fitted ball, such as its post, and their blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
-        strange = np.abs(residuals) > OUTLIER * scale(residuals)
-        if not strange.any():
+        outlying = np.abs(residuals) > OUTLIER * scale(residuals)
+        if not outlying.any():
             return self
         scaled = self.points_mm / np.maximum(OUTLIER_REACH_MM, self.spacing_mm)
-        distance, _ = cKDTree(scaled[strange]).query(scaled, distance_upper_bound=1.0 + 1e-6)
+        distance, _ = cKDTree(scaled[outlying]).query(scaled, distance_upper_bound=1.0 + 1e-6)
         clear = ~np.isfinite(distance)
         if clear.sum() < MIN_VOXELS:
             return self
@@ -305,14 +305,14 @@ class BallVoxels:
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
         derivatives = stretched_ball(places, unknowns, derivatives)
         residuals = self.values[clear] - modelled
-        left, weights = residuals, np.ones(len(residuals))
+        remaining, weights = residuals, np.ones(len(residuals))
         for _ in range(SHAPE_STEPS):
             normal = products(derivatives, weights[:, None] * derivatives)
             answer = np.linalg.pinv(normal, hermitian=True)
             step = answer @ (derivatives.T @ (weights * residuals))
-            left = residuals - derivatives @ step
-            weights = flat_weights(left, scale(left))
-        return Stretch.of_last_terms(step, CORRELATED * scale(left) ** 2 * np.asarray(answer))
+            remaining = residuals - derivatives @ step
+            weights = flat_weights(remaining, scale(remaining))
+        return Stretch.of_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
 
     def at(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
@@ -332,7 +332,7 @@ def _with_possible_blur(unknowns: Array) -> Array:
 
 
 def voxels_of_ball(
-    region: Region, centre_mm: Array, radius_mm: float, hidden_ways: Array | None
+    region: Region, centre_mm: Array, radius_mm: float, hidden_directions: Array | None
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
 
@@ -342,10 +342,10 @@ def voxels_of_ball(
     distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
     clean = _far_from_metal(region)
     usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
-    if hidden_ways is not None and len(hidden_ways) > 0:
+    if hidden_directions is not None and len(hidden_directions) > 0:
         offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
         outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
-        usable[usable] = ~in_directions(offsets, hidden_ways, outer)
+        usable[usable] = ~in_directions(offsets, hidden_directions, outer)
     at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
     metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
     return usable, metal_share
@@ -366,13 +366,13 @@ def _far_from_metal(region: Region) -> NDArray[np.bool_]:
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
 
 
-def in_directions(offsets_mm: Array, ways: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def in_directions(offsets_mm: Array, directions: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Mark the `asked` voxels (n, 3), relative to the centre, that lie in one of these directions."""
     found = np.zeros(len(asked), dtype=bool)
-    if len(ways) == 0:
+    if len(directions) == 0:
         return found
-    looked = offsets_mm[asked]
-    looked /= np.maximum(np.linalg.norm(looked, axis=1, keepdims=True), 1e-6)
-    distance, _ = cKDTree(ways).query(looked, distance_upper_bound=HIDDEN_REACH)
+    selected = offsets_mm[asked]
+    selected /= np.maximum(np.linalg.norm(selected, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(directions).query(selected, distance_upper_bound=HIDDEN_REACH)
     found[asked] = np.isfinite(distance)
     return found

@@ -110,7 +110,7 @@ def _fit_profiles(
     scanned = np.isfinite(profiles).all(axis=1)
     if scanned.sum() < MIN_RAYS:
         return None
-    rays, ways = profiles[scanned], directions[scanned]
+    rays, directions = profiles[scanned], directions[scanned]
     inner = np.median(rays[:, radii_mm < INSIDE_TO * nominal_radius_mm], axis=1)
     outer = np.median(rays[:, radii_mm > OUTSIDE_FROM * nominal_radius_mm], axis=1)
     inside_hu = float(np.median(inner))
@@ -123,14 +123,14 @@ def _fit_profiles(
     usable = (np.abs(inner - inside_hu) < margin_hu) & (np.abs(outer - outside_hu) < margin_hu)
     if usable.sum() < MIN_RAYS:
         return None
-    level_hu = _level_by_direction(0.5 * (inner + outer), ways, usable)
+    level_hu = _level_by_direction(0.5 * (inner + outer), directions, usable)
     edge_mm, crossed = _crossings(rays, radii_mm, level_hu)
     usable &= crossed
     if is_covered:  # rays that cross the cover before they end in the open
         usable &= np.abs(edge_mm - nominal_radius_mm) < COVERED_REACH * nominal_radius_mm
     if usable.sum() < MIN_RAYS:
         return None
-    points_mm = centre_mm + edge_mm[usable, None] * ways[usable]
+    points_mm = centre_mm + edge_mm[usable, None] * directions[usable]
     new_centre_mm, radius_mm, covariance_mm2, residuals_mm = _fit_sphere(points_mm, centre_mm)
     on_sphere = np.abs(residuals_mm) < INLIER * nominal_radius_mm
     opens = np.abs(outer - outside_hu) < margin_hu
@@ -175,9 +175,9 @@ def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
 
 
-def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
+def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
     """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
-    design = np.column_stack([np.ones(len(ways)), ways])
+    design = np.column_stack([np.ones(len(directions)), directions])
     solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solved)
 

@@ -12,8 +12,10 @@ from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
 Array = NDArray[np.float64]
 
 
-def as_volume(scan: Any) -> Volume:
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
+def as_volume(scan: Any, origin_mm: ArrayLike = (0.0, 0.0, 0.0), axes: ArrayLike | None = None) -> Volume:
+    """The scan; without axes, its grid positions are those of the patient."""
+    turned = np.eye(3) if axes is None else np.asarray(axes)
+    geometry = VoxelGeometry(scan.shape, np.asarray(origin_mm), turned, np.array(scan.spacing_mm))
     return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
 
 
