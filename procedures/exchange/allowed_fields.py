@@ -49,11 +49,11 @@ DOCUMENT_FIELDS = {
     "name": "of a sphere: M1, M2, ...",
 }
 # DICOM attributes, by the standard's keywords; those that must be present but empty come first.
-EMPTY_ATTRIBUTES = (
+ALWAYS_EMPTY = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),
     *("AccessionNumber", "ReferringPhysicianName", "StudyID", "Laterality", "ContentCreatorName"),
-    "PositionReferenceIndicator",
 )
+EMPTY_ATTRIBUTES = (*ALWAYS_EMPTY, "PositionReferenceIndicator")  # the last in registrations only
 FILLED_ATTRIBUTES = (
     *("SpecificCharacterSet", "SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID"),
     *("SeriesNumber", "InstanceNumber", "Modality", "Manufacturer", "ManufacturerModelName"),

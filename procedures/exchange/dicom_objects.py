@@ -27,7 +27,7 @@ from pydicom.uid import (
 )
 from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import label_of, named_spheres, require_allowed
+from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, named_spheres, require_allowed
 from procedures.exchange.errors import NotWritable
 from procedures.imaging.markers import Marker
 from procedures.postoperative.summary import PostoperativeCheck
@@ -112,13 +112,12 @@ def spatial_registration(
     the cart has moved, it is a different one.
     """
     spheres = spheres or origin
-    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = uid(spheres, "robot frame", placing)
-    made.PositionReferenceIndicator = ""
-    made.RegistrationSequence = [
-        _item(made.FrameOfReferenceUID, np.eye(4)),
+    robot_uid = uid(spheres, "robot frame", placing)
+    items = [
+        _item(robot_uid, np.eye(4)),
         _item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
     ]
+    made = _registration(origin, robot_uid, items, label, description)
     if fiducial_uids:
         made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]
     return made
@@ -133,13 +132,20 @@ def frames_registration(
     description: str,
 ) -> Dataset:
     """The object for the pose (4, 4) mm of a second CT in the frame of reference of the origin's CT."""
-    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = origin.frame_of_reference_uid
-    made.PositionReferenceIndicator = ""
-    made.RegistrationSequence = [
+    items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
     ]
+    return _registration(origin, origin.frame_of_reference_uid, items, label, description)
+
+
+def _registration(
+    origin: Origin, frame_uid: str, items: list[Dataset], label: str, description: str
+) -> Dataset:
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = frame_uid
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = items
     return made
 
 
@@ -218,8 +224,7 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.SpecificCharacterSet = "ISO_IR 192"
     made.SOPClassUID = sop_class
     made.SOPInstanceUID = instance
-    name_patient(made, "", "", "", "")
-    for name in ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "StudyID"):
+    for name in ALWAYS_EMPTY:
         setattr(made, name, "")
     made.StudyInstanceUID = uid(origin, "study")
     made.SeriesInstanceUID = uid(origin, modality, "series")
@@ -230,12 +235,10 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.ManufacturerModelName = NOT_CLINICAL
     made.DeviceSerialNumber = "none"
     made.SoftwareVersions = version("ronna-hw")
-    made.Laterality = ""
     made.ContentDate = origin.made.strftime("%Y%m%d")
     made.ContentTime = origin.made.strftime("%H%M%S")
     made.ContentLabel = label
     made.ContentDescription = description
-    made.ContentCreatorName = ""
     return made
 
 

@@ -49,6 +49,7 @@ def summary_of(
     """Convert the comparison to plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
+    doubts = (f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
     return PostoperativeCheck(
         pre_series_instance_uid=pre.series_instance_uid,
         post_series_instance_uid=post.series_instance_uid,
@@ -56,12 +57,8 @@ def summary_of(
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
         trajectories=proof.trajectories,
-        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
+        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *doubts),
     )
-
-
-def _doubts(proof: Proof) -> tuple[str, ...]:
-    return tuple(f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
 
 
 def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:

@@ -78,7 +78,8 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
     if len(points_px) < LEAST_POINTS:
         return None
     parameters = np.array([*start.centre_px, *start.shape])
-    scale = 1.0 / np.array([1.0, 1.0, *(3 * [_mean_radius(start) ** 2])])  # one unit moves the rim by 1 px
+    mean_radius = float(np.sqrt(np.prod(start.axes_px)))
+    scale = 1.0 / np.array([1.0, 1.0, *(3 * [mean_radius**2])])  # one unit moves the rim by 1 px
     agreeing = _agreeing(points_px).astype(float) if rough_start else np.ones(len(points_px))
     for iteration in range(START_ITERATIONS + ITERATIONS):
         residual, jacobian = _residuals(parameters, points_px)
@@ -148,8 +149,3 @@ def _tukey(residual: Array) -> tuple[Array, float]:
     sigma = max(robust_sigma(residual), SIGMA_FLOOR_PX)
     ratio = np.minimum(np.abs(residual) / (TUKEY * sigma), 1.0)
     return np.asarray((1.0 - ratio**2) ** 2), sigma
-
-
-def _mean_radius(ellipse: Ellipse) -> float:
-    major, minor = ellipse.axes_px
-    return float(np.sqrt(major * minor))

@@ -136,13 +136,14 @@ def _fit_profiles(
     opens = np.abs(outer - outside_hu) < margin_hu
     seen = np.zeros(len(profiles), dtype=bool)
     seen[np.flatnonzero(scanned)[usable][on_sphere]] = True
+    to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
     return RadialEdge(
         centre_mm=new_centre_mm,
         radius_mm=radius_mm,
         covariance_mm2=covariance_mm2,
         surface_share=float(on_sphere.sum()) / len(profiles),
         unscanned_share=1.0 - float(scanned.sum()) / len(profiles),
-        cut_share=_cut_share(profiles, radii_mm, radius_mm),
+        cut_share=1.0 - float(np.isfinite(to_edge).all(axis=1).mean()),
         inside_hu=inside_hu,
         outside_hu=outside_hu,
         coherence=float(on_sphere.sum()) / max(float(opens.sum()), 1.0),
@@ -157,12 +158,6 @@ def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
     is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
     is_covered = bool(is_open.mean() < OPEN_SHARE)
     return float(np.median(darker_hu[is_open] if is_covered else darker_hu)), is_covered
-
-
-def _cut_share(profiles: Array, radii_mm: Array, radius_mm: float) -> float:
-    """Share of rays without a value up to the sphere's edge and its blur."""
-    to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
-    return 1.0 - float(np.isfinite(to_edge).all(axis=1).mean())
 
 
 def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
