@@ -20,5 +20,4 @@ for warning in volume.warnings:
 result = localize(volume)
 for number, marker in enumerate(result.markers, start=1):
     x, y, z = marker.centre_mm
-    sigma_mm = marker.covariance_mm2.trace() ** 0.5
-    print(f"{number}: L {x:8.3f}  P {y:8.3f}  S {z:8.3f} mm  sigma {sigma_mm:.3f} mm", *marker.flags)
+    print(f"{number}: L {x:8.3f}  P {y:8.3f}  S {z:8.3f} mm  sigma {marker.sigma_mm:.3f} mm", *marker.flags)

@@ -1,4 +1,4 @@
-"""The size of residuals when some of them are outliers."""
+"""Size and weights of residuals when some of them are outliers."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 MAD_TO_SIGMA = 1.4826  # median absolute deviation to standard deviation, for normal noise
+CAUCHY = 2.385  # 95 % efficiency on normal noise
 
 
 def robust_sigma(residuals: NDArray[np.float64]) -> float:
@@ -14,3 +15,8 @@ def robust_sigma(residuals: NDArray[np.float64]) -> float:
     Half of them may be outliers.
     """
     return MAD_TO_SIGMA * float(np.median(np.abs(residuals)))
+
+
+def cauchy_weights(residuals: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+    """Weights (n,) from 1 down to almost zero for outliers, for noise of this standard deviation."""
+    return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * sigma)) ** 2))

@@ -20,13 +20,12 @@ from benchmarks.figures import Figure
 from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell
 from benchmarks.stereo_head.head_looks import TrueHead
 from procedures.calibration.head_model import cameras_of, intersect_rays, pose_record
-from procedures.calibration.pose_set import PlannedLook, order_by_orientation, turned_about
+from procedures.calibration.pose_set import PlannedLook, held_out_indices, order_by_orientation, turned_about
 from procedures.calibration.tip_calibration import (
     BallLook,
     DivotReading,
     TipLooks,
     calibrate_tip,
-    held_out_indices,
     pairs_of,
     tips_of,
 )

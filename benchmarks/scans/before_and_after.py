@@ -54,7 +54,8 @@ for line in sys.stdin:
         markers = localize(Volume(voxels, geometry, "1.2.3", "1.2.4")).markers
     except MarkerCountWrong:
         markers = ()
-    print(json.dumps([(m.centre_mm.tolist(), m.covariance_mm2.tolist()) for m in markers]), flush=True)
+    found = [(np.array(m.centre_mm).tolist(), np.array(m.covariance_mm2).tolist()) for m in markers]
+    print(json.dumps(found), flush=True)
 """
 
 
@@ -92,7 +93,16 @@ class OtherLocalizer:
         print(self._path, file=self._questions, flush=True)
         answer = json.loads(self._answers.readline())
         markers = tuple(
-            Marker(np.array(centre), np.array(spread), 0.0, 0.0, 0.0) for centre, spread in answer
+            Marker(
+                centre_mm=centre,
+                covariance_mm2=spread,
+                radius_mm=0.0,
+                quality=0.0,
+                agreement_mm=0.0,
+                flags=(),
+                odds=1.0,
+            )
+            for centre, spread in answer
         )
         return Localization(markers, (), "", "", 0.0) if markers else None
 

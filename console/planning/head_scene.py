@@ -83,7 +83,7 @@ class HeadScene:
             one.delete()
         self._marks = []
         for marker in self._editor.draft.markers:
-            self._ball(marker.centre_mm.tolist(), SPHERE_RADIUS_MM, SPHERE)
+            self._ball(list(marker.centre_mm), SPHERE_RADIUS_MM, SPHERE)
         for way in self._editor.draft.ways:
             colour = CHOSEN if way.identifier == self._look.way else OTHER
             for place, radius_mm in ((way.entry_mm, 2.0), (way.target_mm, 2.8)):

@@ -6,7 +6,6 @@ import asyncio
 from collections.abc import Awaitable, Callable, Iterable, Sequence
 from dataclasses import replace
 from functools import partial
-from math import sqrt
 
 import numpy as np
 from nicegui import ui
@@ -80,11 +79,9 @@ class MarkerPanel:
 
     def _build(self, markers: Iterable[Marker], candidates: Iterable[Candidate]) -> None:
         for number, marker in enumerate(markers, start=1):
-            sigma_mm = sqrt(float(marker.covariance_mm2.trace()))
-            x, y, z = marker.centre_mm.tolist()
-            about = ", ".join([f"σ {sigma_mm:.3f} mm", *marker.flags])
+            about = ", ".join([f"σ {marker.sigma_mm:.3f} mm", *marker.flags])
             with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
-                self._place(f"{number}", (x, y, z), about)
+                self._place(f"{number}", marker.centre_mm, about)
                 if self._may_edit:
                     small_button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
         others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]

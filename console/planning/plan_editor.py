@@ -251,7 +251,7 @@ class PlanEditor(ChangeNotifier):
         found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
         (marker,) = found.markers
         for number, one in enumerate(self.draft.markers, start=1):
-            if float(np.linalg.norm(one.centre_mm - marker.centre_mm)) < DIAMETER_MM:
+            if float(np.linalg.norm(np.subtract(one.centre_mm, marker.centre_mm))) < DIAMETER_MM:
                 raise PickRefused(f"this is sphere {number}")
         self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Awaitable, Callable, Iterable
+from collections.abc import Awaitable, Callable, Iterable, Sequence
 from math import hypot, sqrt
 from typing import Any
 from urllib.parse import urlencode
@@ -224,7 +224,7 @@ def _cross(cut: Cut, place_mm: Point) -> Iterable[str]:
         yield _line(x1, y1, x2, y2, CROSS, 1.0, shade)
 
 
-def _sphere(cut: Cut, centre_mm: NDArray[np.float64], name: str) -> Iterable[str]:
+def _sphere(cut: Cut, centre_mm: Sequence[float], name: str) -> Iterable[str]:
     x, y, off_mm = cut.to_picture(centre_mm)
     if abs(off_mm) >= SPHERE_RADIUS_MM:
         return

@@ -20,7 +20,13 @@ from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookA
 from procedures.calibration.errors import DoesNotFit, Unobservable
 from procedures.calibration.head_calibration import LIFE, moved_tip, new_identifier
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import centred_looks, require_consistent, require_count, require_spread
+from procedures.calibration.pose_set import (
+    centred_looks,
+    require_consistent,
+    require_count,
+    require_spread,
+    rms_mm,
+)
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.arm.pose import Pose
@@ -259,12 +265,12 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         raise DoesNotFit(
             "the identified arm does not agree with the measurements kept for validation",
             limit=f"chi-square {refused_from}",
-            got=f"{got}: {_rms(misses):.3f} mm",
+            got=f"{got}: {rms_mm(misses):.3f} mm",
         )
     return ArmValidation(
         misses_mm=misses,
         before_mm=_before(fit, looks),
-        error_mm=_rms(misses),
+        error_mm=rms_mm(misses),
         predicted_mm=_size_mm(own + random),
         model_mm=model_mm,
     )
@@ -330,13 +336,9 @@ def _before(fit: ArmFit, looks: LookArrays) -> float:
     for number in np.unique(looks.sphere):
         here = looks.sphere == number
         seen[here] -= seen[here].mean(axis=0)
-    return _rms(seen)
+    return rms_mm(seen)
 
 
 def _size_mm(covariances_mm2: Array) -> float:
     """3-D rms of errors with covariances (m, 3, 3)."""
     return float(np.sqrt(np.mean(np.einsum("mii->m", covariances_mm2))))
-
-
-def _rms(misses: Array) -> float:
-    return float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))

@@ -25,7 +25,14 @@ from procedures.calibration.hand_eye import HandEye, PosePairs, misses_of, slope
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
-from procedures.calibration.pose_set import PlannedLook, order_by_orientation, require_count, turned_about
+from procedures.calibration.pose_set import (
+    PlannedLook,
+    held_out_indices,
+    order_by_orientation,
+    require_count,
+    rms_mm,
+    turned_about,
+)
 from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
@@ -92,8 +99,8 @@ class FrameLooks(Measurements):
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
     """Assign a purpose to each measurement, with those for validation spread evenly."""
     total = count + validation
-    judging = {round((number + 0.5) * total / validation) for number in range(validation)}
-    return tuple(Use.VALIDATION if number in judging else Use.FIT for number in range(total))
+    held_out = held_out_indices(total, validation)
+    return tuple(Use.VALIDATION if number in held_out else Use.FIT for number in range(total))
 
 
 def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
@@ -202,12 +209,11 @@ def _validate(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]
     statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
     limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
-        rms_mm = float(np.sqrt(np.mean(np.sum(misses[:, :3] ** 2, axis=1))))
         got, refused_from = side_by_side(statistic, limit, 0)
         raise DoesNotFit(
             "the frame does not agree with the poses kept for validation",
             limit=f"chi-square {refused_from}",
-            got=f"{got}: {rms_mm:.2f} mm",
+            got=f"{got}: {rms_mm(misses[:, :3]):.2f} mm",
         )
     variances = np.einsum("mii->mi", covariances)
     mm, rad = (float(np.sqrt(np.mean(variances[:, part].sum(axis=1)))) for part in (slice(3), slice(3, 6)))

@@ -180,7 +180,3 @@ class PosePairs:
     def count(self) -> int:
         """Number of poses."""
         return len(self.robot_from_flange)
-
-    def only(self, rows: NDArray[np.bool_]) -> PosePairs:
-        """Select poses."""
-        return PosePairs(self.robot_from_flange[rows], self.tracker_from_marker[rows])

@@ -26,6 +26,7 @@ from procedures.calibration.head_model import (
     pose_record,
 )
 from procedures.calibration.observations import ObservationSet, stamp
+from procedures.calibration.pose_set import rms_mm
 from ronna_hw.arm.catalogue import kinematics_named
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
@@ -158,8 +159,7 @@ def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[T
         Frame.TOOL,
         RigidTransform.from_components(middle_flange - rotation.apply(middle_tool), rotation),
     )
-    misfit = pose.apply(tool) - flange
-    return pose, float(np.sqrt(np.mean(np.sum(misfit**2, axis=1))))
+    return pose, rms_mm(pose.apply(tool) - flange)
 
 
 def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:

@@ -90,7 +90,9 @@ class FlangeCamera:
         self, serial: str, sensor_px: tuple[int, int], flange_from_tool: Transform
     ) -> CameraCalibration:
         """Convert to a record relative to a tool frame."""
-        pose = Transform.from_matrix(Frame.CAMERA_LEFT, Frame.FLANGE, self._matrix()) @ flange_from_tool
+        matrix = np.eye(4)
+        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
+        pose = Transform.from_matrix(Frame.CAMERA_LEFT, Frame.FLANGE, matrix) @ flange_from_tool
         fx, fy = self.focal_px.tolist()
         cx, cy = self.principal_px.tolist()
         return CameraCalibration(
@@ -101,11 +103,6 @@ class FlangeCamera:
             sensor_px=sensor_px,
             camera_from_tool=pose_record(pose),
         )
-
-    def _matrix(self) -> Array:
-        matrix = np.eye(4)
-        matrix[:3, :3], matrix[:3, 3] = self.rotation, self.translation_mm
-        return matrix
 
 
 Cameras = tuple[FlangeCamera, FlangeCamera]

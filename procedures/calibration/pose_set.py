@@ -161,6 +161,16 @@ def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int |
     return PlannedLook(pose, (x, y, z), number)
 
 
+def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
+    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
+    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
+
+
+def rms_mm(misses_mm: Array) -> float:
+    """3-D rms of misses (m, 3)."""
+    return float(np.sqrt(np.mean(np.sum(misses_mm**2, axis=1))))
+
+
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
     """Raise CAL-002, naming `what`, below the minimum count."""
     if count < least:

@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 from datetime import timedelta
 from typing import Literal
 
@@ -35,7 +35,7 @@ from procedures.calibration.errors import (
 from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
-from procedures.calibration.pose_set import require_count, require_spread
+from procedures.calibration.pose_set import require_count, require_spread, rms_mm
 from ronna_hw.calibration import (
     ArmCalibration,
     Dated,
@@ -107,11 +107,6 @@ class TipLooks(Measurements):
     def records(self) -> Mapping[str, Dated | None]:
         """Calibration records in use."""
         return {"stereo_head": self.stereo_head, "tool_tip": self.start, "arm": self.arm_record}
-
-
-def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
-    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
-    return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
 @dataclass(frozen=True)
@@ -193,12 +188,12 @@ def _validate(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
     require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
     misses = tips_of(kept) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
-    rms_mm = float(np.sqrt(np.mean(np.sum(misses**2, axis=1))))
+    found_mm = rms_mm(misses)
     # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
     ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
     limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
-    if rms_mm > limit_mm:
-        rms, limit = side_by_side(rms_mm, limit_mm, 3)
+    if found_mm > limit_mm:
+        rms, limit = side_by_side(found_mm, limit_mm, 3)
         raise DoesNotFit(
             "the tip does not agree with the readings kept for validation",
             limit=f"{limit} mm rms",
@@ -286,10 +281,6 @@ class TipPairs:
     def count(self) -> int:
         """Number of orientations."""
         return len(self.at_ball)
-
-    def only(self, rows: NDArray[np.bool_]) -> TipPairs:
-        """Select orientations."""
-        return TipPairs(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def pairs_of(observed: TipLooks, readings: Sequence[DivotReading]) -> TipPairs:

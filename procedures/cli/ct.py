@@ -273,8 +273,7 @@ def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
 def _print_markers(result: Localization) -> None:
     rows = []
     for number, marker in enumerate(result.markers, start=1):
-        sigma_mm = float(marker.covariance_mm2.trace()) ** 0.5
-        lengths_mm = (*marker.centre_mm, sigma_mm, marker.agreement_mm)
+        lengths_mm = (*marker.centre_mm, marker.sigma_mm, marker.agreement_mm)
         sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
         rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
     terminal.print_table(

@@ -135,7 +135,7 @@ def read_ct(
                 raise
             why = f"the fiducials in the CT were not counted: {refused.code} {refused.what}"
             return volume, None, (why,)
-    return volume, [tuple(marker.centre_mm.tolist()) for marker in found.markers], found.warnings
+    return volume, [marker.centre_mm for marker in found.markers], found.warnings
 
 
 def propose(

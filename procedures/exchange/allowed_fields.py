@@ -7,12 +7,14 @@ are named by their DICOM UIDs: without them no other program could overlay the r
 from __future__ import annotations
 
 import re
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Iterable, Mapping
+from typing import Any, TypeVar
 
 from pydicom.dataset import Dataset
 
 from procedures.exchange.errors import FieldNotAllowed
+
+M = TypeVar("M")
 
 # Trajectory names are free text in the plan and may contain a patient's name: only plain labels such as T1 or
 # L12 are exported; any other trajectory is identified by its number.
@@ -47,11 +49,11 @@ DOCUMENT_FIELDS = {
     "name": "of a sphere: M1, M2, ...",
 }
 # DICOM attributes, by the standard's keywords; those that must be present but empty come first.
-EMPTY_ATTRIBUTES = (
+ALWAYS_EMPTY = (
     *("PatientName", "PatientID", "PatientBirthDate", "PatientSex", "StudyDate", "StudyTime"),
     *("AccessionNumber", "ReferringPhysicianName", "StudyID", "Laterality", "ContentCreatorName"),
-    "PositionReferenceIndicator",
 )
+EMPTY_ATTRIBUTES = (*ALWAYS_EMPTY, "PositionReferenceIndicator")  # the last in registrations only
 FILLED_ATTRIBUTES = (
     *("SpecificCharacterSet", "SOPClassUID", "SOPInstanceUID", "StudyInstanceUID", "SeriesInstanceUID"),
     *("SeriesNumber", "InstanceNumber", "Modality", "Manufacturer", "ManufacturerModelName"),
@@ -64,6 +66,11 @@ FILLED_ATTRIBUTES = (
     *("FrameOfReferenceTransformationMatrix", "UsedFiducialsSequence", "ReferencedSOPClassUID"),
     "ReferencedSOPInstanceUID",
 )
+
+
+def named_spheres(markers: Iterable[M]) -> dict[str, M]:
+    """Name the spheres of a localization M1, M2, ... in their order."""
+    return {f"M{number}": marker for number, marker in enumerate(markers, 1)}
 
 
 def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:

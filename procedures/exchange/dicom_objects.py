@@ -14,10 +14,9 @@ from datetime import UTC, datetime
 from importlib.metadata import version
 from io import BytesIO
 from pathlib import Path
-from typing import Protocol
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from pydicom.dataset import Dataset, FileMetaDataset
 from pydicom.uid import (
     UID,
@@ -28,8 +27,9 @@ from pydicom.uid import (
 )
 from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import label_of, require_allowed
+from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, named_spheres, require_allowed
 from procedures.exchange.errors import NotWritable
+from procedures.imaging.markers import Marker
 from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
 from ronna_hw.records import canonical_json, write_whole
@@ -55,70 +55,42 @@ class Origin:
     key: str
 
 
-@dataclass(frozen=True)
-class Fiducial:
-    """A point: name, position (LPS, mm), radius of its uncertainty (3-D rms, mm), and kind.
-
-    An uncertainty of 0 means not stated.
-    """
-
-    name: str
-    centre_mm: tuple[float, float, float]
-    uncertainty_mm: float
-    description: str = "marker sphere"
-
-
-class Located(Protocol):
-    """A sphere of the CT: centre (3,) in LPS mm and its covariance (3, 3) in mm2."""
-
-    @property
-    def centre_mm(self) -> ArrayLike: ...
-
-    @property
-    def covariance_mm2(self) -> ArrayLike: ...
-
-
-def fiducials(markers: Sequence[Located]) -> tuple[Fiducial, ...]:
-    """Spheres of a localization, named M1, M2, ... in their order."""
-    made = []
-    for number, marker in enumerate(markers, 1):
-        x, y, z = np.asarray(marker.centre_mm, dtype=float).tolist()
-        rms_mm = float(np.sqrt(np.trace(np.array(marker.covariance_mm2))))
-        made.append(Fiducial(f"M{number}", (x, y, z), rms_mm))
-    return tuple(made)
-
-
-def fiducial_uid(origin: Origin, fiducial: Fiducial) -> str:
+def fiducial_uid(origin: Origin, name: str) -> str:
     """The UID of a sphere, both in the fiducials object and in a registration that used it."""
-    return str(uid(origin, "fiducial", fiducial.name))
+    return str(uid(origin, "fiducial", name))
 
 
-def spatial_fiducials(
-    fiducials: Sequence[Fiducial],
-    origin: Origin,
-    *,
-    label: str = "MARKERS",
-    description: str = "centres of marker spheres",
-) -> Dataset:
-    """The object for the points of one CT series."""
+def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
+    """The object for the spheres of one CT series, M1, M2, ... in their order."""
+    points = [
+        _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
+        for name, marker in named_spheres(markers).items()
+    ]
+    return _spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
+
+
+def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, description: str) -> Dataset:
     made = new_object(origin, SpatialFiducialsStorage, "FID", label, description)
     group = Dataset()
     group.FrameOfReferenceUID = origin.frame_of_reference_uid
-    group.FiducialSequence = [_fiducial_item(fiducial, origin) for fiducial in fiducials]
+    group.FiducialSequence = points
     made.FiducialSetSequence = [group]
     return made
 
 
-def _fiducial_item(fiducial: Fiducial, origin: Origin) -> Dataset:
+def _point(
+    name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
+) -> Dataset:
+    """An item for a point, LPS mm; an uncertainty (3-D rms) of 0 is not stated."""
     item = Dataset()
-    item.FiducialIdentifier = fiducial.name
-    item.FiducialDescription = fiducial.description
-    item.FiducialUID = fiducial_uid(origin, fiducial)
+    item.FiducialIdentifier = name
+    item.FiducialDescription = description
+    item.FiducialUID = fiducial_uid(origin, name)
     item.ShapeType = "POINT"
     item.NumberOfContourPoints = 1
-    item.ContourData = decimals(fiducial.centre_mm)
-    if fiducial.uncertainty_mm > 0.0:
-        item.ContourUncertaintyRadius = fiducial.uncertainty_mm
+    item.ContourData = decimals(place_mm)
+    if uncertainty_mm > 0.0:
+        item.ContourUncertaintyRadius = uncertainty_mm
     return item
 
 
@@ -140,13 +112,12 @@ def spatial_registration(
     the cart has moved, it is a different one.
     """
     spheres = spheres or origin
-    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = uid(spheres, "robot frame", placing)
-    made.PositionReferenceIndicator = ""
-    made.RegistrationSequence = [
-        _item(made.FrameOfReferenceUID, np.eye(4)),
+    robot_uid = uid(spheres, "robot frame", placing)
+    items = [
+        _item(robot_uid, np.eye(4)),
         _item(origin.frame_of_reference_uid, robot_from_ct.as_matrix()),
     ]
+    made = _registration(origin, robot_uid, items, label, description)
     if fiducial_uids:
         made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]
     return made
@@ -161,13 +132,20 @@ def frames_registration(
     description: str,
 ) -> Dataset:
     """The object for the pose (4, 4) mm of a second CT in the frame of reference of the origin's CT."""
-    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
-    made.FrameOfReferenceUID = origin.frame_of_reference_uid
-    made.PositionReferenceIndicator = ""
-    made.RegistrationSequence = [
+    items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
     ]
+    return _registration(origin, origin.frame_of_reference_uid, items, label, description)
+
+
+def _registration(
+    origin: Origin, frame_uid: str, items: list[Dataset], label: str, description: str
+) -> Dataset:
+    made = new_object(origin, SpatialRegistrationStorage, "REG", label, description)
+    made.FrameOfReferenceUID = frame_uid
+    made.PositionReferenceIndicator = ""
+    made.RegistrationSequence = items
     return made
 
 
@@ -203,8 +181,8 @@ def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], fold
     """
     key = hashlib.sha256(canonical_json(check.model_dump(mode="json"))).hexdigest()
     origin = Origin(check.pre_series_instance_uid, frames[0], datetime.now(UTC), key)
-    points = spatial_fiducials(
-        _points(check), origin, label="POSTOPERATIVE", description="planned and found entries and targets"
+    points = _spatial_fiducials(
+        _trajectory_points(check, origin), origin, "POSTOPERATIVE", "planned and found entries and targets"
     )
     written = [write(require_allowed(points), folder / POINTS_FILE)]
     if frames[0] != frames[1]:
@@ -216,7 +194,7 @@ def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], fold
     return tuple(written)
 
 
-def _points(check: PostoperativeCheck) -> list[Fiducial]:
+def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Dataset]:
     found = []
     for number, one in enumerate(check.trajectories, start=1):
         label = label_of(one.id, number)
@@ -227,7 +205,7 @@ def _points(check: PostoperativeCheck) -> list[Fiducial]:
             "tip": one.tip_mm,
         }
         found += [
-            Fiducial(f"{label} {what}", place, 0.0, "point of a trajectory")
+            _point(f"{label} {what}", place, origin, "point of a trajectory")
             for what, place in places.items()
             if place is not None
         ]
@@ -246,8 +224,7 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.SpecificCharacterSet = "ISO_IR 192"
     made.SOPClassUID = sop_class
     made.SOPInstanceUID = instance
-    name_patient(made, "", "", "", "")
-    for name in ("StudyDate", "StudyTime", "AccessionNumber", "ReferringPhysicianName", "StudyID"):
+    for name in ALWAYS_EMPTY:
         setattr(made, name, "")
     made.StudyInstanceUID = uid(origin, "study")
     made.SeriesInstanceUID = uid(origin, modality, "series")
@@ -258,12 +235,10 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
     made.ManufacturerModelName = NOT_CLINICAL
     made.DeviceSerialNumber = "none"
     made.SoftwareVersions = version("ronna-hw")
-    made.Laterality = ""
     made.ContentDate = origin.made.strftime("%Y%m%d")
     made.ContentTime = origin.made.strftime("%H%M%S")
     made.ContentLabel = label
     made.ContentDescription = description
-    made.ContentCreatorName = ""
     return made
 
 

@@ -164,7 +164,8 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
                 rows += _frame_rows(frames, one.value, one)
                 name = "tracker.csv"
             else:
-                rows.append(_arm_row(one.value, one))
+                state = (one.value.validity.value, one.value.moving, *one.value.joints_rad)
+                rows.append((one.step, one.theatre_time_s, one.device, one.call, *state))
                 name = "arm.csv"
             csv.writer(files[name], lineterminator="\n").writerows(rows)
     finally:
@@ -216,8 +217,3 @@ def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequen
         for number, one in enumerate(frame.strays, 1)
     ]
     return rows or [(*head, "nothing", None, frame.validity.value, *(None,) * 8)]
-
-
-def _arm_row(reading: ArmReading, of: RawReading) -> Sequence[Value]:
-    head = (of.step, of.theatre_time_s, of.device, of.call, reading.validity.value, reading.moving)
-    return (*head, *reading.joints_rad)

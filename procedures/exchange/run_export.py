@@ -17,15 +17,15 @@ from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
     label_of,
+    named_spheres,
     pick_allowed,
     require_allowed,
 )
 from procedures.exchange.dicom_objects import (
     Origin,
     fiducial_uid,
-    fiducials,
-    spatial_fiducials,
     spatial_registration,
+    sphere_fiducials,
     write,
 )
 from procedures.exchange.errors import NothingToExport, NotWritable
@@ -51,7 +51,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     """
     folder = run_of(inspected(run).require_whole())
     imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
-    spheres = fiducials(found.result.markers)
+    spheres = found.result.markers
     origin = Origin(
         imported.result.series_instance_uid,
         imported.result.frame_of_reference_uid,
@@ -61,7 +61,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     fits = _labelled(used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
-    markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in found.result.markers]
+    markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in spheres]
     texts = {
         "spheres.csv": table(spheres),
         "spheres.json": document(markers, origin),
@@ -83,7 +83,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
-    written.append(write(require_allowed(spatial_fiducials(spheres, origin)), out / "spheres.dcm"))
+    written.append(write(require_allowed(sphere_fiducials(spheres, origin)), out / "spheres.dcm"))
     for trajectory, fit in fits.items():
         made = spatial_registration(
             fit.result.robot_from_ct.transform,
@@ -91,7 +91,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
             spheres=origin,
             placing=_placing(fit.record, folder),
             description=f"trajectory {trajectory}",
-            fiducial_uids=[fiducial_uid(origin, one) for one in spheres],
+            fiducial_uids=[fiducial_uid(origin, name) for name in named_spheres(spheres)],
         )
         written.append(write(require_allowed(made), out / _file_of(trajectory)))
     return written

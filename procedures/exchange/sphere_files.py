@@ -11,12 +11,13 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from procedures.exchange.allowed_fields import named_spheres
 from procedures.exchange.errors import NotWritable, UnknownForm
 from ronna_hw.records import canonical_json, write_whole
 
 if TYPE_CHECKING:
-    from procedures.exchange.dicom_objects import Fiducial, Origin
-    from procedures.imaging import Localization, PatientIdentity
+    from procedures.exchange.dicom_objects import Origin
+    from procedures.imaging import Localization, Marker, PatientIdentity
 
 MARKUPS, JSON, CSV, DICOM = ".mrk.json", ".json", ".csv", ".dcm"
 MARKUPS_SCHEMA = (
@@ -43,14 +44,13 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
     from procedures.exchange import dicom_objects  # pydicom: half a second
 
     markers = [marker.document() for marker in found.markers]
-    spheres = dicom_objects.fiducials(found.markers)
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
     origin = dicom_objects.Origin(
         found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key
     )
     for path in paths:
         if path.name.endswith(DICOM):
-            made = dicom_objects.spatial_fiducials(spheres, origin)
+            made = dicom_objects.sphere_fiducials(found.markers, origin)
             if patient is not None:
                 dicom_objects.name_patient(
                     made, patient.name, patient.identifier, patient.birth_date, patient.sex
@@ -58,29 +58,29 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
             dicom_objects.write(made, path)
             continue
         if path.name.endswith(MARKUPS):
-            text = slicer_markups(spheres)
+            text = slicer_markups(found.markers)
         else:
-            text = document(markers, origin) if path.name.endswith(JSON) else table(spheres)
+            text = document(markers, origin) if path.name.endswith(JSON) else table(found.markers)
         try:
             write_whole(path, text.encode())
         except OSError as error:
             raise NotWritable(f"cannot write {path}: {error.strerror}") from error
 
 
-def slicer_markups(fiducials: Sequence[Fiducial]) -> str:
+def slicer_markups(markers: Sequence[Marker]) -> str:
     """A `.mrk.json` with one control point per sphere, LPS in mm."""
     points = [
         {
             "id": str(number),
-            "label": fiducial.name,
-            "description": f"uncertainty {fiducial.uncertainty_mm:.4f} mm rms",
-            "position": list(fiducial.centre_mm),
+            "label": name,
+            "description": f"uncertainty {marker.sigma_mm:.4f} mm rms",
+            "position": list(marker.centre_mm),
             "selected": True,
             "locked": True,
             "visibility": True,
             "positionStatus": "defined",
         }
-        for number, fiducial in enumerate(fiducials, 1)
+        for number, (name, marker) in enumerate(named_spheres(markers).items(), 1)
     ]
     markups = [
         {"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}
@@ -88,12 +88,12 @@ def slicer_markups(fiducials: Sequence[Fiducial]) -> str:
     return json.dumps({"@schema": MARKUPS_SCHEMA, "markups": markups}, indent=1, allow_nan=False) + "\n"
 
 
-def table(fiducials: Sequence[Fiducial]) -> str:
+def table(markers: Sequence[Marker]) -> str:
     """CSV with name, L, P, S and uncertainty in mm."""
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
-    writer.writerows((one.name, *one.centre_mm, one.uncertainty_mm) for one in fiducials)
+    writer.writerows((name, *one.centre_mm, one.sigma_mm) for name, one in named_spheres(markers).items())
     return text.getvalue()
 
 
@@ -104,6 +104,6 @@ def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
         "frame_of_reference_uid": origin.frame_of_reference_uid,
         "coordinate_system": "LPS",
         "unit": "mm",
-        "spheres": [{"name": f"M{number}", **marker} for number, marker in enumerate(markers, 1)],
+        "spheres": [{"name": name, **marker} for name, marker in named_spheres(markers).items()],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

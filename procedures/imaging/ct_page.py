@@ -66,11 +66,10 @@ def ct_page(
 
 
 def _marker(number: int, marker: Marker) -> dict[str, Any]:
-    sigma_mm = float(marker.covariance_mm2.trace()) ** 0.5
-    remarks = [f"sigma {sigma_mm:.3f} mm", f"quality {marker.quality:.2f}", *marker.flags]
+    remarks = [f"sigma {marker.sigma_mm:.3f} mm", f"quality {marker.quality:.2f}", *marker.flags]
     return {
         "name": f"marker {number}",
-        "centre_mm": marker.centre_mm.tolist(),
+        "centre_mm": list(marker.centre_mm),
         "radius_mm": marker.radius_mm,
         "odds": marker.odds,
         "remarks": ", ".join(remarks),

@@ -18,8 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.markers import Doubt
-from procedures.imaging.sphere_centre.ball_model import Stretch
-from procedures.imaging.sphere_centre.ball_voxels import METAL_HU
+from procedures.imaging.sphere_centre.ball_model import METAL_HU, Stretch, stretch_matrix, stretch_terms
 from procedures.imaging.sphere_centre.radial_edge import (
     INLIER,
     OUTSIDE_FROM,
@@ -99,31 +98,32 @@ def _doubts(
 ) -> tuple[Doubt, ...]:
     """Judge one region; if it is `streaked`, each ray's edge is halfway between its own levels."""
     shares = np.linspace(0.0, OUTERMOST, STEPS)
-    ways = ray_directions()
+    directions = ray_directions()
     profiles = region.sample(
-        centre_mm + edge.radius_mm * shares[None, :, None] * ways[:, None, :], smooth=True
+        centre_mm + edge.radius_mm * shares[None, :, None] * directions[:, None, :], smooth=True
     )
     scanned = np.isfinite(profiles[:, shares <= OUTSIDE_FROM]).all(axis=1)
     profiles = np.where(np.isfinite(profiles), profiles, edge.outside_hu)
     metal = (profiles[:, shares > METAL_FROM] > METAL_HU).any(axis=1)
     informative = np.asarray(scanned & ~metal)
-    levels_hu = np.full(len(ways), 0.5 * (edge.inside_hu + edge.outside_hu))
+    levels_hu = np.full(len(directions), 0.5 * (edge.inside_hu + edge.outside_hu))
     if streaked:
         levels_hu += _own_levels_hu(profiles, shares, edge)
-    place, left = _first_fall(profiles, shares, levels_hu)
-    opens = informative & left
-    covered = informative & ~left
-    border_hu = _around(_fall_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE), informative)
+    place, is_crossed = _first_fall(profiles, shares, levels_hu)
+    opens = informative & is_crossed
+    covered = informative & ~is_crossed
+    border_hu = _around(np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative)
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
-        early_hu = max(float(_fall_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)[covered].mean()), 0.0)
+        middle, before = _levels_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)
+        early_hu = max(float((middle - before)[covered].mean()), 0.0)
     limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
     joined = covered & (border_hu < limit_hu)
     # at the rim of a cover or of metal the edge belongs to that
-    clear = opens & ~_beside(ways, (covered & ~joined) | metal)
+    clear = opens & ~_beside(directions, (covered & ~joined) | metal)
     amiss = clear & (np.abs(place - 1.0) > INLIER)
     if stretch is None:
-        difference_mm = edge.radius_mm * _extent_difference(ways[clear], place[clear] - 1.0)
+        difference_mm = edge.radius_mm * _extent_difference(directions[clear], place[clear] - 1.0)
         longer = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
     else:
         difference_mm = stretch.difference_mm
@@ -153,10 +153,7 @@ def _doubts(
 
 def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
     """Shift (rays,) of each ray above the usual levels on both sides of the edge, within limits."""
-    near, far = (
-        profiles[:, (shares > low) & (shares < high)].mean(axis=1)
-        for low, high in (STEP_INSIDE, STEP_OUTSIDE)
-    )
+    near, far = _levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)
     most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
 
@@ -166,8 +163,8 @@ def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array
 
     The edge of a ray that is below its level throughout is at the core.
     """
-    looked = (shares >= CORE) & (shares <= OUTSIDE_FROM)
-    values, places = profiles[:, looked], shares[looked]
+    searched = (shares >= CORE) & (shares <= OUTSIDE_FROM)
+    values, places = profiles[:, searched], shares[searched]
     above = values >= levels_hu[:, None]
     falls = above[:, :-1] & ~above[:, 1:]
     first, rows = falls.argmax(axis=1), np.arange(len(values))
@@ -177,10 +174,9 @@ def _first_fall(profiles: Array, shares: Array, levels_hu: Array) -> tuple[Array
     return np.where(falls.any(axis=1), place, CORE), np.asarray(~above.all(axis=1))
 
 
-def _fall_hu(profiles: Array, shares: Array, inner: Span, outer: Span) -> Array:
-    """Fall in intensity of each ray from one span of radii to another."""
-    near, far = (profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in (inner, outer))
-    return np.asarray(near - far)
+def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
+    """Mean intensity of each ray over spans of radii."""
+    return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
 def _around(values: Array, informative: Rays) -> Array:
@@ -191,41 +187,38 @@ def _around(values: Array, informative: Rays) -> Array:
 @cache
 def _neighbours() -> NDArray[np.intp]:
     """Nearest rays to each, including itself, (rays, NEIGHBOURS)."""
-    ways = ray_directions()
-    return np.argpartition(-(ways @ ways.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
+    directions = ray_directions()
+    return np.argpartition(-(directions @ directions.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
 
-def _beside(ways: Array, rays: Rays) -> Rays:
+def _beside(directions: Array, rays: Rays) -> Rays:
     """Rays adjacent to `rays`."""
     if not rays.any():
-        return np.zeros(len(ways), dtype=bool)
-    return np.asarray((ways @ ways[rays].T > RIM_COSINE).any(axis=1))
+        return np.zeros(len(directions), dtype=bool)
+    return np.asarray((directions @ directions[rays].T > RIM_COSINE).any(axis=1))
 
 
-def _extent_difference(ways: Array, offsets: Array) -> float:
+def _extent_difference(directions: Array, offsets: Array) -> float:
     """Longest minus shortest semi-axis of the surface, in radii, from offsets (n,) along rays (n, 3).
 
     The offsets are modelled as those of a shifted, scaled and stretched sphere. If few rays are visible, the
     stretch is shrunk towards zero.
     """
     usable = np.abs(offsets) < EXTENT_CLIP
-    x, y, z = ways[usable].T
-    stretch = (x * x - z * z, y * y - z * z, x * y, x * z, y * z)
-    design = np.column_stack([np.ones(len(x)), x, y, z, *stretch])
+    seen = directions[usable]
+    design = np.column_stack([np.ones(len(seen)), seen, stretch_terms(seen)])
     drawn = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
-    a, b, c, d, e = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:].tolist()
-    matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
-    values = np.linalg.eigvalsh(matrix)
-    return float(np.ptp(values))
+    terms = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:]
+    return float(np.ptp(np.linalg.eigvalsh(stretch_matrix(terms))))
 
 
 def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
     """Doubts about spheres at `centres_mm` (n, 3), raised by bodies of their size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
-    ways = bodies[None] - bodies[:, None]
-    distances = np.linalg.norm(ways, axis=2)
+    offsets = bodies[None] - bodies[:, None]
+    distances = np.linalg.norm(offsets, axis=2)
     np.fill_diagonal(distances, np.inf)
-    beads = _in_rows(ways, distances, diameter_mm)
+    beads = _in_rows(offsets, distances, diameter_mm)
     doubts: list[tuple[Doubt, ...]] = []
     for number in range(len(centres_mm)):
         found = []
@@ -251,14 +244,14 @@ def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
     ]
 
 
-def _in_rows(ways: Array, distances: Array, diameter_mm: float) -> set[int]:
+def _in_rows(offsets: Array, distances: Array, diameter_mm: float) -> set[int]:
     """Bodies that form three in a line, close together and evenly spaced."""
     near = distances < IN_A_ROW * diameter_mm
     beads: set[int] = set()
     for middle in np.flatnonzero(near.sum(axis=1) >= 2).tolist():
         for one, other in permutations(np.flatnonzero(near[middle]).tolist(), 2):
             lengths = distances[middle, [one, other]]
-            straight = ways[middle, one] @ ways[middle, other] < STRAIGHT_COSINE * lengths.prod()
+            straight = offsets[middle, one] @ offsets[middle, other] < STRAIGHT_COSINE * lengths.prod()
             if straight and np.ptp(lengths) < EVEN_SPACING * lengths.max():
                 beads |= {one, middle, other}
     return beads

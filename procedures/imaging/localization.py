@@ -13,7 +13,6 @@ the covariance; where streaks were fitted together with the sphere, or its edges
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from itertools import pairwise
 
 import cv2
@@ -23,9 +22,8 @@ from scipy import fft
 
 from procedures.imaging.doubts import neighbour_doubts, size_doubts
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import OVERLAPS, as_candidate, as_marker, examine, judge_shape
-from procedures.imaging.markers import NEAR_ANOTHER, Candidate, Doubt, Localization, Marker
-from procedures.imaging.measurement import Sphere
+from procedures.imaging.examination import OVERLAPS, Sphere, as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.markers import Candidate, Doubt, Localization
 from procedures.imaging.scan_faults import distortion_warnings
 from procedures.imaging.volume import Volume, VoxelGeometry
 
@@ -53,7 +51,7 @@ def localize(
     *,
     diameter_mm: float = DIAMETER_MM,
     expected: int | None = None,
-    progress: Progress | None = None,
+    progress: Progress = lambda share: None,
 ) -> Localization:
     """Localize all marker spheres of `diameter_mm` in a volume.
 
@@ -63,11 +61,10 @@ def localize(
     with the fraction done. Raises CT-017 for invalid arguments, CT-024 for markers that are all distorted.
     """
     check_request(volume, diameter_mm, expected)
-    report = progress if progress is not None else _silent
-    report(0.0)
+    progress(0.0)
     radius_mm = 0.5 * diameter_mm
     peaks = find_peaks(volume, radius_mm)
-    report(DETECTION_SHARE)
+    progress(DETECTION_SHARE)
     found: list[Sphere] = []
     refused: list[Candidate] = []
     for number, (place_mm, contrast_hu) in enumerate(peaks):
@@ -76,26 +73,25 @@ def localize(
             found.append(judge_shape(outcome, volume, radius_mm))
         elif not any(_same_object(outcome, other) for other in refused):
             refused.append(outcome)
-        report(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
-    report(1.0)
+        progress(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
+    progress(1.0)
     judged = judge_together(found, refused, volume.geometry, diameter_mm)
     if expected is not None:
         judged = _clear_ones(judged, expected)
-    spheres = [one for one in judged if one.accepted]
+    spheres = sorted(
+        (one for one in judged if one.accepted),
+        key=lambda one: head_to_foot(volume.patient_mm(one.centre_mm)),
+    )
     candidates = (*(as_candidate(one, volume) for one in judged), *refused)
     require_count(len(spheres), expected, candidates)
-    overlaps = [one.centre_mm for one in refused if one.reason == OVERLAPS]
-    markers = sorted(
-        (_flagged(as_marker(one, spheres, volume, radius_mm), overlaps, diameter_mm) for one in spheres),
-        key=head_to_foot,
-    )
+    overlaps = [one for one in refused if one.reason == OVERLAPS]
     return Localization(
-        markers=tuple(markers),
+        markers=tuple(as_marker(one, spheres, volume, radius_mm, overlaps) for one in spheres),
         candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=distortion_warnings(markers, radius_mm),
+        warnings=distortion_warnings([one.stretch for one in spheres], radius_mm),
     )
 
 
@@ -246,14 +242,6 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
         raise LocalizationMisused(f"{expected} is not a possible number of markers")
 
 
-def _flagged(marker: Marker, overlaps: Sequence[tuple[float, ...]], diameter_mm: float) -> Marker:
-    """Flag the marker if a rejected candidate overlaps it."""
-    close = any(float(np.linalg.norm(marker.centre_mm - other)) < diameter_mm for other in overlaps)
-    if not close or NEAR_ANOTHER in marker.flags:
-        return marker
-    return replace(marker, flags=(*marker.flags, NEAR_ANOTHER))
-
-
 def _same_object(one: Candidate, other: Candidate) -> bool:
     """Whether two peaks on one large object led to the same fitted sphere."""
     if one.radius_mm is None or other.radius_mm is None or other.accepted:
@@ -261,11 +249,7 @@ def _same_object(one: Candidate, other: Candidate) -> bool:
     return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm
 
 
-def head_to_foot(marker: Marker) -> tuple[float, ...]:
-    """Sort key from superior to inferior."""
-    x, y, z = marker.centre_mm.tolist()
+def head_to_foot(centre_mm: Sequence[float]) -> tuple[float, ...]:
+    """Sort key of LPS positions from superior to inferior."""
+    x, y, z = centre_mm
     return -z, x, y
-
-
-def _silent(share: float) -> None:
-    """Ignore progress."""

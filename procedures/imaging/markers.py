@@ -8,6 +8,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from pydantic import BaseModel, ConfigDict, Field
+
+from ronna_hw.calibration import Numbers3
 
 STEEPNESS = 4.0  # at twice a limit the odds are 1 to 16
 EVEN = 0.5
@@ -21,47 +24,38 @@ NEAR_METAL = "near_metal"  # metal hides more of the surface than a post does
 SURFACE_HIDDEN = "surface_hidden"  # skin, bandage or a neighbour hides much of the surface
 RADIUS_UNUSUAL = "radius_unusual"  # the fitted radius is far from nominal
 NEAR_ANOTHER = "near_another"  # the surface of another marker is close
-STREAKED = (
-    "streaked"  # metal streaks distort the image so much that they were fitted together with the sphere
-)
+STREAKED = "streaked"  # by metal, so much that streaks were fitted together with the sphere
 PICKED = "picked"  # a person indicated where to search
 
 
-@dataclass(frozen=True, eq=False)
-class Marker:
-    """One localized sphere.
+class Marker(BaseModel):
+    """One sphere in the CT."""
 
-    `centre_mm` (3,) LPS; `covariance_mm2` (3, 3) of the centre in LPS, positive definite, from noise, metal
-    streaks and, where the two estimators are combined (not in a `streaked` sphere), their disagreement,
-    excluding errors common to a whole scan such as table feed; `agreement_mm` the distance between the two
-    estimates of the centre; `quality` [0..1] the share of the surface used, lowered by disagreement; `odds`
-    as in `Candidate`; `shape_mm` how far the surface is from a ball's, as `Stretch.terms_mm`, None if too
-    little of it shows.
+    model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
-    `radius_mm` is that of a uniform ball with the inner intensity and the same total attenuation. The model
-    removes blur; a retro-reflective film remains: too thin to be resolved, a film of thickness t adds about t
-    (film - out) / (in - out), which is 0.14 mm for 0.1 mm at 600 HU on a polymer of 125 HU in air.
-    """
+    centre_mm: Numbers3 = Field(description="Centre, LPS.")
+    # From noise, metal streaks and, where the two estimators are combined (not in a `streaked` sphere), their
+    # disagreement. Errors common to a whole scan, such as table feed, are not in it.
+    covariance_mm2: tuple[Numbers3, Numbers3, Numbers3] = Field(description="Covariance of the centre, LPS.")
+    # Of a uniform ball with the inner intensity and the same total attenuation. The model removes blur; a
+    # retro-reflective film remains: too thin to be resolved, a film of thickness t adds about
+    # t (film - out) / (in - out), which is 0.14 mm for 0.1 mm at 600 HU on a polymer of 125 HU in air.
+    radius_mm: float = Field(description="Fitted radius.")
+    quality: float = Field(
+        description="Share of the surface used, 0 to 1, reduced by disagreement of the estimates."
+    )
+    agreement_mm: float = Field(description="Distance between the two estimates of the centre.")
+    flags: tuple[str, ...] = Field(description="Reasons that make it less certain.")
+    odds: float = Field(description="That it is a marker, 0 to 1, at least even.")
 
-    centre_mm: Array
-    covariance_mm2: Array
-    radius_mm: float
-    quality: float
-    agreement_mm: float
-    flags: tuple[str, ...] = ()
-    odds: float = 1.0
-    shape_mm: Array | None = None
+    @property
+    def sigma_mm(self) -> float:
+        """Predicted error of the centre, rms in 3-D."""
+        return float(np.sqrt(np.trace(np.array(self.covariance_mm2))))
 
     def document(self) -> dict[str, Any]:
-        """Return plain data for JSON."""
-        return {
-            "centre_mm": self.centre_mm.tolist(),
-            "covariance_mm2": self.covariance_mm2.tolist(),
-            "radius_mm": self.radius_mm,
-            "quality": self.quality,
-            "flags": list(self.flags),
-            "odds": self.odds,
-        }
+        """Return plain data for JSON, without the agreement."""
+        return self.model_dump(mode="json", exclude={"agreement_mm"})
 
 
 @dataclass(frozen=True, eq=False)

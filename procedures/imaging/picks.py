@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
-from procedures.imaging.examination import as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine, judge_shape
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
@@ -27,10 +27,9 @@ from procedures.imaging.localization import (
     judge_together,
     require_count,
 )
-from procedures.imaging.markers import PICKED, Candidate, Localization
-from procedures.imaging.measurement import Sphere
+from procedures.imaging.markers import Candidate, Localization
 from procedures.imaging.scan_faults import distortion_warnings
-from procedures.imaging.volume import Volume, VoxelGeometry
+from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM
 
@@ -81,16 +80,14 @@ def localize_picks(
     ]
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)
-    markers = [as_marker(sphere, found, volume, radius_mm) for sphere in found]
+    markers = (as_marker(sphere, found, volume, radius_mm) for sphere in found)
     return Localization(
-        markers=tuple(
-            sorted((replace(marker, flags=(*marker.flags, PICKED)) for marker in markers), key=head_to_foot)
-        ),
+        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
         candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=distortion_warnings(markers, radius_mm),
+        warnings=distortion_warnings([sphere.stretch for sphere in found], radius_mm),
     )
 
 
@@ -163,15 +160,11 @@ def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Arra
 
 def _crop(volume: Volume, grid_mm: Array, half_width_mm: float) -> tuple[Volume, Array]:
     geometry = volume.geometry
-    shape = np.array(geometry.shape)
-    low = np.clip(np.floor((grid_mm - half_width_mm) / geometry.spacing_mm).astype(int), 0, shape - 1)
-    high = np.clip(np.ceil((grid_mm + half_width_mm) / geometry.spacing_mm).astype(int) + 1, low + 1, shape)
-    z, y, x = (slice(int(a), int(b)) for a, b in zip(low, high, strict=True))
-    size = (z.stop - z.start, y.stop - y.start, x.stop - x.start)
-    origin_mm = geometry.to_patient_mm(low)
-    part = VoxelGeometry(size, origin_mm, geometry.axes, geometry.spacing_mm)
-    cropped = replace(volume, voxels=volume.voxels[z, y, x], geometry=part)
-    return cropped, low * geometry.spacing_mm
+    cube = cube_around(geometry, grid_mm, half_width_mm)
+    low = np.array([part.start for part in cube])
+    voxels = volume.voxels[cube]
+    part = replace(geometry, shape=voxels.shape, origin_mm=geometry.to_patient_mm(low))
+    return replace(volume, voxels=voxels, geometry=part), low * geometry.spacing_mm
 
 
 def read_picks(path: Path) -> Array:

@@ -47,14 +47,13 @@ def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, 
 
 def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
     """Draw one PNG with three planes through a marker, HU window -1000 to 600."""
-    sigma_mm = float(np.sqrt(marker.covariance_mm2.trace()))
     heading = (
         f"{title}   LPS {_place(marker.centre_mm)} mm\n"
-        f"sigma {sigma_mm:.3f} mm   radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}"
+        f"sigma {marker.sigma_mm:.3f} mm   radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}"
     )
     if marker.flags:
         heading += f"\n{fill(', '.join(marker.flags).replace('_', ' '), HEADING_LETTERS)}"
-    return _picture(volume, marker.centre_mm, marker.radius_mm, heading)
+    return _picture(volume, np.array(marker.centre_mm), marker.radius_mm, heading)
 
 
 def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:

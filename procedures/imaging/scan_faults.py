@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.errors import PatientMoved, SlicesMisplaced
-from procedures.imaging.markers import Marker
+from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.volume import VoxelGeometry
 from ronna_hw.text import beyond
 
@@ -162,9 +162,9 @@ class Distortion:
     shear_error: float
 
 
-def measure_distortion(markers: Sequence[Marker], radius_mm: float) -> Distortion | None:
-    """Take medians over the markers of which enough shows; None with fewer than four of them."""
-    shapes = [marker.shape_mm / radius_mm for marker in markers if marker.shape_mm is not None]
+def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> Distortion | None:
+    """Take medians over the markers whose stretch is known; None with fewer than four."""
+    shapes = [stretch.terms_mm / radius_mm for stretch in stretches if stretch is not None]
     if len(shapes) < FEWEST:
         return None
     along, down, across = np.array(shapes)[:, 0].T
@@ -179,9 +179,9 @@ def measure_distortion(markers: Sequence[Marker], radius_mm: float) -> Distortio
     )
 
 
-def distortion_warnings(markers: Sequence[Marker], radius_mm: float) -> tuple[str, ...]:
+def distortion_warnings(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
     """Warn of a certain distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
-    found = measure_distortion(markers, radius_mm)
+    found = measure_distortion(stretches, radius_mm)
     if found is None:
         return ()
     sentences = []

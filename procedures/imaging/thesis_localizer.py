@@ -89,15 +89,14 @@ def localize_as_thesis(
             centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
             if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
                 marker, reason = None, "overlaps a marker that was already found"
-            x, y, z = volume.geometry.grid_mm_to_patient_mm(centre_mm).tolist()
-            candidates.append(Candidate((x, y, z), marker is not None, reason, 0.0))
+            candidates.append(Candidate(volume.patient_mm(centre_mm), marker is not None, reason, 0.0))
             if marker is not None:
                 markers.append(marker)
                 taken.append(centre_mm)
         progress((number + 1) / len(boxes))
     require_count(len(markers), expected, tuple(candidates))
     return Localization(
-        markers=tuple(sorted(markers, key=head_to_foot)),
+        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
         candidates=tuple(candidates),
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
@@ -114,12 +113,13 @@ def _marker(
     if abs(found_radius_mm - radius_mm) > RADIUS_TOLERANCE_MM:
         return centre_mm, None, f"has radius {found_radius_mm:.2f} mm instead of {radius_mm:.2f}"
     marker = Marker(
-        centre_mm=volume.geometry.grid_mm_to_patient_mm(centre_mm),
-        covariance_mm2=REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3),
+        centre_mm=volume.patient_mm(centre_mm),
+        covariance_mm2=(REPORTED_FLE_MM[fit] ** 2 / 3.0 * np.eye(3)).tolist(),
         radius_mm=found_radius_mm,
         quality=share,
         agreement_mm=float(np.linalg.norm(by_lines_mm - by_sphere_mm)),
         flags=(COVARIANCE_ASSUMED,),
+        odds=1.0,
     )
     return centre_mm, marker, "is a marker"
 
@@ -210,12 +210,9 @@ def _disk(diameters: Array) -> NDArray[np.uint8]:
 
 
 @dataclass(frozen=True, eq=False)
-class Cluster:
+class Cluster(Circles):
     """Stacked circles of one plane direction, and the sphere centre they imply."""
 
-    centres_mm: Array
-    radii_mm: Array
-    axis: int
     middle_mm: Array
 
 
@@ -291,14 +288,12 @@ def fit_lines(axial: Cluster, sagittal: Cluster) -> Array:
 def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
     """Fit a sphere: centre (3,) grid mm, radius mm, and the share of circle points on it."""
     points = np.concatenate([_circle_points(cluster) for cluster in (axial, sagittal)])
-    random = np.random.default_rng(SEED)
-    best = np.zeros(len(points), dtype=bool)
-    for _ in range(TRIALS):
-        chosen = points[random.choice(len(points), 4, replace=False)]
-        centre, radius = _algebraic_sphere(chosen)
-        inlying = np.abs(np.linalg.norm(points - centre, axis=1) - radius) < ON_SPHERE_MM
-        if inlying.sum() > best.sum():
-            best = inlying
+
+    def on_sphere_through(drawn: Array) -> NDArray[np.bool_]:
+        centre, radius = _algebraic_sphere(drawn)
+        return np.asarray(np.abs(np.linalg.norm(points - centre, axis=1) - radius) < ON_SPHERE_MM)
+
+    best = _consensus(points, 4, on_sphere_through)
     if best.sum() < 4:
         best[:] = True
     centre, radius = _algebraic_sphere(points[best])
@@ -307,19 +302,31 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
 
 def _fit_line(points: Array) -> tuple[Array, Array]:
     """Fit a line: a point on it and its unit direction."""
-    random = np.random.default_rng(SEED)
-    best = np.zeros(len(points), dtype=bool)
-    for _ in range(TRIALS):
-        first, second = points[random.choice(len(points), 2, replace=False)]
-        direction = second - first
+
+    def on_line_through(drawn: Array) -> NDArray[np.bool_]:
+        direction = drawn[1] - drawn[0]
         direction = direction / np.linalg.norm(direction)
-        offsets = points - first
+        offsets = points - drawn[0]
         beside = np.linalg.norm(offsets - np.outer(offsets @ direction, direction), axis=1)
-        if (beside < LINE_TOLERANCE_MM).sum() > best.sum():
-            best = beside < LINE_TOLERANCE_MM
+        return np.asarray(beside < LINE_TOLERANCE_MM)
+
+    best = _consensus(points, 2, on_line_through)
     middle = points[best].mean(axis=0)
     _, _, axes = np.linalg.svd(points[best] - middle)
     return middle, axes[0]
+
+
+def _consensus(
+    points: Array, count: int, agreeing: Callable[[Array], NDArray[np.bool_]]
+) -> NDArray[np.bool_]:
+    """Largest set of points (n,) that agree with `count` of them, drawn at random (RANSAC)."""
+    random = np.random.default_rng(SEED)
+    best = np.zeros(len(points), dtype=bool)
+    for _ in range(TRIALS):
+        inlying = agreeing(points[random.choice(len(points), count, replace=False)])
+        if inlying.sum() > best.sum():
+            best = inlying
+    return best
 
 
 def _circle_points(cluster: Cluster) -> Array:

@@ -6,7 +6,6 @@ from collections.abc import Mapping
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from procedures.imaging.volume import Volume
 
@@ -54,8 +53,7 @@ def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Pictu
     """Sample grey values (n, n, 3) around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
-    index = np.moveaxis(volume.geometry.to_index(places), -1, 0)
-    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=UNSCANNED_HU)
+    values = volume.sample(places, UNSCANNED_HU)
     low, high = WINDOW_HU
     grey = (255.0 * np.clip((values - low) / (high - low), 0.0, 1.0)).astype(np.uint8)
     return np.repeat(grey[:, :, None], 3, axis=2)

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -107,6 +108,17 @@ class Volume:
         """Size along (slice, row, column) from face to face, (3,) mm."""
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
 
+    def sample(self, places_mm: ArrayLike, outside_hu: float) -> NDArray[Any]:
+        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; else `outside_hu`."""
+        index = np.moveaxis(self.geometry.to_index(places_mm), -1, 0)
+        sampled = map_coordinates(self.voxels, index, output=np.float32, order=1, cval=outside_hu)
+        return np.asarray(sampled)
+
+    def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
+        """Patient position (LPS) of a grid position (3,) mm."""
+        x, y, z = self.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
+        return x, y, z
+
 
 @dataclass(frozen=True, eq=False)
 class Region:
@@ -155,14 +167,21 @@ class Region:
 
 def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region:
     """Cut the voxels within a cube around a grid position, clipped to the volume."""
-    spacing_mm = volume.geometry.spacing_mm
-    shape = np.array(volume.geometry.shape)
-    low = np.clip(np.floor((centre_mm - half_width_mm) / spacing_mm).astype(int), 0, shape - 1)
-    high = np.clip(np.ceil((centre_mm + half_width_mm) / spacing_mm).astype(int) + 1, low + 1, shape)
-    piece = volume.voxels[low[0] : high[0], low[1] : high[1], low[2] : high[2]]
+    cube = cube_around(volume.geometry, centre_mm, half_width_mm)
+    piece = volume.voxels[cube]
     values = piece.astype(float)
     values[piece < OUTSIDE_FIELD_HU] = np.nan
-    return Region(values, low.astype(np.int64), spacing_mm)
+    start = np.array([part.start for part in cube], dtype=np.int64)
+    return Region(values, start, volume.geometry.spacing_mm)
+
+
+def cube_around(geometry: VoxelGeometry, centre_mm: Array, half_width_mm: float) -> tuple[slice, ...]:
+    """Voxels (slices, rows, columns) within a cube around a grid position, at least one along each axis."""
+    shape = np.array(geometry.shape)
+    low = np.clip(np.floor((centre_mm - half_width_mm) / geometry.spacing_mm).astype(int), 0, shape - 1)
+    high = np.ceil((centre_mm + half_width_mm) / geometry.spacing_mm).astype(int) + 1
+    high = np.clip(high, low + 1, shape)
+    return tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
 
 
 def _side(direction: Array) -> str:

@@ -17,7 +17,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.postoperative.errors import HeadsDiffer, NoBone
-from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -100,9 +100,7 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
 
 def bone_at(volume: Volume, places_mm: Array) -> Array:
     """HU of a scan at positions (..., 3), clipped to bone; soft tissue outside the scan."""
-    index = np.moveaxis(volume.geometry.to_index(places_mm), -1, 0)
-    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=SOFT_HU)
-    return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU), dtype=float)
+    return np.asarray(np.clip(volume.sample(places_mm, SOFT_HU), SOFT_HU, COMPACT_HU), dtype=float)
 
 
 def bone_spline_at(volume: Volume, places_mm: Array) -> Array:
@@ -161,8 +159,7 @@ def _descend(points: Array, values: Array, target: _Level, start: RigidTransform
         gradient, there, inside = _sample(target, turned + centre)
         residuals = (there - values)[inside]
         gradient, lever = gradient[inside], turned[inside]
-        scale = robust_sigma(residuals) + 1.0
-        weights = 1.0 / (1.0 + (residuals / (2.385 * scale)) ** 2)
+        weights = cauchy_weights(residuals, robust_sigma(residuals) + 1.0)
         jacobian = np.hstack([np.cross(lever, gradient), gradient])
         weighted = jacobian * weights[:, None]
         step = np.linalg.lstsq(weighted.T @ jacobian, -(weighted.T @ residuals), rcond=None)[0]

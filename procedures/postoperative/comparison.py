@@ -27,7 +27,7 @@ from procedures.postoperative.errors import (
     SeriesSwapped,
 )
 from procedures.postoperative.instrument import USUAL_ROD, find_rods
-from procedures.postoperative.planned_line import SEARCH_MM, ExpectedFit, FitQuality, PlannedLine
+from procedures.postoperative.planned_line import SEARCH_MM, PlannedLine
 from ronna_hw.calibration import Numbers3, Strict
 
 Array = NDArray[np.float64]
@@ -134,21 +134,20 @@ def _candidates(
     pose = registration.post_from_pre
     back = pose.inv()
 
-    def planned(
-        kind: FoundKind, point_mm: Array, outwards: Array, quality: FitQuality, usual: ExpectedFit
-    ) -> Candidate:
-        inwards = -back.rotation.apply(outwards)
-        return Candidate(kind, back.apply(point_mm), inwards, usual.failures(quality), usual.doubts(quality))
-
-    return (
-        *(
-            planned(FoundKind.INSTRUMENT, rod.tip_mm, rod.outwards, rod.quality, USUAL_ROD)
-            for rod in find_rods(pre, post, line, pose)
-        ),
-        *(
-            planned(FoundKind.DRILL_HOLE, hole.middle_mm, hole.outwards, hole.quality, USUAL_HOLE)
-            for hole in find_holes(pre, post, line, pose)
-        ),
+    kinds = (
+        (FoundKind.INSTRUMENT, find_rods(pre, post, line, pose), USUAL_ROD),
+        (FoundKind.DRILL_HOLE, find_holes(pre, post, line, pose), USUAL_HOLE),
+    )
+    return tuple(
+        Candidate(
+            kind,
+            back.apply(one.point_mm),
+            -back.rotation.apply(one.outwards),
+            usual.failures(one.quality),
+            usual.doubts(one.quality),
+        )
+        for kind, found, usual in kinds
+        for one in found
     )
 
 

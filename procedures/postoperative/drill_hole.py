@@ -5,8 +5,6 @@ A blurred cylinder is fitted where bone was lost. A hole has an entry and a dire
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -26,6 +24,7 @@ from procedures.postoperative.planned_line import (
     STEP_MM,
     ExpectedFit,
     FitQuality,
+    FittedAxis,
     PlannedLine,
     at_bound,
     sample_along,
@@ -52,24 +51,15 @@ HIGH = np.array([3.0, 3.0, 0.5, 0.5, 5.0, BONE_HU, 1.5])
 USUAL_HOLE = ExpectedFit(residual_hu=150.0, radius_mm=(0.5, 4.0))
 
 
-@dataclass(frozen=True, eq=False)
-class FoundHole:
-    """A point (3,) on the axis of a hole within the bone, and the outward unit vector; patient mm."""
-
-    middle_mm: Array
-    outwards: Array
-    quality: FitQuality
-
-
 def find_holes(
     pre: Volume, post: Volume, line: PlannedLine, post_from_pre: RigidTransform
-) -> tuple[FoundHole, ...]:
+) -> tuple[FittedAxis, ...]:
     """Find holes near a planned trajectory of the first scan, largest first.
 
     Positions are in the second scan's coordinates.
     """
     back = post_from_pre.inv()
-    there = PlannedLine(post_from_pre.apply(line.entry_mm), post_from_pre.apply(line.target_mm))
+    there = line.moved(post_from_pre)
     seen = sample_along(post, there, -BEFORE_MM, BEHIND_MM)
     before = bone_at(pre, back.apply(there.to_patient_mm(seen.places_mm)))
     lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
@@ -83,7 +73,7 @@ def find_holes(
 
 def _fit_hole(
     pre: Volume, post: Volume, there: PlannedLine, back: RigidTransform, middle: Array
-) -> FoundHole:
+) -> FittedAxis:
     """Fit a blurred cylinder through the middle of the lost bone to the second scan's voxels."""
     coarse = PlannedLine(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
     local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
@@ -113,4 +103,4 @@ def _fit_hole(
         robust_sigma(residuals(found.x)),
         float(radius_mm),
     )
-    return FoundHole(middle_mm, -inwards / np.linalg.norm(inwards), quality)
+    return FittedAxis(middle_mm, -inwards / np.linalg.norm(inwards), quality)

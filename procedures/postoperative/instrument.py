@@ -27,12 +27,13 @@ from procedures.postoperative.planned_line import (
     SLAB_MM,
     ExpectedFit,
     FitQuality,
+    FittedAxis,
     PlannedLine,
     at_bound,
     sample_along,
     voxels_around,
 )
-from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 Numbers = NDArray[np.int64]
@@ -46,7 +47,6 @@ HALF_STRENGTH = 0.5
 ALONG_MM = 1.5  # by which the place that the streaks of a slice come from is uncertain, either way
 MOST_STRENGTH = 1.5
 REWEIGHTED = 3
-CAUCHY = 2.385
 
 METAL_HU = 1000.0  # by which metal is brighter than the tissue before, compact bone included
 OUTSIDE_MM, BEYOND_MM = 20.0, 15.0  # of entry and target: the search range
@@ -68,23 +68,14 @@ STILL_MM = 0.005  # a smaller change by a pass says that they agree
 USUAL_ROD = ExpectedFit(residual_hu=450.0, radius_mm=(0.3, 1.4))
 
 
-@dataclass(frozen=True)
-class FoundRod:
-    """A rod in patient coordinates of its scan: tip (3,) mm, unit vector out of the head."""
-
-    tip_mm: Array
-    outwards: Array
-    quality: FitQuality
-
-
 def find_rods(
     pre: Volume, post: Volume, line: PlannedLine, post_from_pre: RigidTransform
-) -> tuple[FoundRod, ...]:
+) -> tuple[FittedAxis, ...]:
     """Find rods near a planned trajectory of the first scan, longest first.
 
     Positions are in the second scan's coordinates.
     """
-    there = PlannedLine(post_from_pre.apply(line.entry_mm), post_from_pre.apply(line.target_mm))
+    there = line.moved(post_from_pre)
     seen = sample_along(post, there, -OUTSIDE_MM, line.length_mm + BEYOND_MM)
     before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
     labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
@@ -107,7 +98,7 @@ def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
     return PlannedLine(outer, inner)
 
 
-def _fit_rod(volume: Volume, coarse: PlannedLine) -> FoundRod:
+def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
     """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
     local, values = voxels_around(
@@ -154,7 +145,7 @@ def _fit_rod(volume: Volume, coarse: PlannedLine) -> FoundRod:
         robust_sigma(shown.hu(found.x) - values),
         float(found.x[6]),
     )
-    return FoundRod(tip, outwards, quality)
+    return FittedAxis(tip, outwards, quality)
 
 
 @dataclass(frozen=True, eq=False)
@@ -333,5 +324,5 @@ def _solve_robustly(columns: Array, values: Array) -> Array:
         root = np.sqrt(weights)
         solved = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
         left = values - columns @ solved
-        weights = 1.0 / (1.0 + (left / (CAUCHY * (robust_sigma(left) + 1.0))) ** 2)
+        weights = cauchy_weights(left, robust_sigma(left) + 1.0)
     return np.asarray(solved, dtype=float)

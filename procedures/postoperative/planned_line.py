@@ -7,7 +7,7 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
+from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
 
@@ -46,6 +46,10 @@ class PlannedLine:
         across /= np.linalg.norm(across)
         return np.column_stack([along, across, np.cross(along, across)])
 
+    def moved(self, pose: RigidTransform) -> PlannedLine:
+        """Move the line by a pose."""
+        return PlannedLine(pose.apply(self.entry_mm), pose.apply(self.target_mm))
+
     def to_patient_mm(self, local_mm: Array) -> Array:
         """Patient positions (..., 3) of positions along and across, mm from the entry."""
         return np.asarray(self.entry_mm + local_mm @ self.axes.T)
@@ -71,9 +75,7 @@ def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: fl
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
-    index = np.moveaxis(volume.geometry.to_index(line.to_patient_mm(local)), -1, 0)
-    values = ndimage.map_coordinates(volume.voxels, index, output=np.float32, order=1, cval=np.nan)
-    return Surroundings(values, local)
+    return Surroundings(volume.sample(line.to_patient_mm(local), np.nan), local)
 
 
 def voxels_around(
@@ -118,6 +120,15 @@ class FitQuality:
     inside: bool
     residual_hu: float
     radius_mm: float
+
+
+@dataclass(frozen=True, eq=False)
+class FittedAxis:
+    """Axis of an object: its tip, or a point in the bone, (3,) mm, and the unit vector out of the head."""
+
+    point_mm: Array
+    outwards: Array
+    quality: FitQuality
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,6 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy import ndimage
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
@@ -50,6 +49,7 @@ def summary_of(
     """Convert the comparison to plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
     first, second, third, last = ((a, b, c, d) for a, b, c, d in rows)
+    doubts = (f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
     return PostoperativeCheck(
         pre_series_instance_uid=pre.series_instance_uid,
         post_series_instance_uid=post.series_instance_uid,
@@ -57,12 +57,8 @@ def summary_of(
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
         trajectories=proof.trajectories,
-        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *_doubts(proof)),
+        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *doubts),
     )
-
-
-def _doubts(proof: Proof) -> tuple[str, ...]:
-    return tuple(f"{one.id} is doubtful: {doubt}" for one in proof.trajectories for doubt in one.doubts)
 
 
 def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
@@ -89,8 +85,7 @@ def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: Rigi
     side = np.arange(-HALF_WIDTH_MM, HALF_WIDTH_MM, STEP_MM)
     grid = along[:, None, None] * np.array([1.0, 0.0, 0.0]) + side[:, None] * across
     places = post_from_pre.apply(line.to_patient_mm(grid).reshape(-1, 3))
-    index = post.geometry.to_index(places).T
-    values = ndimage.map_coordinates(post.voxels, index, output=np.float32, order=1, cval=-1000)
+    values = post.sample(places, -1000)
     figure = Figure(figsize=(3.2, 6.4), dpi=100)
     canvas = FigureCanvasAgg(figure)
     axes = figure.add_axes((0.18, 0.08, 0.8, 0.85))

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -105,6 +105,25 @@ class Match:
     margin_nats: float
     unmatched_image: tuple[int, ...]
     unmatched_physical: tuple[int, ...]
+
+    @classmethod
+    def of(
+        cls,
+        status: MatchStatus,
+        reason: str,
+        best: Hypothesis | None,
+        counts: tuple[int, int],
+        *,
+        runner_up: Hypothesis | None = None,
+        margin_nats: float = 0.0,
+    ) -> Self:
+        """Answer with the best hypothesis, or without pairs; `counts` of image and physical points."""
+        pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
+        unmatched = [
+            tuple(index for index in range(count) if index not in set(used.tolist()))
+            for count, used in zip(counts, pairs.T, strict=True)
+        ]
+        return cls(status, pairs, best and best.transform, reason, runner_up, margin_nats, *unmatched)
 
     def require_unique(self) -> RigidTransform:
         """Return the transform; raise REG-008 with the nearest miss unless the correspondence is unique."""

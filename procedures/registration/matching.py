@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.registration.correspondence import Match, MatchStatus, PosePrior, Prior
+from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior, Prior
 from procedures.registration.errors import BadParameter, BadPoints
 from procedures.registration.pairings import (
     CLIQUE_SLACK,
@@ -291,32 +291,23 @@ class CorrespondenceSearch:
 
     def no_match(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
         """Answer without pairs."""
-        return Match(
-            status,
-            np.zeros((0, 2), dtype=np.intp),
-            None,
-            reason,
-            as_hypothesis(miss, len(self.physical)) if miss else None,
-            0.0,
-            tuple(range(len(self.image))),
-            tuple(range(len(self.physical))),
-        )
+        counts = len(self.image), len(self.physical)
+        return Match.of(status, reason, None, counts, runner_up=self._hypothesis(miss))
 
     def _result(
         self, status: MatchStatus, reason: str, best: Candidate, rival: Candidate | None, margin: float
     ) -> Match:
-        shown = as_hypothesis(best, len(self.physical))
-        used_image, used_physical = set(shown.pairs[:, 0].tolist()), set(shown.pairs[:, 1].tolist())
-        return Match(
+        return Match.of(
             status,
-            shown.pairs,
-            shown.transform,
             reason,
-            as_hypothesis(rival, len(self.physical)) if rival else None,
-            margin,
-            tuple(index for index in range(len(self.image)) if index not in used_image),
-            tuple(index for index in range(len(self.physical)) if index not in used_physical),
+            self._hypothesis(best),
+            (len(self.image), len(self.physical)),
+            runner_up=self._hypothesis(rival),
+            margin_nats=margin,
         )
+
+    def _hypothesis(self, one: Candidate | None) -> Hypothesis | None:
+        return None if one is None else as_hypothesis(one, len(self.physical))
 
 
 def _mirror_reason(one: Candidate) -> str:

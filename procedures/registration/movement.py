@@ -43,8 +43,8 @@ class RigidMove:
     @property
     def rms_mm(self) -> float:
         """Rms displacement of the points under the move."""
-        ways = np.asarray(self.fit.transform.apply(self.fit.image_mm)) - self.fit.image_mm
-        return math.sqrt(float(np.square(ways).sum(axis=1).mean()))
+        displacements = np.asarray(self.fit.transform.apply(self.fit.image_mm)) - self.fit.image_mm
+        return math.sqrt(float(np.square(displacements).sum(axis=1).mean()))
 
     @property
     def gate(self) -> FreGate:
@@ -75,22 +75,27 @@ class PointShift:
     rms_mm: float
     points: int
 
+    @classmethod
+    def of(cls, displacements_mm: Array) -> PointShift:
+        """Average displacements (n, 3)."""
+        rms_mm = float(np.sqrt((displacements_mm**2).sum(axis=1).mean()))
+        return cls(displacements_mm.mean(axis=0), rms_mm, len(displacements_mm))
+
 
 def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """Shift of at least two points, each near its recorded position; None for fewer.
 
     Unlike in `shift_of`, `rms_mm` is of the displacements themselves.
     """
-    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
-    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    recorded, seen = _rows(recorded_mm), _rows(seen_mm)
     if not (len(recorded) and len(seen)):
         return None
     apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
-    ways = np.array([seen[one.argmin()] - place for place, one in zip(recorded, apart, strict=True)])
-    ways = ways[apart.min(axis=1) < NEAR_MM]
-    if len(ways) < 2:
+    displacements = np.array([seen[one.argmin()] - place for place, one in zip(recorded, apart, strict=True)])
+    displacements = displacements[apart.min(axis=1) < NEAR_MM]
+    if len(displacements) < 2:
         return None
-    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(ways))
+    return PointShift.of(displacements)
 
 
 def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
@@ -98,15 +103,14 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
 
     None when fewer than three of them are seen, or when their identity is not clear.
     """
-    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
-    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    recorded, seen = _rows(recorded_mm), _rows(seen_mm)
     pairs = same_points(recorded, seen)
     if pairs is None:
         return None
     rows, columns = (list(side) for side in zip(*pairs, strict=True))
     fit = fit_rigid(recorded[rows], seen[columns])
-    ways = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
-    return PointShift(ways.mean(axis=0), float(np.sqrt((ways**2).sum(axis=1).mean())), len(pairs))
+    displacements = recorded[rows] @ fit.rotation.T + fit.translation_mm - recorded[rows]
+    return PointShift.of(displacements)
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
@@ -114,10 +118,10 @@ def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: f
 
     Shapes like in `shift_of`.
     """
-    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
-    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
-    ways = [np.linalg.norm(seen[column] - recorded[row]) for row, column in same_points(recorded, seen) or ()]
-    *others, farthest = sorted(map(float, ways)) or [0.0]
+    recorded, seen = _rows(recorded_mm), _rows(seen_mm)
+    pairs = same_points(recorded, seen) or ()
+    moved_mm = [float(np.linalg.norm(seen[column] - recorded[row])) for row, column in pairs]
+    *others, farthest = sorted(moved_mm) or [0.0]
     alone = len(others) >= LEAST_POINTS and others[-1] < limit_mm <= farthest
     return farthest if alone else None
 
@@ -128,8 +132,7 @@ def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, i
     Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer
     than three are seen, or when their identity is not clear.
     """
-    recorded = np.asarray(recorded_mm, dtype=float).reshape(-1, 3)
-    seen = np.asarray(seen_mm, dtype=float).reshape(-1, 3)
+    recorded, seen = _rows(recorded_mm), _rows(seen_mm)
     if min(len(recorded), len(seen)) < LEAST_POINTS:
         return None
     apart = np.linalg.norm(recorded[:, None] - seen[None], axis=2)
@@ -140,3 +143,7 @@ def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, i
     if found.status is not MatchStatus.UNIQUE:
         return None
     return [(int(row), int(column)) for row, column in found.pairs]
+
+
+def _rows(points_mm: ArrayLike) -> Array:
+    return np.asarray(points_mm, dtype=float).reshape(-1, 3)

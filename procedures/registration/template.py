@@ -7,14 +7,14 @@ between noisy points; points without a counterpart in the template are ignored o
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.distance import pdist
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.correspondence import Hypothesis, Match, MatchStatus, PosePrior
+from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.matching import MOST_POINTS, checked_prior, evidence_of, match
 from procedures.registration.pairings import as_hypothesis, evaluate
@@ -74,17 +74,16 @@ def match_by_template(
     nodes = sum(1 << int(i) * len(physical) + int(j) for i, j in zip(in_image, in_physical, strict=True))
     (pairing,) = evaluate([nodes], image, physical, evidence_of(sigma_image_mm, sigma_physical_mm))
     paired = as_hypothesis(pairing, len(physical))
+    counts = len(image), len(physical)
     if not pairing.passed:
-        return _nothing("image and physical points differ beyond the noise", paired, image, physical)
-    return Match(
+        reason = "image and physical points differ beyond the noise"
+        return Match.of(MatchStatus.INCONSISTENT, reason, None, counts, runner_up=paired)
+    return Match.of(
         MatchStatus.UNIQUE,
-        paired.pairs,
-        paired.transform,
         f"all {len(template)} template points were found on both sides",
-        runner_up=None,
+        paired,
+        counts,
         margin_nats=min(in_ct.margin_nats, in_room.margin_nats),
-        unmatched_image=_others(len(image), paired.pairs[:, 0]),
-        unmatched_physical=_others(len(physical), paired.pairs[:, 1]),
     )
 
 
@@ -102,26 +101,8 @@ def _found(
 
 
 def _failed(found: Match, side: str, image: Array, physical: Array) -> Match:
-    nothing = _nothing(f"the template among the {side} points: {found.reason}", None, image, physical)
-    return replace(nothing, status=found.status, runner_up=found.runner_up)
-
-
-def _nothing(reason: str, nearest: Hypothesis | None, image: Array, physical: Array) -> Match:
-    return Match(
-        MatchStatus.INCONSISTENT,
-        np.empty((0, 2), dtype=np.intp),
-        None,
-        reason,
-        nearest,
-        margin_nats=0.0,
-        unmatched_image=tuple(range(len(image))),
-        unmatched_physical=tuple(range(len(physical))),
-    )
-
-
-def _others(count: int, used: NDArray[np.intp]) -> tuple[int, ...]:
-    taken = set(used.tolist())
-    return tuple(index for index in range(count) if index not in taken)
+    reason = f"the template among the {side} points: {found.reason}"
+    return Match.of(found.status, reason, None, (len(image), len(physical)), runner_up=found.runner_up)
 
 
 @dataclass(frozen=True, eq=False)

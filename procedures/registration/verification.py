@@ -99,8 +99,9 @@ def verify_two_way(
     if fine is not None and fine.pairs != len(stereo):
         raise BadPoints(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
     rows = _ct_to_room(image, tracker, partners, coarse, fine, stereo, ct_disagreement_mm or {})
+    fiducial_of = {reading: fiducial for fiducial, reading in reversed(partners.tolist())}
     readings = [
-        (Instrument.TRACKER, index, _partner_of(index, partners), point, coarse)
+        (Instrument.TRACKER, index, fiducial_of.get(index), point, coarse)
         for index, point in enumerate(tracker)
     ]
     if fine is not None:
@@ -152,11 +153,6 @@ def _ct_to_room(
             )
         )
     return tuple(rows)
-
-
-def _partner_of(reading: int, partners: NDArray[np.int_]) -> int | None:
-    rows = np.flatnonzero(partners[:, 1] == reading)
-    return int(partners[rows[0], 0]) if len(rows) else None
 
 
 def _room_to_ct(

@@ -15,6 +15,8 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
+from procedures.relocalization.ellipse import circumcentre_offsets
+
 GreyImage = NDArray[np.uint8] | NDArray[np.uint16]
 
 SMOOTHING_PX = 1.0  # Gaussian on the reduced image, against grain
@@ -159,15 +161,7 @@ def _circles_through(
 ) -> tuple[Array, Array]:
     """Fit circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
     a, b, c = (edges.position_px[triples[:, corner]] for corner in range(3))
-    ab, ac = b - a, c - a
-    doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    proper = np.abs(doubled_area) > 1.0
-    ab, ac, a, triples = ab[proper], ac[proper], a[proper], triples[proper]
-    square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
-    offset = np.stack(
-        [ac[:, 1] * square_ab - ab[:, 1] * square_ac, ab[:, 0] * square_ac - ac[:, 0] * square_ab], axis=1
-    )
-    offset /= doubled_area[proper][:, None]
+    offset = circumcentre_offsets(b - a, c - a, least_area=1.0)
     centres, radii = a + offset, np.hypot(offset[:, 0], offset[:, 1])
     kept = (radii >= smallest_px) & (radii <= largest_px)
     centres, radii, triples = centres[kept], radii[kept], triples[kept]

@@ -78,7 +78,8 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
     if len(points_px) < LEAST_POINTS:
         return None
     parameters = np.array([*start.centre_px, *start.shape])
-    scale = 1.0 / np.array([1.0, 1.0, *(3 * [_mean_radius(start) ** 2])])  # one unit moves the rim by 1 px
+    mean_radius = float(np.sqrt(np.prod(start.axes_px)))
+    scale = 1.0 / np.array([1.0, 1.0, *(3 * [mean_radius**2])])  # one unit moves the rim by 1 px
     agreeing = _agreeing(points_px).astype(float) if rough_start else np.ones(len(points_px))
     for iteration in range(START_ITERATIONS + ITERATIONS):
         residual, jacobian = _residuals(parameters, points_px)
@@ -126,24 +127,25 @@ def _agreeing(points_px: Array) -> NDArray[np.bool_]:
     """Mark the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
-    ab, ac = b - a, c - a
-    area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
-    area = np.where(np.abs(area) < 1e-6, np.inf, area)  # a repeated point: a circle of radius 0
-    square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
-    x = (ac[:, 1] * square_ab - ab[:, 1] * square_ac) / area
-    y = (ab[:, 0] * square_ac - ac[:, 0] * square_ab) / area
-    centre = a + np.stack([x, y], axis=1)
+    offset = circumcentre_offsets(b - a, c - a, least_area=1e-6)
+    centre = a + offset
     distance = np.hypot(points_px[:, 0] - centre[:, :1], points_px[:, 1] - centre[:, 1:])
-    near = np.abs(distance - np.hypot(x, y)[:, None]) < AGREEMENT_PX
+    near = np.abs(distance - np.hypot(offset[:, 0], offset[:, 1])[:, None]) < AGREEMENT_PX
     return np.asarray(near[near.sum(axis=1).argmax()])
+
+
+def circumcentre_offsets(ab: Array, ac: Array, least_area: float) -> Array:
+    """Centres (n, 2) of the circles through a, b and c, relative to a; 0 for nearly collinear points."""
+    doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
+    doubled_area = np.where(np.abs(doubled_area) < least_area, np.inf, doubled_area)
+    square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)
+    offset = np.stack(
+        [ac[:, 1] * square_ab - ab[:, 1] * square_ac, ab[:, 0] * square_ac - ac[:, 0] * square_ab], axis=1
+    )
+    return np.asarray(offset / doubled_area[:, None])
 
 
 def _tukey(residual: Array) -> tuple[Array, float]:
     sigma = max(robust_sigma(residual), SIGMA_FLOOR_PX)
     ratio = np.minimum(np.abs(residual) / (TUKEY * sigma), 1.0)
     return np.asarray((1.0 - ratio**2) ** 2), sigma
-
-
-def _mean_radius(ellipse: Ellipse) -> float:
-    major, minor = ellipse.axes_px
-    return float(np.sqrt(major * minor))

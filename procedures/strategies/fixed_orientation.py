@@ -44,19 +44,19 @@ class OrientationCorrection:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the target's orientation."""
+        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of the axis."""
         return poses_along(along, fiducials_mm, robot_from_ct)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """List all turns from the planned angle outwards: all serve equally well."""
+        """List all turns from the axis' free angle outwards: all serve equally well."""
         return OUTWARDS_RAD
 
 
 @dataclass(frozen=True)
-class NeutralOrientation:
-    """Neutral orientation strategy, `nos`."""
+class NeutralOrientation(OrientationCorrection):
+    """Neutral orientation strategy, `nos`: like `ocs`, but along one axis for all targets."""
 
     name: str = "nos"
     controls_approach: bool = False
@@ -76,15 +76,3 @@ class NeutralOrientation:
         middle = robot_from_ct.apply(points.mean(axis=0))
         entry, target = robot_from_ct.inverse().apply([middle + LENGTH_MM * UP, middle]).tolist()
         return (Trajectory(NEUTRAL, tuple(entry), tuple(target)),)
-
-    def localization_poses(
-        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
-    ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the neutral orientation."""
-        return poses_along(along, fiducials_mm, robot_from_ct)
-
-    def turns_rad(
-        self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
-    ) -> tuple[float, ...]:
-        """List all turns from free angle 0 outwards."""
-        return OUTWARDS_RAD

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from localized_spheres import localized_marker
 from painted_ct import write_series
 from prepared_results import registered_robot
 from pydicom import dcmread
@@ -26,7 +27,7 @@ from procedures.journal.journal import Entry, Journal
 from procedures.journal.results import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from ronna_hw.evidence.manifest import hashes_at_closing, seal
 
 SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
@@ -49,15 +50,7 @@ def imported_from_a_sown_series(folder: Path) -> ImportedCt:
 @pytest.fixture
 def run(tmp_path: Path) -> Path:
     """A run with a sown series and a trajectory that is named after its patient."""
-    marker = LocalizedMarker(
-        centre_mm=(1.0, 2.0, 3.0),
-        covariance_mm2=(np.eye(3) * 1e-4).tolist(),
-        radius_mm=5.75,
-        quality=1.0,
-        agreement_mm=0.01,
-        flags=(),
-        odds=1.0,
-    )
+    marker = localized_marker((1.0, 2.0, 3.0), np.eye(3) * 1e-4, agreement_mm=0.01)
     imported = imported_from_a_sown_series(tmp_path / "import")
     spheres = LocalizedFiducials(
         series_instance_uid=imported.series_instance_uid,

@@ -1,4 +1,4 @@
-"""Model of a scanned ball on an uneven background, its stretch, and the robust fit of such a model.
+"""Model of a scanned ball on an uneven background, its stretch, and a robust fit to chosen voxels.
 
 Near the surface of a ball of radius R, blurred by a Gaussian of covariance S = diag(sz², sxy², sxy²),
 
@@ -15,15 +15,18 @@ Fitted together with ball and background, it is known to a few hundredths of a m
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations_with_replacement
 from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt
+from scipy.spatial import cKDTree
 from scipy.special import erfc
 
-from ronna_hw.robust_scale import robust_sigma
+from procedures.imaging.volume import Region
+from ronna_hw.robust_scale import CAUCHY, cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -38,12 +41,25 @@ Model = Callable[[Array], tuple[Array, Array]]  # parameters (m,) to values (n,)
 
 STEPS = 25
 DONE_MM = 5e-5
-CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
 FLAT_TO = 6.0  # standard deviations, at which the weight is a half
 MIN_NOISE_HU = 0.5  # rounding to whole HU alone causes 0.3
 MIN_GROWTH = 0.1
 START_DAMPING, LEAST_DAMPING, MOST_DAMPING = 1e-3, 1e-7, 1e6
 BLOCK = 512  # rows; for larger products BLAS starts threads that cost more than they save
+
+BLUR_LIMITS_MM = (0.15, 2.0)
+MIN_VOXELS = 200
+SHAPE_STEPS = 3
+CORRELATED = 5.0  # variance relative to that of independent voxels: noise is correlated over a few
+OUTLIER = 5.0  # deviations: noise alone reaches this in one sphere of a hundred
+OUTLIER_REACH_MM = 1.2  # and at least a voxel: reach of another object's blur
+FITTED_DEGREES = (1, 2, 3)
+METAL_HU = 900.0
+METAL_REACH_MM = 2.2  # reach of blur from metal
+FIT_MARGIN_MM = 2.25  # voxels up to this far outside the sphere are used
+HIDDEN_DEPTH_MM = 1.5  # under a hidden surface; its blur does not reach deeper
+HIDDEN_REACH = 0.14  # rad; a ray represents its surroundings, neighbours are 0.18 apart
+START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
 
 
 def polynomial(places: Array, degrees: Iterable[int]) -> Array:
@@ -102,10 +118,8 @@ class Stretch:
     @classmethod
     def of_last_terms(cls, found: Array, covariance: Array) -> Self:
         """Extract the stretch from the parameters of a stretched ball and their covariance."""
-        a, b, c, d, e = found[-TERMS:].tolist()
-        matrix = np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
-        return cls(matrix, float(np.sqrt(variance)))
+        return cls(stretch_matrix(found[-TERMS:]), float(np.sqrt(variance)))
 
     @property
     def difference_mm(self) -> float:
@@ -115,11 +129,21 @@ class Stretch:
 
 def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
     """Append to a ball's derivatives (n, m) at points (n, 3) those by its stretch terms, (n, m + 5)."""
-    ways = points_mm - unknowns[:3]
-    ways /= np.maximum(np.linalg.norm(ways, axis=1, keepdims=True), 1e-6)
-    x, y, z = ways.T
-    terms = np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
-    return np.column_stack((derivatives, derivatives[:, RADIUS, None] * terms))
+    directions = points_mm - unknowns[:3]
+    directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
+    return np.column_stack((derivatives, derivatives[:, RADIUS, None] * stretch_terms(directions)))
+
+
+def stretch_terms(directions: Array) -> Array:
+    """The five terms (n, 5) of a stretch along unit directions (n, 3)."""
+    x, y, z = directions.T
+    return np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
+
+
+def stretch_matrix(terms: Array) -> Array:
+    """The symmetric matrix (3, 3) without trace of five stretch terms."""
+    a, b, c, d, e = terms.tolist()
+    return np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
@@ -163,11 +187,6 @@ def scale(residuals: Array) -> float:
     return max(robust_sigma(residuals), MIN_NOISE_HU)
 
 
-def cauchy_weights(residuals: Array, noise: float) -> Array:
-    """Weights (n,) from 1 down to almost zero for outliers."""
-    return np.asarray(1.0 / (1.0 + (residuals / (CAUCHY * noise)) ** 2))
-
-
 def flat_weights(residuals: Array, noise: float) -> Array:
     """Weights (n,) of 1 for whatever noise explains, and almost zero for outliers.
 
@@ -202,3 +221,158 @@ def products(one: Array, other: Array) -> Array:
 
 def _cost(residuals: Array, noise: float) -> float:
     return float(np.log1p((residuals / (CAUCHY * noise)) ** 2).sum())
+
+
+@dataclass(frozen=True, eq=False)
+class BallVoxels:
+    """Voxels used in a fit: indices and grid mm (n, 3), HU (n,), background terms (n, m)."""
+
+    where: NDArray[np.int64]
+    points_mm: Array
+    values: Array
+    places: Array  # (n, 3) in radii from their centroid
+    background: Array
+    spacing_mm: Array
+    farthest_mm: float  # from the start; farther away is another object
+    covered: bool = False  # much of the surface borders on something else, whose traces may be anywhere
+
+    @classmethod
+    def of(
+        cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
+    ) -> Self:
+        """Take the usable voxels of a region around a ball of about this radius."""
+        where = np.argwhere(usable)
+        points_mm = (where + region.start) * region.spacing_mm
+        places = (points_mm - points_mm.mean(axis=0)) / radius_mm
+        background = polynomial(places, FITTED_DEGREES)
+        values = region.values[usable]
+        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
+
+    def robust_fit(self, ball: Array) -> Array | None:
+        """Fit all parameters from those of the ball alone; None if the fit does not converge nearby.
+
+        A linear background comes first, since it converges from farther away, then the full polynomial.
+        """
+        sloping = np.zeros(SLOPE.stop)
+        sloping[:BALL] = ball
+        settled = self._minimum(sloping, ball)
+        if settled is None:
+            return None
+        bent = np.zeros(BALL + self.background.shape[1])
+        bent[: SLOPE.stop] = settled
+        return self._minimum(bent, ball)
+
+    def _minimum(self, start: Array, ball: Array) -> Array | None:
+        background = self.background[:, : len(start) - BALL]
+        settled = minimise(
+            lambda unknowns: intensities(self.points_mm, unknowns, background),
+            self.values,
+            start,
+            _with_possible_blur,
+        )
+        if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
+            return None
+        return settled
+
+    def without_outliers(self, unknowns: Array) -> BallVoxels:
+        """Drop voxels that do not belong to the fitted ball, such as its post, and their blur."""
+        modelled, _ = intensities(self.points_mm, unknowns, self.background)
+        residuals = self.values - modelled
+        outlying = np.abs(residuals) > OUTLIER * scale(residuals)
+        if not outlying.any():
+            return self
+        scaled = self.points_mm / np.maximum(OUTLIER_REACH_MM, self.spacing_mm)
+        distance, _ = cKDTree(scaled[outlying]).query(scaled, distance_upper_bound=1.0 + 1e-6)
+        clear = ~np.isfinite(distance)
+        if clear.sum() < MIN_VOXELS:
+            return self
+        return replace(
+            self,
+            where=self.where[clear],
+            points_mm=self.points_mm[clear],
+            values=self.values[clear],
+            places=self.places[clear],
+            background=self.background[clear],
+        )
+
+    def beyond_mm(self, unknowns: Array) -> Array:
+        """Distance (n,) of each voxel outside a ball."""
+        return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
+
+    def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
+        """Stretch of a fitted ball, from the voxels (n,) that are clear of other objects."""
+        places = self.points_mm[clear]
+        modelled, derivatives = intensities(places, unknowns, self.background[clear])
+        derivatives = stretched_ball(places, unknowns, derivatives)
+        residuals = self.values[clear] - modelled
+        remaining, weights = residuals, np.ones(len(residuals))
+        for _ in range(SHAPE_STEPS):
+            normal = products(derivatives, weights[:, None] * derivatives)
+            answer = np.linalg.pinv(normal, hermitian=True)
+            step = answer @ (derivatives.T @ (weights * residuals))
+            remaining = residuals - derivatives @ step
+            weights = flat_weights(remaining, scale(remaining))
+        return Stretch.of_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
+
+    def at(self, unknowns: Array) -> tuple[Array, Array, Array]:
+        """Derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
+        modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
+        residuals = self.values - modelled
+        weights = (cauchy_weights if self.covered else flat_weights)(residuals, scale(residuals))
+        return derivatives, weights * residuals, weights
+
+    def growth(self, weights: Array) -> float:
+        """Mean growth of the weighted residual with the residual, relative to its weight."""
+        return (cauchy_growth if self.covered else flat_growth)(weights)
+
+
+def _with_possible_blur(unknowns: Array) -> Array:
+    unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
+    return unknowns
+
+
+def voxels_of_ball(
+    region: Region, centre_mm: Array, radius_mm: float, hidden_directions: Array | None
+) -> tuple[NDArray[np.bool_], float]:
+    """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
+
+    Also returns the part of the ball's surface that is too close to metal.
+    """
+    z, y, x = region.axes_mm()
+    distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
+    clean = _far_from_metal(region)
+    usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
+    if hidden_directions is not None and len(hidden_directions) > 0:
+        offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
+        outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
+        usable[usable] = ~in_directions(offsets, hidden_directions, outer)
+    at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
+    metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
+    return usable, metal_share
+
+
+def first_guess(
+    region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
+) -> Array:
+    """Guess the eight parameters of a ball from its surface."""
+    slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
+    return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
+
+
+def _far_from_metal(region: Region) -> NDArray[np.bool_]:
+    metal = region.values > METAL_HU  # NaN compares false
+    if not metal.any():
+        return np.ones(metal.shape, dtype=bool)
+    return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
+
+
+def in_directions(offsets_mm: Array, directions: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the `asked` voxels (n, 3), relative to the centre, that lie in one of these directions."""
+    found = np.zeros(len(asked), dtype=bool)
+    if len(directions) == 0:
+        return found
+    selected = offsets_mm[asked]
+    selected /= np.maximum(np.linalg.norm(selected, axis=1, keepdims=True), 1e-6)
+    distance, _ = cKDTree(directions).query(selected, distance_upper_bound=HIDDEN_REACH)
+    found[asked] = np.isfinite(distance)
+    return found

@@ -21,22 +21,20 @@ from numpy.typing import NDArray
 
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
+    HIDDEN_DEPTH_MM,
     IN,
+    MIN_VOXELS,
     OUT,
     RADIUS,
     SLOPE,
     SXY,
     SZ,
-    Stretch,
-    polynomial,
-    products,
-)
-from procedures.imaging.sphere_centre.ball_voxels import (
-    HIDDEN_DEPTH_MM,
-    MIN_VOXELS,
     BallVoxels,
+    Stretch,
     first_guess,
     in_directions,
+    polynomial,
+    products,
     voxels_of_ball,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (
@@ -86,17 +84,17 @@ def fit_rough_ball(
     inside_hu: float,
     outside_hu: float,
     *,
-    hidden_ways: Array | None = None,
+    hidden_directions: Array | None = None,
 ) -> RoughBall | None:
     """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
 
-    `hidden_ways` (n, 3) are directions from the centre in which the surface borders on something other than
-    the outside; voxels near and beyond the surface there are excluded.
+    In `hidden_directions` (n, 3) from the centre, the surface borders on something other than the outside;
+    voxels near and beyond the surface there are excluded.
     """
-    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_ways)
+    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_directions)
     if usable.sum() < MIN_VOXELS:
         return None
-    covered = hidden_ways is not None and len(hidden_ways) > 0
+    covered = hidden_directions is not None and len(hidden_directions) > 0
     start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
     voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
     settled = voxels.robust_fit(start)
@@ -121,12 +119,12 @@ class RoughBall:
         """Slope and bend of the background over a radius, as a share of the contrast."""
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
-    def refined(self, hidden_ways: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
+    def refined(self, hidden_directions: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
         """Refine the fit; None without one nearby, or if streaks bend it by more than `most_streaks`.
 
         `most_streaks` is relative to the contrast.
 
-        `hidden_ways` (n, 3) are directions without information about the shape.
+        `hidden_directions` (n, 3) are directions without information about the shape.
         """
         fitted = fit_whitened(
             self.voxels.without_outliers(self.unknowns),
@@ -137,7 +135,7 @@ class RoughBall:
             return None
         unknowns = fitted.unknowns
         outer = self.voxels.beyond_mm(unknowns) > -HIDDEN_DEPTH_MM
-        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_ways, outer)
+        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_directions, outer)
         return BlurredBall(
             centre_mm=unknowns[:3],
             covariance_mm2=fitted.covariance_mm2,

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging.volume import Region
-from ronna_hw.robust_scale import robust_sigma
+from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
 Array = NDArray[np.float64]
 
@@ -37,7 +37,6 @@ EDGE_TO = 1.10  # of the fitted radius: beyond this the edge has been passed
 PASSES, REFINING_PASSES = 3, 2  # rays are cast again from each new centre
 FIT_STEPS = 12
 FIT_DONE_MM = 1e-6
-CAUCHY = 2.385  # 95 % efficiency on Gaussian noise
 MIN_SCALE_MM = 1e-3
 MIN_RAYS = 24
 
@@ -111,7 +110,7 @@ def _fit_profiles(
     scanned = np.isfinite(profiles).all(axis=1)
     if scanned.sum() < MIN_RAYS:
         return None
-    rays, ways = profiles[scanned], directions[scanned]
+    rays, directions = profiles[scanned], directions[scanned]
     inner = np.median(rays[:, radii_mm < INSIDE_TO * nominal_radius_mm], axis=1)
     outer = np.median(rays[:, radii_mm > OUTSIDE_FROM * nominal_radius_mm], axis=1)
     inside_hu = float(np.median(inner))
@@ -124,26 +123,27 @@ def _fit_profiles(
     usable = (np.abs(inner - inside_hu) < margin_hu) & (np.abs(outer - outside_hu) < margin_hu)
     if usable.sum() < MIN_RAYS:
         return None
-    level_hu = _level_by_direction(0.5 * (inner + outer), ways, usable)
+    level_hu = _level_by_direction(0.5 * (inner + outer), directions, usable)
     edge_mm, crossed = _crossings(rays, radii_mm, level_hu)
     usable &= crossed
     if is_covered:  # rays that cross the cover before they end in the open
         usable &= np.abs(edge_mm - nominal_radius_mm) < COVERED_REACH * nominal_radius_mm
     if usable.sum() < MIN_RAYS:
         return None
-    points_mm = centre_mm + edge_mm[usable, None] * ways[usable]
+    points_mm = centre_mm + edge_mm[usable, None] * directions[usable]
     new_centre_mm, radius_mm, covariance_mm2, residuals_mm = _fit_sphere(points_mm, centre_mm)
     on_sphere = np.abs(residuals_mm) < INLIER * nominal_radius_mm
     opens = np.abs(outer - outside_hu) < margin_hu
     seen = np.zeros(len(profiles), dtype=bool)
     seen[np.flatnonzero(scanned)[usable][on_sphere]] = True
+    to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
     return RadialEdge(
         centre_mm=new_centre_mm,
         radius_mm=radius_mm,
         covariance_mm2=covariance_mm2,
         surface_share=float(on_sphere.sum()) / len(profiles),
         unscanned_share=1.0 - float(scanned.sum()) / len(profiles),
-        cut_share=_cut_share(profiles, radii_mm, radius_mm),
+        cut_share=1.0 - float(np.isfinite(to_edge).all(axis=1).mean()),
         inside_hu=inside_hu,
         outside_hu=outside_hu,
         coherence=float(on_sphere.sum()) / max(float(opens.sum()), 1.0),
@@ -160,12 +160,6 @@ def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
     return float(np.median(darker_hu[is_open] if is_covered else darker_hu)), is_covered
 
 
-def _cut_share(profiles: Array, radii_mm: Array, radius_mm: float) -> float:
-    """Share of rays without a value up to the sphere's edge and its blur."""
-    to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
-    return 1.0 - float(np.isfinite(to_edge).all(axis=1).mean())
-
-
 def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     """Median fall from just inside the sphere to just outside it."""
     share = radii_mm / radius_mm
@@ -176,9 +170,9 @@ def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
 
 
-def _level_by_direction(middle_hu: Array, ways: Array, usable: NDArray[np.bool_]) -> Array:
+def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
     """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
-    design = np.column_stack([np.ones(len(ways)), ways])
+    design = np.column_stack([np.ones(len(directions)), directions])
     solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solved)
 
@@ -205,7 +199,7 @@ def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array,
         distances = np.linalg.norm(offsets, axis=1)
         residuals = distances - radius_mm
         scale = max(robust_sigma(residuals), MIN_SCALE_MM)
-        weights = 1.0 / (1.0 + (residuals / (CAUCHY * scale)) ** 2)
+        weights = cauchy_weights(residuals, scale)
         jacobian = np.column_stack([-offsets / distances[:, None], -np.ones(len(offsets))])
         normal = jacobian.T @ (weights[:, None] * jacobian)
         step = np.linalg.solve(normal + 1e-9 * np.eye(4), -jacobian.T @ (weights * residuals))

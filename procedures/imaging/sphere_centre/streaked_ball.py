@@ -20,21 +20,19 @@ from numpy.typing import NDArray
 from scipy.special import log_ndtr
 
 from procedures.imaging.sphere_centre.ball_model import (
+    BLUR_LIMITS_MM,
+    MIN_VOXELS,
     OUT,
     RADIUS,
     SXY,
     SZ,
     Stretch,
+    first_guess,
     flat_weights,
+    in_directions,
     intensities,
     scale,
     stretched_ball,
-)
-from procedures.imaging.sphere_centre.ball_voxels import (
-    BLUR_LIMITS_MM,
-    MIN_VOXELS,
-    first_guess,
-    in_directions,
     voxels_of_ball,
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
@@ -114,15 +112,15 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
             return None
         solved = step_found
         streaks, field_hu2 = solved.field, solved.field_hu2
-        left = working - modelled - streaks
+        remaining = working - modelled - streaks
         counted = weights * known
-        white_hu2 = float(counted @ left**2) / max(float(counted.sum()) - solved.degrees, 1.0)
+        white_hu2 = float(counted @ remaining**2) / max(float(counted.sum()) - solved.degrees, 1.0)
         white_hu = max(float(np.sqrt(white_hu2)), LEAST_NOISE_HU)
         noise_hu2 = white_hu**2
         if number >= NOISE_FROM_STEP:
             modes = modes or field.noise_modes((weights > 0.5) & ~censored)
-            noise_hu2 = max(noise_power(modes, left), noise_hu2)
-        weights = flat_weights(left, scale(left[~censored]))
+            noise_hu2 = max(noise_power(modes, remaining), noise_hu2)
+        weights = flat_weights(remaining, scale(remaining[~censored]))
         step = solved.step
         step[:3] = np.clip(step[:3], -MOST_STEP_MM, MOST_STEP_MM)
         unknowns = unknowns + step
@@ -282,7 +280,7 @@ def _is_evident(
     unknowns: Array,
     unseen: Array,
     known: NDArray[np.bool_],
-    left_hu: Array,
+    remaining_hu: Array,
     streaks_hu: Array,
     noise_hu: float,
 ) -> bool:
@@ -295,7 +293,7 @@ def _is_evident(
     away &= known & ~in_directions(offsets_mm, unseen, away)
     if away.sum() < MIN_VOXELS:
         return False
-    explained = float(np.mean(left_hu[away] ** 2 - (left_hu - streaks_hu)[away] ** 2))
+    explained = float(np.mean(remaining_hu[away] ** 2 - (remaining_hu - streaks_hu)[away] ** 2))
     return explained > (EVIDENT * noise_hu) ** 2
 
 
@@ -339,13 +337,17 @@ def _solve(
     slices = zip(field.slices, field.terms, field_hu2.tolist(), strict=True)
     for number, (one, terms, size_hu2) in enumerate(slices):
         root = np.sqrt(weights[one])
-        weighted, left, moved = terms * root[:, None], residuals[one] * root, derivatives[one] * root[:, None]
+        weighted, remaining, moved = (
+            terms * root[:, None],
+            residuals[one] * root,
+            derivatives[one] * root[:, None],
+        )
         count = weighted.shape[1]
         spread = np.linalg.inv(weighted.T @ weighted / noise_hu2 + np.eye(count) / size_hu2)
         weighed = moved / noise_hu2 - weighted @ (spread @ (weighted.T @ moved)) / noise_hu2**2
         normal += moved.T @ weighed
-        pull += weighed.T @ left
-        coefficients = spread @ (weighted.T @ left) / noise_hu2
+        pull += weighed.T @ remaining
+        coefficients = spread @ (weighted.T @ remaining) / noise_hu2
         taken = count - float(np.trace(spread)) / size_hu2
         streaks[one] = terms @ coefficients
         found.append(coefficients)

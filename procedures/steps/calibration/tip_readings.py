@@ -15,13 +15,12 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import PlannedLook, order_by_orientation, turned_about
+from procedures.calibration.pose_set import PlannedLook, held_out_indices, order_by_orientation, turned_about
 from procedures.calibration.tip_calibration import (
     DIALS_TRAVEL_MM,
     BallLook,
     DivotReading,
     TipLooks,
-    held_out_indices,
     pairs_of,
     require_plausible,
     tips_of,

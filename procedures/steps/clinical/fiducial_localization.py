@@ -9,39 +9,12 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
-from procedures.imaging.markers import Candidate, Marker
+from procedures.imaging.markers import Marker
 from procedures.imaging.pictures import marker_pictures
-from procedures.journal.results import Matrix3, StepResult, Values
+from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.conditions import localizable
 from ronna_hw.calibration import Numbers3
-
-
-class LocalizedMarker(Values):
-    """One sphere in the CT."""
-
-    centre_mm: Numbers3 = Field(description="Centre, LPS.")
-    covariance_mm2: Matrix3 = Field(description="Covariance of the centre, LPS.")
-    radius_mm: float = Field(description="Fitted radius.")
-    quality: float = Field(
-        description="Share of the surface used, 0 to 1, reduced by disagreement of the estimates."
-    )
-    agreement_mm: float = Field(description="Distance between the two estimates of the centre.")
-    flags: tuple[str, ...] = Field(description="Reasons that make it less certain.")
-    odds: float = Field(description="That it is a marker, 0 to 1, at least even.")
-
-    @classmethod
-    def of(cls, marker: Marker) -> LocalizedMarker:
-        """Convert the localizer's marker to plain numbers."""
-        return cls(
-            centre_mm=marker.centre_mm.tolist(),
-            covariance_mm2=marker.covariance_mm2.tolist(),
-            radius_mm=float(marker.radius_mm),
-            quality=float(marker.quality),
-            agreement_mm=float(marker.agreement_mm),
-            flags=tuple(marker.flags),
-            odds=float(marker.odds),
-        )
 
 
 class DoubtfulSphere(Values):
@@ -51,18 +24,13 @@ class DoubtfulSphere(Values):
     reason: str = Field(description="Why it is doubtful.")
     odds: float = Field(description="That it is a marker, below even.")
 
-    @classmethod
-    def of(cls, candidate: Candidate) -> DoubtfulSphere:
-        """Convert the localizer's candidate to plain numbers."""
-        return cls(centre_mm=candidate.centre_mm, reason=candidate.reason, odds=float(candidate.odds))
-
 
 class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
     """The spheres of the CT, from superior to inferior."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
     diameter_mm: float = Field(description="Nominal diameter searched for.")
-    markers: tuple[LocalizedMarker, ...] = Field(description="The spheres.")
+    markers: tuple[Marker, ...] = Field(description="The spheres.")
     doubtful: tuple[DoubtfulSphere, ...] = Field(description="What may be a sphere, likeliest first.")
     warnings: tuple[str, ...] = Field((), description="What the spheres together say of the scan.")
 
@@ -87,8 +55,11 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
         LocalizedFiducials(
             series_instance_uid=found.series_instance_uid,
             diameter_mm=found.diameter_mm,
-            markers=tuple(LocalizedMarker.of(marker) for marker in found.markers),
-            doubtful=tuple(DoubtfulSphere.of(candidate) for candidate in found.doubtful),
+            markers=found.markers,
+            doubtful=tuple(
+                DoubtfulSphere(centre_mm=one.centre_mm, reason=one.reason, odds=one.odds)
+                for one in found.doubtful
+            ),
             warnings=found.warnings,
         ),
         summary=f"{len(found.markers)} spheres"

@@ -11,6 +11,7 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.dicom.slice_headers import patient_identifier
+from procedures.imaging.markers import Marker
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
@@ -26,7 +27,6 @@ from procedures.steps.clinical.ct_import import ImportedCt, volume_of
 from procedures.steps.clinical.fiducial_localization import (
     DoubtfulSphere,
     LocalizedFiducials,
-    LocalizedMarker,
 )
 from procedures.steps.conditions import localizable
 
@@ -158,7 +158,7 @@ def _counted(context: StepContext, check: PlanCheck, localized: LocalizedFiducia
     return replace(check, findings=(), warnings=(*check.warnings, said)), min(planned, found)
 
 
-def _place(sphere: LocalizedMarker | DoubtfulSphere) -> str:
+def _place(sphere: Marker | DoubtfulSphere) -> str:
     return f"at ({', '.join(f'{value:.1f}' for value in sphere.centre_mm)}) mm"
 
 

@@ -18,6 +18,7 @@ from clinical_case import (
     TRAJECTORIES,
     ClinicalCell,
 )
+from localized_spheres import localized_marker
 from numpy.typing import NDArray
 from recording_cell import GUIDE, RecordingCell
 
@@ -33,7 +34,7 @@ from procedures.steps.clinical import at_target, positioning, retreat
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
-from procedures.steps.clinical.fiducial_localization import LocalizedFiducials, LocalizedMarker
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.path_check import CheckedPaths, LocalizationPose, TargetPose
@@ -81,16 +82,7 @@ def imported_ct() -> ImportedCt:
 
 def localized_fiducials(centres_mm: Array = CENTRES_CT_MM) -> LocalizedFiducials:
     markers = tuple(
-        LocalizedMarker(
-            centre_mm=centre,
-            covariance_mm2=(np.eye(3) * SIGMA_MM**2).tolist(),
-            radius_mm=5.75,
-            quality=1.0,
-            agreement_mm=0.01,
-            flags=(),
-            odds=1.0,
-        )
-        for centre in centres_mm.tolist()
+        localized_marker(centre, np.eye(3) * SIGMA_MM**2, agreement_mm=0.01) for centre in centres_mm
     )
     return LocalizedFiducials(series_instance_uid=SERIES, diameter_mm=11.5, markers=markers, doubtful=())
 

@@ -32,50 +32,49 @@ from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre
 from ronna_hw.frames import Frame
 from sim.theatre.theatre_file import theatre_content
 
+Identified = tuple[LookingArm, ArmLooks, ArmResult]
+BeforeAndAfter = tuple[Calibrations, Calibrations]
 LOOKS, VALIDATION = 90, 24
 
 
 @pytest.fixture(scope="module")
-def identified() -> tuple[LookingArm, ArmLooks, ArmResult]:
+def identified() -> Identified:
     arm = LookingArm.of(3)
     observed = arm.looks(LOOKS, VALIDATION, SPHERES_MM)
     return arm, observed, calibrate_arm(observed, life=timedelta(days=10))
 
 
-def test_held_out_looks_are_predicted_as_well_as_stated(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
-) -> None:
-    _, _, result = identified
+@pytest.fixture(scope="module")
+def result(identified: Identified) -> ArmResult:
+    return identified[2]
+
+
+def test_held_out_looks_are_predicted_as_well_as_stated(result: ArmResult) -> None:
     held = result.validation
     assert held.before_mm > 1.0
     assert 0.7 < held.error_mm / held.predicted_mm < 1.4
     assert held.error_mm < 0.04
 
 
-def test_the_record_makes_predicted_errors_smaller_without_any_setting(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
-) -> None:
-    _, _, result = identified
+def test_the_record_makes_predicted_errors_smaller_without_any_setting(result: ArmResult) -> None:
     written = ArmCalibration.model_validate(ARM.records_of(result)["arm"])
     sizes = ErrorSizes.stated(ProcedureSettings(), written)
     assert sizes.links < 0.4
     assert sizes.tool_mm < 0.05
 
 
-def test_the_random_error_of_the_arm_is_estimated(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
+def test_the_random_error_of_the_arm_is_estimated(identified: Identified) -> None:
     arm, _, result = identified
     assert result.fit.scatter_mm == pytest.approx(arm.scene.arm.repeatability_mm, rel=0.2)
 
 
-def test_backlash_is_estimated_from_looks_that_arrive_from_both_sides(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
-) -> None:
+def test_backlash_is_estimated_from_looks_that_arrive_from_both_sides(identified: Identified) -> None:
     arm, _, result = identified
     np.testing.assert_allclose(result.arm.backlash_rad, arm.scene.arm.backlash_rad, atol=1e-4)
 
 
 def test_points_near_the_spheres_are_reached_accurately_relative_to_each_other(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
+    identified: Identified,
 ) -> None:
     arm, _, result = identified
     calibrated = CalibratedArm(KINEMATICS, ArmDeviations.of(result.arm))
@@ -100,9 +99,7 @@ def test_points_near_the_spheres_are_reached_accurately_relative_to_each_other(
     assert spread[1] > 5.0 * spread[0]
 
 
-def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
-) -> None:
+def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(identified: Identified) -> None:
     _, observed, result = identified
     assert result.arm.created == observed.created
     assert result.arm.expires - result.arm.created == timedelta(days=10)
@@ -114,7 +111,7 @@ def test_the_arms_record_is_dated_and_the_cameras_were_not_measured(
 
 
 @pytest.fixture(scope="module")
-def together(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> tuple[Calibrations, Calibrations]:
+def together(identified: Identified) -> BeforeAndAfter:
     """The records of a theatre before and after its arm is calibrated."""
     arm, observed, _ = identified
     drawn = parse_theatre(theatre_content(arm.scene, ENDPOINTS, "host:", {}, 1.0)).calibration
@@ -134,9 +131,7 @@ def later_than_the_arm(calibrations: Calibrations, name: str) -> Calibrations:
     return calibrations.model_copy(update={name: record})
 
 
-def test_an_arm_has_to_be_calibrated_again_after_the_head(
-    together: tuple[Calibrations, Calibrations],
-) -> None:
+def test_an_arm_has_to_be_calibrated_again_after_the_head(together: BeforeAndAfter) -> None:
     _, after = together
     require_together(after)
     with pytest.raises(ArmOlderThanHead, match=r"CAL-021.*ronna-arm calibrate --config t\.toml"):
@@ -145,23 +140,19 @@ def test_an_arm_has_to_be_calibrated_again_after_the_head(
 
 @pytest.mark.parametrize("name", ["stereo_head", "tool_tip"])
 def test_an_arm_goes_only_with_the_head_and_tip_that_were_moved_when_it_was_calibrated(
-    together: tuple[Calibrations, Calibrations], name: str
+    together: BeforeAndAfter, name: str
 ) -> None:
     before, after = together
     with pytest.raises(OfAnotherTheatre, match=rf"CAL-020.*\[calibration\.{name}\].*calibration\.toml"):
         require_together(after.model_copy(update={name: getattr(before, name)}))
 
 
-def test_a_tip_that_is_calibrated_after_the_arm_may_be_elsewhere(
-    together: tuple[Calibrations, Calibrations],
-) -> None:
+def test_a_tip_that_is_calibrated_after_the_arm_may_be_elsewhere(together: BeforeAndAfter) -> None:
     before, after = together
     require_together(later_than_the_arm(after.model_copy(update={"tool_tip": before.tool_tip}), "tool_tip"))
 
 
-def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(
-    identified: tuple[LookingArm, ArmLooks, ArmResult],
-) -> None:
+def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(identified: Identified) -> None:
     arm, _, result = identified
     later = arm.looks(0, 24, SPHERES_MM).model_copy(
         update={"arm_record": result.arm, "stereo_head": result.stereo_head}
@@ -186,7 +177,7 @@ def test_too_few_looks_are_refused() -> None:
         calibrate_arm(LookingArm.of(3).looks(40, 24, SPHERES_MM))
 
 
-def test_no_look_at_all_is_too_few(identified: tuple[LookingArm, ArmLooks, ArmResult]) -> None:
+def test_no_look_at_all_is_too_few(identified: Identified) -> None:
     _, observed, result = identified
     nothing = observed.model_copy(update={"looks": (), "arm_record": result.arm})
     with pytest.raises(TooFewPoses, match=r"to calibrate.*at least 60.*got 0"):
@@ -197,7 +188,7 @@ def test_no_look_at_all_is_too_few(identified: tuple[LookingArm, ArmLooks, ArmRe
 
 @pytest.mark.parametrize("of_validation", [True, False])
 def test_a_sphere_seen_only_in_one_of_both_sets_does_not_spoil_the_calibration(
-    identified: tuple[LookingArm, ArmLooks, ArmResult], of_validation: bool
+    identified: Identified, of_validation: bool
 ) -> None:
     _, observed, whole = identified
     sphere = 3 if of_validation else 0

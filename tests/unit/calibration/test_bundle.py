@@ -22,7 +22,7 @@ from procedures.relocalization.triangulation import check_head
 from procedures.runs.calibrations import STEREO_HEAD
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from ronna_hw.arm.errors import LimitError
-from ronna_hw.calibration import CalibrationExpired, ToolTipCalibration
+from ronna_hw.calibration import CalibrationExpired, PoseRecord, ToolTipCalibration
 from ronna_hw.errors import EXIT_REFUSED
 from sim.world.rigid import inverse, matrix_of
 
@@ -137,17 +137,20 @@ def test_the_new_record_is_dated_and_states_its_cameras_and_its_error(head: True
     assert refused.value.exit_code == EXIT_REFUSED
 
 
-def test_the_tip_of_the_guide_moves_with_the_mount_it_shares_with_the_head(head: TrueHead) -> None:
-    before = head.record
-    tip = ToolTipCalibration(
+def tip_at(head: TrueHead, flange_from_tool: PoseRecord) -> ToolTipCalibration:
+    return ToolTipCalibration(
         identifier="tip",
-        created=before.created,
-        expires=before.expires,
+        created=head.record.created,
+        expires=head.record.expires,
         made_by="a laboratory",
         stated_error_mm=0.05,
         tool_number=2,
-        flange_from_tool=before.flange_from_tool,
+        flange_from_tool=flange_from_tool,
     )
+
+
+def test_the_tip_of_the_guide_moves_with_the_mount_it_shares_with_the_head(head: TrueHead) -> None:
+    tip = tip_at(head, head.record.flange_from_tool)
     observed = observation_set(head, looks_at(head)).model_copy(update={"tool_tip": tip})
     moved = calibrate_head(observed).tool_tip
     assert moved is not None
@@ -159,15 +162,7 @@ def test_the_tip_of_the_guide_moves_with_the_mount_it_shares_with_the_head(head:
 
 def test_a_head_that_moved_on_the_mount_leaves_the_tip_where_it_is(head: TrueHead) -> None:
     mount = head.scene.mount
-    tip = ToolTipCalibration(
-        identifier="tip",
-        created=head.record.created,
-        expires=head.record.expires,
-        made_by="a laboratory",
-        stated_error_mm=0.05,
-        tool_number=2,
-        flange_from_tool=mount.flange_from_tool_true,
-    )
+    tip = tip_at(head, mount.flange_from_tool_true)
     first = calibrate_head(observation_set(head, looks_at(head)))
     x, y, z = mount.flange_from_tool_true.translation_mm
     slipped = mount.flange_from_tool_true.model_copy(update={"translation_mm": (x + 0.3, y, z + 0.4)})
@@ -193,6 +188,10 @@ def test_a_second_calibration_confirms_the_first_one(head: TrueHead) -> None:
     assert first.tool_shift_mm > 0.5
     assert second.tool_shift_mm < GOAL_MM
     assert second.frame_misfit_mm < 0.01
+
+
+def test_for_a_count_of_zero_no_view_is_planned() -> None:
+    assert calibration_looks(Rotation.identity(), (0.0, 0.0, 0.0), 0) == ()
 
 
 def test_too_few_poses_are_refused(head: TrueHead) -> None:

@@ -23,18 +23,24 @@ from procedures.calibration.hand_eye import PosePairs, solve
 from procedures.calibration.head_model import pose_record
 from ronna_hw.frames import Frame, Transform
 
+Seen = tuple[FrameCell, FrameLooks]
 COUNT, VALIDATION = 20, 8
 
 
-def looks_of(seed: int, *, calibrated: bool, exact: bool = False) -> tuple[FrameCell, FrameLooks]:
+def looks_of(seed: int, *, calibrated: bool, exact: bool = False) -> Seen:
     cell = FrameCell.of(seed, calibrated=calibrated, exact=exact)
     return cell, cell.looks(COUNT, VALIDATION)
 
 
 @pytest.fixture(scope="module")
-def seen() -> tuple[FrameCell, FrameLooks]:
+def seen() -> Seen:
     """A scene with a calibrated arm, and looks in it."""
     return looks_of(3, calibrated=True)
+
+
+@pytest.fixture(scope="module")
+def observed(seen: Seen) -> FrameLooks:
+    return seen[1]
 
 
 def among(observed: FrameLooks, looks: Sequence[FrameLook]) -> FrameLooks:
@@ -81,7 +87,7 @@ def test_with_a_calibrated_arm_the_frame_is_where_a_perfect_tracker_would_find_i
     assert drawn_deg <= 0.05
 
 
-def test_an_uncalibrated_arm_enters_the_stated_error(seen: tuple[FrameCell, FrameLooks]) -> None:
+def test_an_uncalibrated_arm_enters_the_stated_error(seen: Seen) -> None:
     cell, observed = looks_of(3, calibrated=False)
     result = calibrate_frame(observed)
     error_mm, _ = apart(result.fit.flange_from_marker, cell.true_frame)
@@ -91,10 +97,7 @@ def test_an_uncalibrated_arm_enters_the_stated_error(seen: tuple[FrameCell, Fram
     assert calibrated.tracker_frame.stated_error_mm < result.tracker_frame.stated_error_mm
 
 
-def test_the_record_is_dated_and_relative_to_the_head_on_the_same_mount(
-    seen: tuple[FrameCell, FrameLooks],
-) -> None:
-    _, observed = seen
+def test_the_record_is_dated_and_relative_to_the_head_on_the_same_mount(observed: FrameLooks) -> None:
     result = calibrate_frame(observed, life=timedelta(days=3))
     record = result.tracker_frame
     assert (record.created, record.expires) == (observed.created, observed.created + timedelta(days=3))
@@ -104,17 +107,14 @@ def test_the_record_is_dated_and_relative_to_the_head_on_the_same_mount(
     assert np.allclose(again.as_matrix(), result.fit.flange_from_marker, atol=1e-6)
 
 
-def test_held_out_looks_agree_with_the_predicted_error(
-    seen: tuple[FrameCell, FrameLooks],
-) -> None:
+def test_held_out_looks_agree_with_the_predicted_error(seen: Seen) -> None:
     result = calibrate_frame(seen[1])
     assert len(result.misses_mm) == VALIDATION
     rms_mm = float(np.sqrt(np.mean(np.sum(result.misses_mm**2, axis=1))))
     assert 0.4 * result.predicted_mm < rms_mm < 1.7 * result.predicted_mm
 
 
-def test_too_few_poses_are_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
-    _, observed = seen
+def test_too_few_poses_are_refused(observed: FrameLooks) -> None:
     few = [one for one in observed.looks if one.use is not Use.FIT]
     with pytest.raises(TooFewPoses, match="CAL-002"):
         calibrate_frame(among(observed, few))
@@ -132,8 +132,7 @@ def test_turns_about_nearly_parallel_axes_are_refused() -> None:
         solve(pairs)
 
 
-def test_a_frame_that_is_not_mounted_on_the_arm_is_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
-    _, observed = seen
+def test_a_frame_that_is_not_mounted_on_the_arm_is_refused(observed: FrameLooks) -> None:
     resting = observed.looks[0].tracker_from_marker
     looks = [one.model_copy(update={"tracker_from_marker": resting}) for one in observed.looks]
     with pytest.raises(FrameNotCarried, match="CAL-015"):
@@ -141,9 +140,8 @@ def test_a_frame_that_is_not_mounted_on_the_arm_is_refused(seen: tuple[FrameCell
 
 
 def test_a_tracker_that_moved_during_calibration_is_detected_at_the_repeated_pose(
-    seen: tuple[FrameCell, FrameLooks],
+    observed: FrameLooks,
 ) -> None:
-    _, observed = seen
     *looks, last = observed.looks
     assert last.use is Use.RETURN
     with pytest.raises(TrackerMoved, match="CAL-016") as refused:
@@ -152,10 +150,7 @@ def test_a_tracker_that_moved_during_calibration_is_detected_at_the_repeated_pos
     assert refused.value.got.startswith("0.4")
 
 
-def test_a_creeping_tracker_is_detected_although_no_single_step_is(
-    seen: tuple[FrameCell, FrameLooks],
-) -> None:
-    _, observed = seen
+def test_a_creeping_tracker_is_detected_although_no_single_step_is(observed: FrameLooks) -> None:
     first, *_ = (one for one in observed.looks if one.use is Use.RETURN)
     others = [one for one in observed.looks if one.use is not Use.RETURN]
     creeping = [pushed(first, (0.0, 0.15 * step, 0.0)) for step in range(3)]
@@ -163,8 +158,7 @@ def test_a_creeping_tracker_is_detected_although_no_single_step_is(
         calibrate_frame(among(observed, [*others, *creeping]))
 
 
-def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, FrameLooks]) -> None:
-    _, observed = seen
+def test_poses_that_do_not_fit_the_others_are_refused(observed: FrameLooks) -> None:
     generator = np.random.default_rng(5)
 
     def spoilt(use: Use, sigma_mm: float) -> FrameLooks:
@@ -180,10 +174,7 @@ def test_poses_that_do_not_fit_the_others_are_refused(seen: tuple[FrameCell, Fra
         calibrate_frame(spoilt(Use.VALIDATION, 1.0))
 
 
-def test_a_result_far_from_the_record_is_refused_with_a_corrective_action(
-    seen: tuple[FrameCell, FrameLooks],
-) -> None:
-    _, observed = seen
+def test_a_result_far_from_the_record_is_refused_with_a_corrective_action(observed: FrameLooks) -> None:
     upside_down = Transform.of(
         Frame.TOOL, Frame.MARKER, translation_mm=(150.0, 0.0, 140.0), quaternion_wxyz=(0.0, 1.0, 0.0, 0.0)
     )

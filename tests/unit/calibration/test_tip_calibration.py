@@ -35,14 +35,20 @@ from ronna_hw.frames import Frame
 from sim.world.rigid import matrix_of
 
 COUNT, VALIDATION = LEAST_READINGS, LEAST_VALIDATION  # so every good calibration here passes with the fewest
+Read = tuple[TipCell, TipLooks]
 Numbers3 = tuple[float, float, float]
 
 
 @pytest.fixture(scope="module")
-def read() -> tuple[TipCell, TipLooks]:
+def read() -> Read:
     """A scene with an uncalibrated arm, and readings in it."""
     cell = TipCell.of(3, calibrated=False)
     return cell, cell.readings(COUNT, VALIDATION)
+
+
+@pytest.fixture(scope="module")
+def observed(read: Read) -> TipLooks:
+    return read[1]
 
 
 def with_dials(one: DivotReading, more_mm: np.ndarray | Numbers3) -> DivotReading:
@@ -65,8 +71,7 @@ def test_the_tip_is_found_relative_to_what_the_head_sees_whatever_the_arm(
     assert np.linalg.norm(result.fit.tip_mm - cell.seen_mm(true)) <= 4.0 * result.tool_tip.stated_error_mm
 
 
-def test_the_record_is_dated_and_keeps_the_direction_of_the_guide(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_the_record_is_dated_and_keeps_the_direction_of_the_guide(observed: TipLooks) -> None:
     record = calibrate_tip(observed, life=timedelta(days=3)).tool_tip
     assert (record.created, record.expires) == (observed.created, observed.created + timedelta(days=3))
     assert record.tool_number == observed.start.tool_number
@@ -76,16 +81,14 @@ def test_the_record_is_dated_and_keeps_the_direction_of_the_guide(read: tuple[Ti
     assert record.stated_direction_error_rad == observed.start.stated_direction_error_rad > 0.0
 
 
-def test_the_record_places_the_tip_where_the_fit_does(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_the_record_places_the_tip_where_the_fit_does(observed: TipLooks) -> None:
     result = calibrate_tip(observed)
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     tip = result.tool_tip.flange_from_tool.translation_mm
     assert np.allclose(head.inverse().apply(tip), result.fit.tip_mm)
 
 
-def test_too_few_readings_are_refused(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_too_few_readings_are_refused(observed: TipLooks) -> None:
     kept = [one for one in observed.readings if one.look in observed.validation]
     used = [one for one in observed.readings if one.look not in observed.validation]
     with pytest.raises(TooFewPoses, match="too few readings of the divot"):
@@ -94,22 +97,20 @@ def test_too_few_readings_are_refused(read: tuple[TipCell, TipLooks]) -> None:
         calibrate_tip(among(observed, used))
 
 
-def test_a_narrow_cone_is_refused(read: tuple[TipCell, TipLooks]) -> None:
+def test_a_narrow_cone_is_refused(read: Read) -> None:
     cell, _ = read
     with pytest.raises(DegeneratePoses, match="too narrow a cone"):
         calibrate_tip(cell.readings(COUNT, VALIDATION, tilt_rad=0.05))
 
 
-def test_dial_readings_that_were_mixed_up_are_refused(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_dial_readings_that_were_mixed_up_are_refused(observed: TipLooks) -> None:
     generator = np.random.default_rng(2)
     spoilt = [with_dials(one, generator.normal(0.0, 0.2, 3)) for one in observed.readings]
     with pytest.raises(DoesNotFit, match="do not agree on one tip position"):
         calibrate_tip(among(observed, spoilt))
 
 
-def test_held_out_readings_must_agree_with_the_fit(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_held_out_readings_must_agree_with_the_fit(observed: TipLooks) -> None:
     spoilt = [
         with_dials(one, (0.2, 0.2, 0.0)) if one.look in observed.validation else one
         for one in observed.readings
@@ -119,10 +120,7 @@ def test_held_out_readings_must_agree_with_the_fit(read: tuple[TipCell, TipLooks
 
 
 @pytest.mark.parametrize("dials", [(350.0, 20.0, -10.0), (0.0, float("nan"), 0.0)])
-def test_implausible_readings_are_refused_with_the_value_read(
-    read: tuple[TipCell, TipLooks], dials: Numbers3
-) -> None:
-    _, observed = read
+def test_implausible_readings_are_refused_with_the_value_read(observed: TipLooks, dials: Numbers3) -> None:
     first, *others = observed.readings
     wrong = first.model_copy(update={"dials_mm": dials})
     with pytest.raises(ReadingImplausible, match="CAL-018") as refused:
@@ -130,8 +128,7 @@ def test_implausible_readings_are_refused_with_the_value_read(
     assert refused.value.got == " ".join(f"{value:g}" for value in dials)
 
 
-def test_each_reading_needs_its_own_look(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_each_reading_needs_its_own_look(observed: TipLooks) -> None:
     first, *others = observed.readings
     for wrong in (first.model_copy(update={"look": 99}), first.model_copy(update={"look": others[0].look})):
         with pytest.raises(BadObservations, match="CAL-005"):
@@ -155,9 +152,8 @@ def test_pivoting_distinguishes_a_displaced_divot_from_a_shifted_tip() -> None:
 
 
 def test_an_accepted_gap_counts_in_the_stated_error_and_bad_readings_cannot_hide_one(
-    read: tuple[TipCell, TipLooks],
+    observed: TipLooks,
 ) -> None:
-    _, observed = read
     result = calibrate_tip(observed)
     assert result.tool_tip.stated_error_mm >= result.fit.gap_error_mm
     assert np.linalg.norm(result.fit.gap_mm) <= 3.0 * result.tool_tip.stated_error_mm
@@ -168,9 +164,8 @@ def test_an_accepted_gap_counts_in_the_stated_error_and_bad_readings_cannot_hide
 
 
 def test_a_value_slightly_beyond_its_limit_is_shown_as_different_from_the_limit(
-    read: tuple[TipCell, TipLooks], monkeypatch: pytest.MonkeyPatch
+    observed: TipLooks, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    _, observed = read
     scatter_mm = calibrate_tip(observed).fit.scatter_mm
     monkeypatch.setattr(tip_calibration, "LARGEST_SCATTER_MM", round(0.9999 * scatter_mm, 6))
     with pytest.raises(DoesNotFit, match="one tip position") as refused:
@@ -196,8 +191,7 @@ def test_the_command_requires_as_many_readings_as_the_fit_needs() -> None:
         assert f"{least}<=x<=" in done.stderr
 
 
-def test_head_and_tip_in_different_orientations_are_refused(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_head_and_tip_in_different_orientations_are_refused(observed: TipLooks) -> None:
     pairs = pairs_of(observed, observed.readings)
     turned = pairs.at_divot.copy()
     turned[:, :3, :3] = turned[:, :3, :3] @ Rotation.from_rotvec([0.0, 0.0, 0.02]).as_matrix()
@@ -205,8 +199,7 @@ def test_head_and_tip_in_different_orientations_are_refused(read: tuple[TipCell,
         fit_tip(TipPairs(pairs.at_ball, turned, pairs.ball_mm, pairs.dials_mm))
 
 
-def test_a_tip_far_from_its_record_is_refused(read: tuple[TipCell, TipLooks]) -> None:
-    _, observed = read
+def test_a_tip_far_from_its_record_is_refused(observed: TipLooks) -> None:
     place = observed.start.flange_from_tool
     x, y, z = place.translation_mm
     elsewhere = place.model_copy(update={"translation_mm": (x, y, z + 30.0)})

@@ -6,12 +6,12 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from localized_spheres import localized_marker
 from plan_editors import ENTRY, TARGET, scan
 from recording_cell import mini_theatre_file
 
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import judge
-from procedures.imaging.markers import Marker
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
 from procedures.strategies.catalogue import strategy_named
 
@@ -23,7 +23,7 @@ DRAFT = Draft(
     implanted=3,
     instrument_length_mm=250.0,
     ways=(DraftTrajectory("T1", ENTRY, TARGET),),
-    markers=tuple(Marker(np.array(centre), 0.01 * np.eye(3), 5.75, 1.0, 0.0) for centre in CENTRES_MM),
+    markers=tuple(localized_marker(centre, 0.01 * np.eye(3)) for centre in CENTRES_MM),
 )
 
 

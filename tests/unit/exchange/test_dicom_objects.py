@@ -16,15 +16,15 @@ from typing import Any
 import gdcm
 import numpy as np
 import pytest
+from localized_spheres import localized_marker
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.exchange.dicom_objects import (
-    Fiducial,
     Origin,
     decimals,
     fiducial_uid,
-    spatial_fiducials,
     spatial_registration,
+    sphere_fiducials,
     write,
 )
 from procedures.exchange.errors import NotWritable
@@ -32,7 +32,11 @@ from procedures.exchange.sphere_files import slicer_markups, table
 from ronna_hw.frames import Frame, Transform
 
 ORIGIN = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", datetime(2026, 11, 20, 9, 30, tzinfo=UTC), "a hash")
-SPHERES = (Fiducial("M1", (12.345678, -1e-3, 100.0), 0.0123), Fiducial("M2", (-80.0, 33.3, 7.25), 0.02))
+SPHERES = (
+    localized_marker((12.345678, -1e-3, 100.0), np.diag([0.0123 * 0.0123, 0.0, 0.0])),
+    localized_marker((-80.0, 33.3, 7.25), np.diag([0.02 * 0.02, 0.0, 0.0])),
+)
+NAMES = ("M1", "M2")
 POSE = Transform(
     Frame.ROBOT,
     Frame.CT,
@@ -76,11 +80,11 @@ def needs(program: str) -> pytest.MarkDecorator:
 
 
 def registration():
-    used = [fiducial_uid(ORIGIN, sphere) for sphere in SPHERES]
+    used = [fiducial_uid(ORIGIN, name) for name in NAMES]
     return spatial_registration(POSE, ORIGIN, description="trajectory T1", fiducial_uids=used)
 
 
-OBJECTS = {"registration": registration, "fiducials": lambda: spatial_fiducials(SPHERES, ORIGIN)}
+OBJECTS = {"registration": registration, "fiducials": lambda: sphere_fiducials(SPHERES, ORIGIN)}
 
 
 def dump(path: Path) -> str:
@@ -113,13 +117,13 @@ def test_gdcm_reads_the_same_matrix_between_the_same_frames(tmp_path: Path) -> N
 
 
 def test_gdcm_reads_the_same_spheres(tmp_path: Path) -> None:
-    read = GdcmObject(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    read = GdcmObject(write(sphere_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
     (group,) = read.items(read.whole, FIDUCIAL_SETS)
     assert read.text(group, FRAME_OF_REFERENCE) == ORIGIN.frame_of_reference_uid
     spheres = read.items(group, FIDUCIALS)
-    assert [read.text(one, NAME) for one in spheres] == [one.name for one in SPHERES]
+    assert tuple(read.text(one, NAME) for one in spheres) == NAMES
     assert [tuple(read.numbers(one, CENTRE)) for one in spheres] == [one.centre_mm for one in SPHERES]
-    assert [read.text(one, UNIQUE_NAME) for one in spheres] == [fiducial_uid(ORIGIN, one) for one in SPHERES]
+    assert [read.text(one, UNIQUE_NAME) for one in spheres] == [fiducial_uid(ORIGIN, name) for name in NAMES]
 
 
 @needs("dcmdump")
@@ -136,11 +140,11 @@ def test_dcmtk_reads_the_same_matrix(tmp_path: Path) -> None:
 
 @needs("dcmdump")
 def test_dcmtk_reads_the_same_spheres(tmp_path: Path) -> None:
-    said = dump(write(spatial_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
+    said = dump(write(sphere_fiducials(SPHERES, ORIGIN), tmp_path / "fid.dcm"))
     centres = re.findall(r"\(3006,0050\) DS \[([^\]]*)\]", said)
     assert [tuple(float(x) for x in text.split("\\")) for text in centres] == [s.centre_mm for s in SPHERES]
     assert re.findall(r"\(0070,0312\) FD ([\d.]+)", said) == ["0.0123", "0.02"]
-    assert all(fiducial_uid(ORIGIN, sphere) in said for sphere in SPHERES)
+    assert all(fiducial_uid(ORIGIN, name) in said for name in NAMES)
 
 
 @pytest.mark.hazard(35)
@@ -153,9 +157,7 @@ def test_no_object_contains_patient_data() -> None:
 def test_equal_results_give_equal_objects_and_different_ones_different_uids() -> None:
     again = Origin("1.2.826.0.1.1", "1.2.826.0.1.2", ORIGIN.made, "another hash")
     assert registration() == registration()
-    assert (
-        spatial_fiducials(SPHERES, again).SOPInstanceUID != spatial_fiducials(SPHERES, ORIGIN).SOPInstanceUID
-    )
+    assert sphere_fiducials(SPHERES, again).SOPInstanceUID != sphere_fiducials(SPHERES, ORIGIN).SOPInstanceUID
 
 
 @pytest.mark.parametrize("value", [0.1234567890123456789, -1e-17, 123456.78901234567, -1.0, 3e-300, 0.0])

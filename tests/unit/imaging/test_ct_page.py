@@ -11,6 +11,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from localized_spheres import as_volume
 
 from procedures.imaging import Candidate, Volume, VoxelGeometry, localize
 from procedures.imaging.ct_page import BRIGHTEST_HU, DARKEST_HU, LEVELS, ct_page, view_volume
@@ -45,8 +46,7 @@ def content_of(page: str) -> dict[str, Any]:
 def test_the_page_contains_every_slice_and_the_markers_found(make_scan: Callable[..., Any]) -> None:
     scan = make_scan(shape=(40, 80, 140))
     scan.ball(np.array([20.0, 20.0, 20.0]))
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    volume = Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    volume = as_volume(scan)
     found = localize(volume)
     content = content_of(ct_page(volume, "series", found.markers, found.candidates, "1 marker found."))
     assert [one["centre_mm"] for one in content["found"]] == found.centres_mm.tolist()

@@ -137,62 +137,40 @@ def test_a_lone_capsule_a_little_longer_than_wide_is_doubtful(
     assert max(one.odds for one in raised.value.candidates) < 0.2
 
 
-LookAlike = Callable[[Any, Array], None]  # draws itself around a place
+BALL = ((0, 0, 0),)
+# balls: offset mm, then radius and HU if they differ from a marker's
+LOOK_ALIKES = {
+    "knob": ([BALL], "extends beyond a sphere"),
+    "capsule": (
+        [((0, 0, step_mm),) for step_mm in (-0.6, 0.0, 0.6)],
+        "longer in one direction than in another",
+    ),
+    "cap": ([BALL], "is off a sphere"),
+    "hollow ball": (
+        [BALL, ((0, 0, 0), 2.8, -1000.0)],
+        "of its core is a different material",
+    ),
+    "ball with a bubble": (
+        [BALL, ((0.5, 1.2, 0.6), 2.4, -1000.0)],
+        "of its core is a different material",
+    ),
+    "ball with metal core": ([BALL, ((0, 0, 0), 1.5, 3000.0)], "has metal in its core"),
+    "beads": ([((0, 0, step_mm),) for step_mm in (-11.5, 0.0, 11.5)], "is one of a row"),
+}
 
 
-def knob(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.rod(at, np.array([0.2, 1.0, 0.4]), 20.0, 4.0, 150.0)
-
-
-def capsule(scan: Any, at: Array) -> None:
-    for step_mm in (-0.6, 0.0, 0.6):
-        scan.ball(at + np.array([0.0, 0.0, step_mm]))
-
-
-def cap(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.half_space(at + np.array([0.0, 3.2, 0.0]), np.array([0.0, -1.0, 0.0]), -1000.0)
-
-
-def hollow_ball(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.ball(at, 2.8, -1000.0)
-
-
-def ball_with_a_bubble(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.ball(at + np.array([0.5, 1.2, 0.6]), 2.4, -1000.0)
-
-
-def ball_with_metal_core(scan: Any, at: Array) -> None:
-    scan.ball(at)
-    scan.ball(at, 1.5, 3000.0)
-
-
-def beads(scan: Any, at: Array) -> None:
-    for step_mm in (-11.5, 0.0, 11.5):
-        scan.ball(at + np.array([0.0, 0.0, step_mm]))
-
-
-@pytest.mark.parametrize(
-    ("look_alike", "reason"),
-    [
-        (knob, "extends beyond a sphere"),
-        (capsule, "longer in one direction than in another"),
-        (cap, "is off a sphere"),
-        (hollow_ball, "of its core is a different material"),
-        (ball_with_a_bubble, "of its core is a different material"),
-        (ball_with_metal_core, "has metal in its core"),
-        (beads, "is one of a row"),
-    ],
-    ids=lambda value: value.__name__ if callable(value) else "",
-)
+@pytest.mark.parametrize("look_alike", LOOK_ALIKES)
 def test_a_look_alike_of_a_sphere_is_reported_as_doubtful_with_its_reason_and_low_odds(
-    make_scan: Make, look_alike: LookAlike, reason: str
+    make_scan: Make, look_alike: str
 ) -> None:
-    scan = make_scan(shape=(40, 100, 170))
-    look_alike(scan, np.array([20.0, 16.0, 22.0]))
+    scan, at = make_scan(shape=(40, 100, 170)), np.array([20.0, 16.0, 22.0])
+    balls, reason = LOOK_ALIKES[look_alike]
+    for offset_mm, *different in balls:
+        scan.ball(at + offset_mm, *different)
+    if look_alike == "knob":
+        scan.rod(at, np.array([0.2, 1.0, 0.4]), 20.0, 4.0, 150.0)
+    if look_alike == "cap":
+        scan.half_space(at + np.array([0.0, 3.2, 0.0]), np.array([0.0, -1.0, 0.0]), -1000.0)
     centre = np.array([20.2, 22.1, 70.3])
     scan.marker(centre, np.array([0.0, 1.0, 0.0]), skin=False)
     found = localize(as_volume(scan), expected=1)

@@ -200,7 +200,7 @@ def test_a_misshapen_ball_is_flagged_and_gets_a_larger_uncertainty(make_scan: Ma
     assert marker.agreement_mm > 0.06
     assert marker.quality < 0.5
     error_mm = float(np.linalg.norm(marker.centre_mm - centre))
-    assert error_mm < 3.0 * float(np.sqrt(marker.covariance_mm2.trace()))
+    assert error_mm < 3.0 * marker.sigma_mm
 
 
 def test_a_dent_and_a_bubble_do_not_pull_the_centre(make_scan: Make) -> None:

@@ -10,10 +10,10 @@ from typing import Any
 
 import numpy as np
 import pytest
+from localized_spheres import as_volume
 from numpy.typing import NDArray
 
-from procedures.imaging import Volume, VoxelGeometry, errors, localize, localize_picks, read_picks
-from procedures.imaging.picks import parse_points
+from procedures.imaging import Volume, errors, localize, localize_picks, read_picks
 
 Array = NDArray[np.float64]
 CENTRES = np.array([[20.2, 19.7, 17.4], [21.1, 20.3, 44.6]])
@@ -26,8 +26,7 @@ def volume(make_scan: Callable[..., Any]) -> Volume:
     for centre in CENTRES:
         scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
     axes = np.array([[0.0, 0.0, 1.0], [0.0, 1.0, 0.0], [-1.0, 0.0, 0.0]])
-    geometry = VoxelGeometry(scan.shape, np.array([100.0, -50.0, 10.0]), axes, np.array(scan.spacing_mm))
-    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    return as_volume(scan, (100.0, -50.0, 10.0), axes)
 
 
 def truth(volume: Volume) -> Array:
@@ -71,22 +70,19 @@ def test_a_pick_on_something_doubtful_is_taken_and_its_doubts_are_told(make_scan
     middle = np.array([20.0, 20.0, 20.0])
     for step_mm in (-0.6, 0.0, 0.6):
         scan.ball(middle + np.array([0.0, 0.0, step_mm]))
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    picked = localize_picks(Volume(scan.voxels(), geometry, "1.2.3", "1.2.4"), middle[None])
+    picked = localize_picks(as_volume(scan), middle[None])
     (marker,), (said,) = picked.markers, picked.doubtful
     assert said.accepted
     assert "longer in one direction than in another" in said.reason
     assert marker.odds == said.odds < 0.2
 
 
-def test_picks_in_ras_are_refused_with_a_hint(volume: Volume) -> None:
-    with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in RAS"):
-        localize_picks(volume, truth(volume)[:1] * (-1.0, -1.0, 1.0))
-
-
-def test_picks_in_metres_are_refused_with_a_hint(volume: Volume) -> None:
-    with pytest.raises(errors.PickRefused, match=r"pick 1 at .* on a sphere in metres"):
-        localize_picks(volume, truth(volume)[:1] / 1000.0)
+@pytest.mark.parametrize(("factors", "hint"), [((-1.0, -1.0, 1.0), "RAS"), ((1e-3, 1e-3, 1e-3), "metres")])
+def test_picks_in_ras_or_in_metres_are_refused_with_a_hint(
+    volume: Volume, factors: tuple[float, ...], hint: str
+) -> None:
+    with pytest.raises(errors.PickRefused, match=f"pick 1 at .* on a sphere in {hint}"):
+        localize_picks(volume, truth(volume)[:1] * factors)
 
 
 def test_an_array_instead_of_a_volume_is_refused_with_advice() -> None:
@@ -150,20 +146,16 @@ def test_a_line_that_is_not_a_pick_is_reported_with_the_expected_format(tmp_path
         ("other.json", '{"points": []}'),
         ("number.json", "7"),
         ("flat.json", '{"markups": [1]}'),
+        ("named.json", '{"markups": {"a": 1}}'),
         ("none.json", '{"spheres": []}'),
         ("frame.json", '{"markups": [{"coordinateSystem": "ABC", "controlPoints": []}]}'),
     ],
 )
 def test_a_file_without_picks_is_refused(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text)
-    with pytest.raises(errors.PicksUnreadable, match=name):
+    with pytest.raises(errors.PicksUnreadable, match=name) as refused:
         read_picks(tmp_path / name)
+    # no words of the program
+    assert not re.search("object|attribute|subscript|iterable|sequence|argument", str(refused.value))
     with pytest.raises(errors.PicksUnreadable, match="No such file"):
         read_picks(tmp_path / "missing.csv")
-
-
-@pytest.mark.parametrize("content", ['{"markups": {"a": 1}}', '{"markups": [1]}', "7"])
-def test_a_point_list_of_another_shape_is_refused_without_words_of_the_program(content: str) -> None:
-    with pytest.raises(errors.PicksUnreadable, match="points") as refused:
-        parse_points(content.encode(), "a.mrk.json")
-    assert not re.search("object|attribute|subscript|iterable|sequence|argument", str(refused.value))

@@ -8,6 +8,7 @@ from typing import Any
 import cv2
 import numpy as np
 import pytest
+from localized_spheres import as_volume
 
 from procedures.imaging import Volume, VoxelGeometry, localize
 from procedures.imaging.pictures import _PLANES, HALF_WIDTH_MM, _plane_name, _planes_through, marker_pictures
@@ -17,8 +18,7 @@ def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
     scan = make_scan(shape=(40, 80, 140))
     for column_mm in (20.0, 50.0):
         scan.ball(np.array([20.0, 20.0, column_mm]))
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    return as_volume(scan)
 
 
 def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -> None:

@@ -15,9 +15,10 @@ from localized_spheres import as_volume
 from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, shift
 
-from procedures.imaging import Marker, Volume, localize, read_series
+from procedures.imaging import Volume, localize, read_series
 from procedures.imaging.errors import PatientMoved, SlicesMisplaced
 from procedures.imaging.scan_faults import distortion_warnings, measure_distortion, motion_warnings
+from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.volume import VoxelGeometry
 
 SHAPE = (24, 120, 120)
@@ -134,8 +135,8 @@ def four_balls(make_scan: Callable[..., Any], *, feed: float = 1.0, tilt_deg: fl
     return replace(volume, voxels=np.rint(planes).astype(np.int16), geometry=stated)
 
 
-def marker(shape_mm: Array | None) -> Marker:
-    return Marker(np.zeros(3), np.eye(3), RADIUS_MM, 1.0, 0.0, shape_mm=shape_mm)
+def stretch(terms_mm: Array) -> Stretch:
+    return Stretch(terms_mm, deviation_mm=0.0)
 
 
 def test_markers_scanned_well_say_nothing(make_scan: Callable[..., Any]) -> None:
@@ -166,26 +167,26 @@ def test_a_hidden_tilt_is_told_and_from_one_degree_refused(make_scan: Callable[.
 
 
 def test_three_markers_are_too_few() -> None:
-    assert measure_distortion([marker(0.2 * FLAT)] * 3 + [marker(None)], RADIUS_MM) is None
+    assert measure_distortion([stretch(0.2 * FLAT)] * 3 + [None], RADIUS_MM) is None
 
 
 def test_one_odd_marker_says_nothing_about_the_scan() -> None:
-    assert distortion_warnings([marker(0.0 * FLAT)] * 6 + [marker(0.3 * FLAT)], RADIUS_MM) == ()
+    assert distortion_warnings([stretch(0.0 * FLAT)] * 6 + [stretch(0.3 * FLAT)], RADIUS_MM) == ()
 
 
 def test_markers_that_disagree_are_not_sure() -> None:
     shapes_mm = [amount * FLAT for amount in (-0.4, 0.1, 0.3, 0.5)]
-    found = measure_distortion([marker(one) for one in shapes_mm], RADIUS_MM)
+    found = measure_distortion([stretch(one) for one in shapes_mm], RADIUS_MM)
     assert found is not None
     assert found.scale > 0.03
-    assert distortion_warnings([marker(one) for one in shapes_mm], RADIUS_MM) == ()
+    assert distortion_warnings([stretch(one) for one in shapes_mm], RADIUS_MM) == ()
 
 
 def test_a_shear_is_the_same_in_every_direction_across_the_table() -> None:
     down, across = np.zeros((3, 3)), np.zeros((3, 3))
     down[0, 1] = down[1, 0] = across[0, 2] = across[2, 0] = 0.5 * 0.01 * RADIUS_MM
     for shape_mm in (down, across, (down + across) / np.sqrt(2.0)):
-        found = measure_distortion([marker(shape_mm), marker(shape_mm)] * 2, RADIUS_MM)
+        found = measure_distortion([stretch(shape_mm), stretch(shape_mm)] * 2, RADIUS_MM)
         assert found is not None
         assert found.shear == pytest.approx(0.01)
         assert found.scale == pytest.approx(0.0)

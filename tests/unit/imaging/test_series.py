@@ -96,25 +96,32 @@ def stored(values: np.ndarray, **attributes: object) -> Callable[[Dataset, int],
     return edit
 
 
-def test_unsigned_12_bit_with_overlay_bits_is_read(dicom_series: Write) -> None:
-    values = (HU + 1024).astype("<u2") | 0x3000
-    edit = stored(values, BitsStored=12, HighBit=11, PixelRepresentation=0)
+@pytest.mark.parametrize(
+    ("values", "attributes"),
+    [
+        ((HU + 1024).astype("<u2") | 0x3000, {"BitsStored": 12, "HighBit": 11, "PixelRepresentation": 0}),
+        (
+            HU.astype("<u2") & 0x0FFF,
+            {"BitsStored": 12, "HighBit": 11, "PixelRepresentation": 1, "RescaleIntercept": "0"},
+        ),
+        (
+            (HU.astype(np.int32) + 40000).astype("<u2"),
+            {"PixelRepresentation": 0, "RescaleIntercept": "-40000"},
+        ),
+    ],
+    ids=["unsigned with overlay bits", "signed without sign extension", "unsigned beyond the signed range"],
+)
+def test_every_way_of_storing_a_value_is_read(
+    dicom_series: Write, values: np.ndarray, attributes: dict[str, object]
+) -> None:
+    edit = stored(values, **attributes)
     np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
 
 
-def test_signed_12_bit_without_sign_extension_is_read(dicom_series: Write) -> None:
-    values = HU.astype("<u2") & 0x0FFF
-    edit = stored(values, BitsStored=12, HighBit=11, PixelRepresentation=1, RescaleIntercept="0")
-    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
-
-
-def test_unsigned_16_bit_beyond_the_signed_range_is_read(dicom_series: Write) -> None:
-    values = (HU.astype(np.int32) + 40000).astype("<u2")
-    edit = stored(values, PixelRepresentation=0, RescaleIntercept="-40000")
-    np.testing.assert_array_equal(read_series(dicom_series(HU, edit=edit)).voxels, HU)
+def test_a_value_that_cannot_be_held_is_cut_and_does_not_wrap(dicom_series: Write) -> None:
     values = np.full(HU.shape, 50000, dtype="<u2")
     edit = stored(values, PixelRepresentation=0, RescaleIntercept="-10000")
-    assert read_series(dicom_series(HU, edit=edit)).voxels.max() == 32767  # cannot be held: cut, not wrapped
+    assert read_series(dicom_series(HU, edit=edit)).voxels.max() == 32767
 
 
 def test_a_slope_is_applied_per_slice(dicom_series: Write) -> None:

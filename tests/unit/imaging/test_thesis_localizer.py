@@ -8,8 +8,9 @@ from typing import Any
 
 import numpy as np
 import pytest
+from localized_spheres import as_volume
 
-from procedures.imaging import ThesisFit, Volume, VoxelGeometry, errors, localize_as_thesis, read_series
+from procedures.imaging import ThesisFit, Volume, errors, localize_as_thesis, read_series
 from procedures.imaging.thesis_localizer import Circles, Cluster, cluster_circles, fit_lines, fit_sphere
 from sim.phantom.case import write_case
 from sim.world.scene.named_scenes import named_scene
@@ -25,8 +26,7 @@ def volume(make_scan: Callable[..., Any]) -> Volume:
         scan.marker(centre, np.array([0.3, 1.0, 0.2]), skin=False)
     scan.rod(np.array([15.0, 20.0, 73.0]), np.array([1.0, 0.0, 0.0]), 40.0, 6.0, 150.0)
     scan.ball(np.array([30.0, 20.0, 90.0]), radius_mm=8.0)
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    return Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    return as_volume(scan)
 
 
 @pytest.mark.parametrize("fit", ThesisFit)
@@ -48,13 +48,11 @@ def test_the_third_of_exactly_three_spheres_is_not_lost(tmp_path: Path) -> None:
 
 def test_the_covariance_is_the_error_reported_in_the_thesis(volume: Volume) -> None:
     marker = localize_as_thesis(volume, ThesisFit.SPHERE).markers[0]
-    assert np.sqrt(marker.covariance_mm2.trace()) == pytest.approx(0.1617)
+    assert marker.sigma_mm == pytest.approx(0.1617)
 
 
 def test_an_empty_scan_and_impossible_requests_are_refused(make_scan: Callable[..., Any]) -> None:
-    scan = make_scan()
-    geometry = VoxelGeometry(scan.shape, np.zeros(3), np.eye(3), np.array(scan.spacing_mm))
-    empty = Volume(scan.voxels(), geometry, "1.2.3", "1.2.4")
+    empty = as_volume(make_scan())
     with pytest.raises(errors.MarkerCountWrong, match="no marker found"):
         localize_as_thesis(empty, ThesisFit.LINE)
     with pytest.raises(errors.LocalizationMisused):

@@ -300,16 +300,6 @@ def test_a_twelve_by_twelve_match_takes_at_most_two_milliseconds(random, fiducia
     assert np.median(spent) < 2e-3
 
 
-@pytest.mark.parametrize("bad", [np.full((4, 3), np.nan), np.zeros((4, 2)), np.zeros(6), [[1, 2], [3]], None])
-def test_malformed_points_raise_a_one_line_error(bad, random, fiducials):
-    points = fiducials(4, random)
-    for image, physical in ((bad, points), (points, bad)):
-        with pytest.raises(BadPoints, match="REG-001") as caught:
-            match(image, physical, **SIGMAS)
-        assert isinstance(caught.value, ValueError)
-        assert "\n" not in str(caught.value)
-
-
 def test_more_points_than_any_head_can_carry_are_refused(random):
     with pytest.raises(BadPoints, match="REG-001"):
         match(random.normal(size=(200, 3)), random.normal(size=(200, 3)), **SIGMAS)
@@ -322,6 +312,7 @@ def test_more_points_than_any_head_can_carry_are_refused(random):
         {"sigma_image_mm": float("nan")},
         {"sigma_image_mm": 0.0, "sigma_physical_mm": 0.0},
         {"sigma_physical_mm": "wide"},
+        *({"sigma_image_mm": not_real} for not_real in (True, 0.1 + 0j, None)),
         {"expected": 2},
         {"expected": 4.5},
         {"expected": True},
@@ -341,14 +332,6 @@ def test_an_impossible_prior_is_refused(tolerance_rad):
         Prior(Rotation.identity(), tolerance_rad)
 
 
-@pytest.mark.parametrize("kind", [complex, object, bool, str])
-def test_points_that_are_not_real_numbers_are_refused_by_type(kind, random, fiducials):
-    points = fiducials(4, random)
-    for image, physical in ((points.astype(kind), points), (points, points.astype(kind))):
-        with pytest.raises(BadPoints, match=r"REG-001.*not real numbers"):
-            match(image, physical, **SIGMAS)
-
-
 def test_a_sigma_per_axis_counts_by_its_rms(random, fiducials, reading):
     seen = reading(fiducials(6, random), 2, random)
     three = match(seen.image_mm, seen.physical_mm, sigma_image_mm=[0.06, 0.06, 0.3], sigma_physical_mm=0.2)
@@ -366,10 +349,3 @@ def test_a_wrong_number_of_sigmas_is_refused_with_the_expected_number(sigma_mm, 
     with pytest.raises(BadParameter, match=r"REG-007.*one number or three") as caught:
         match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.parametrize("sigma_mm", [True, 0.1 + 0j, None])
-def test_a_sigma_that_is_not_a_real_number_is_refused(sigma_mm, random, fiducials):
-    points = fiducials(4, random)
-    with pytest.raises(BadParameter, match="REG-007"):
-        match(points, points, sigma_image_mm=sigma_mm, sigma_physical_mm=0.1)

@@ -8,8 +8,9 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from localized_spheres import localized_marker
 
-from procedures.imaging import Localization, Marker, Volume, VoxelGeometry
+from procedures.imaging import Localization, Volume, VoxelGeometry
 from sim.phantom.families.catalogue import FAMILIES, Purpose
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Unit, add_up
@@ -32,7 +33,7 @@ def scan_of(centres: np.ndarray, whole: list[bool]) -> PhantomScan:
 
 def found_at(points: np.ndarray, sigma_mm: float, flags: tuple[str, ...] = ()) -> Localization:
     covariance = sigma_mm**2 * np.eye(3)
-    markers = tuple(Marker(point, covariance, 5.75, 1.0, 0.0, flags) for point in np.asarray(points))
+    markers = tuple(localized_marker(point, covariance, flags) for point in np.asarray(points))
     return Localization(markers, (), "1", "2", 11.5)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.imaging.measurement import combine
+from procedures.imaging.examination import combine
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     IN,
@@ -19,12 +19,12 @@ from procedures.imaging.sphere_centre.ball_model import (
     SLOPE,
     SXY,
     SZ,
+    BallVoxels,
     Stretch,
     intensities,
     polynomial,
     products,
 )
-from procedures.imaging.sphere_centre.ball_voxels import BallVoxels
 from procedures.imaging.sphere_centre.blurred_ball import (
     BENT,
     EDGE,
@@ -44,6 +44,7 @@ from procedures.imaging.volume import Region
 
 Array = NDArray[np.float64]
 
+Equations = tuple[WhitenedStep, Array, VoxelGrid]
 SPACING_MM = np.array([1.0, 0.5, 0.5])
 SHAPE = (19, 37, 37)
 CENTRE_MM = np.array([9.1, 9.2, 8.9])
@@ -94,7 +95,7 @@ def noisy(voxels: BallVoxels, seed: int) -> BallVoxels:
 
 
 @pytest.fixture(scope="module")
-def equations(voxels: BallVoxels) -> tuple[WhitenedStep, Array, VoxelGrid]:
+def equations(voxels: BallVoxels) -> Equations:
     """Those of the ball in noise whose spectrum is known, its derivatives, and the grid."""
     derivatives, *_ = voxels.at(truth(BENT.start + 16))
     grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
@@ -106,18 +107,14 @@ def equations(voxels: BallVoxels) -> tuple[WhitenedStep, Array, VoxelGrid]:
     return step, derivatives, grid
 
 
-def test_the_centre_estimate_responds_to_the_centre_alone(
-    equations: tuple[WhitenedStep, Array, VoxelGrid],
-) -> None:
+def test_the_centre_estimate_responds_to_the_centre_alone(equations: Equations) -> None:
     step, derivatives, _ = equations
     answered = step.influence.T @ derivatives
     np.testing.assert_allclose(answered[:, :3], np.eye(3), atol=1e-6)
     np.testing.assert_allclose(answered[:, 3:] * 20.0, 0.0, atol=1e-4)  # mm by terms of 20 HU
 
 
-def test_whitening_beats_weighting_all_voxels_equally(
-    equations: tuple[WhitenedStep, Array, VoxelGrid],
-) -> None:
+def test_whitening_beats_weighting_all_voxels_equally(equations: Equations) -> None:
     step, derivatives, grid = equations
     even = np.linalg.pinv(derivatives)[:3].T
     spectra = grid.spectra(even)
