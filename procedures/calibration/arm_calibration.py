@@ -22,8 +22,8 @@ from procedures.calibration.head_calibration import LIFE, moved_tip, new_identif
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import centred_looks, require_consistent, require_count, require_spread
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform

@@ -26,7 +26,7 @@ from procedures.calibration.head_calibration import LIFE, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
 from procedures.calibration.pose_set import PlannedLook, order_by_orientation, require_count, turned_about
-from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
+from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
     Dated,

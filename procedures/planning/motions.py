@@ -18,8 +18,8 @@ from ronna_hw.arm.clearance.sweep import Closest, sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.path_preview import PathPreview
-from ronna_hw.arm.preview import preview
 from ronna_hw.errors import LimitError
+from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
 HOME, GAUGE = "home", "gauge"

@@ -17,10 +17,10 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.scene import PlanningScene
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector

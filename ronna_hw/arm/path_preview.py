@@ -1,4 +1,4 @@
-"""A planned path in numbers, for people, records and JSON; `ronna_hw.arm.preview` makes it."""
+"""A planned path in numbers, for people, records and JSON; `ronna_hw.preview` makes it."""
 
 from __future__ import annotations
 

@@ -196,7 +196,7 @@ def mount(
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
     """Mount another tool in a running theatre, as the staff would."""
-    from ronna_hw.host.control_port import ask_control_port
+    from ronna_hw.control_port import ask_control_port
 
     ask_control_port(control, "mount", number=number)
     tell(f"tool {number} is mounted" if number else "no tool is mounted")
@@ -207,7 +207,7 @@ def stand(
     control: Annotated[str, typer.Option(envvar=CONTROL, help="Control port, from the READY line.")],
 ) -> None:
     """Put ball or divot on the calibration stand of a running theatre, or remove both."""
-    from ronna_hw.host.control_port import ask_control_port
+    from ronna_hw.control_port import ask_control_port
 
     ask_control_port(control, "stand", holds=holds.value)
     tell(f"on the stand: {holds.value}")
@@ -222,7 +222,7 @@ def work(
     trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
 ) -> None:
     """Work with guide and instrument in a running theatre, as the staff would; prints the readings."""
-    from ronna_hw.host.control_port import ask_control_port
+    from ronna_hw.control_port import ask_control_port
 
     answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
     tell(f"done: {task}{f' at {trajectory}' if trajectory else ''}")
@@ -243,7 +243,7 @@ def fault(
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:
     """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
-    from ronna_hw.host.control_port import ask_control_port
+    from ronna_hw.control_port import ask_control_port
     from sim.world.faults import FAULT_KINDS
 
     if line is None and not clear:

@@ -14,7 +14,7 @@ from procedures.calibration.arm_sources import ArmPoses, arm_sources, ct_errors
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from procedures.strategies.strategy import Strategy
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from sim.world.scene.as_built import (
     BACKLASH_RAD,

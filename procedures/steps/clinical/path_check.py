@@ -35,9 +35,9 @@ from procedures.strategies.strategy import Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.sweep import Closest
-from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.text import counted
 
 Array = NDArray[np.float64]

@@ -20,8 +20,8 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import preview
 from ronna_hw.frames import Frame
+from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
 ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())

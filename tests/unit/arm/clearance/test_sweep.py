@@ -21,7 +21,7 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import preview, with_speed_steps
+from ronna_hw.preview import preview, with_speed_steps
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)
