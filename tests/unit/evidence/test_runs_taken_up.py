@@ -18,7 +18,7 @@ from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspected
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
-from ronna_hw.evidence.manifest import SEAL_FILE, closed_files, is_sealed
+from ronna_hw.evidence.manifest import SEAL_FILE, Manifest, is_sealed
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed_sentences
 
 READINGS = "readings.jsonl"
@@ -134,7 +134,7 @@ def test_a_resumed_run_is_checked_against_its_first_end(run: Path) -> None:
 
 
 def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> None:
-    files = closed_files(tuple(read_journal(run / JOURNAL_FILE)))
+    files = Manifest(tuple(read_journal(run / JOURNAL_FILE))).files
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
     journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
