@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 import subprocess
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 
@@ -35,12 +35,7 @@ class Software:
 
     def as_plain(self) -> dict[str, str | list[str] | None]:
         """Plain values for a journal or a log."""
-        return {
-            "version": self.version,
-            "commit": self.commit,
-            "lock_sha256": self.lock_sha256,
-            "otherwise": list(self.otherwise),
-        }
+        return asdict(self) | {"otherwise": list(self.otherwise)}
 
     def __str__(self) -> str:
         commit = f" ({self.commit})" if self.commit else ""

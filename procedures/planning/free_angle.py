@@ -62,7 +62,7 @@ def choose_free_angles(
     own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
     unmet = fixed_unmet(setting)
     if unmet:
-        return TurnedPaths(PathCheck(None, (), (), unmet), axes, own)
+        return TurnedPaths(PathCheck(None, (), unmet), axes, own)
     start = setting.kinematics.branch_of(setting.start_rad)
     seen = _seen_along(setting, axes, fiducials, sight, start)
     nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
@@ -84,7 +84,7 @@ def choose_free_angles(
             if axis.identifier in blind
             for problem in _hidden(setting, axes.only(axis.identifier), fiducials, sight, start)
         ]
-        return TurnedPaths(PathCheck(None, (), (), tuple(hidden)), axes, own)
+        return TurnedPaths(PathCheck(None, (), tuple(hidden)), axes, own)
     turned = axes.turned(nearest)
     check = check_axes(setting, turned, fiducials)
     return TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, axes, own)

@@ -31,10 +31,8 @@ GRID_MM = 4.0  # a head is large: this resolution is enough
 THIN_MM = 18.0  # anything thinner in any direction is not part of the head
 LEAST_VOXELS = 500  # 32 ml: anything smaller is not a head
 TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
-BEFORE_ENTRY_MM = (
-    15.0,
-    25.0,
-)  # before the entry: beyond the scalp for an oblique trajectory, still near the head
+# Before the entry: beyond the scalp for an oblique trajectory, still near the head.
+BEFORE_ENTRY_MM = (15.0, 25.0)
 SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
 SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
@@ -42,17 +40,13 @@ AIR_RUN_MM = 5.0  # of the room outside: a fold of the skin is shorter
 SKIN_RUN_MM = 5.0  # of the head: a cover on it is thinner
 OFF_SKIN_MM = 10.0  # more than a coarse slice or thick hair
 BONE_HU = 300.0  # brain and skin stay below 100, the outer face of the skull has 600 and more
-BONE_OUTSIDE_MM, BONE_INSIDE_MM = (
-    40.0,
-    40.0,
-)  # along the trajectory, about the entry: the range searched for bone
+# Along the trajectory, about the entry: the range searched for bone.
+BONE_OUTSIDE_MM, BONE_INSIDE_MM = 40.0, 40.0
 STEP_MM = 0.25
 RINGS_MM = (2.0, 4.0)  # about the trajectory: the width of a burr hole
 AROUND = 8
 LEAST_RAYS = 9  # of 17 that must meet bone
-SAME_BONE_MM = (
-    15.0  # along the trajectory, from where the central ray meets bone: farther off it is another bone
-)
+SAME_BONE_MM = 15.0  # along the trajectory, from where the central ray meets bone: farther is another bone
 
 
 class HeadEllipsoid(Strict):

@@ -71,15 +71,6 @@ class Reached:
 
 
 @dataclass(frozen=True)
-class JointMove:
-    """A joint move between two approach points, and its largest turn of any axis."""
-
-    start: str
-    end: str
-    largest_rad: float
-
-
-@dataclass(frozen=True)
 class Unmet:
     """A failed precondition: which pose, and why.
 
@@ -98,12 +89,15 @@ class Unmet:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """The result: every visit with its joints in one branch, or the failures in the best branch."""
+    """The result: every visit with its joints in one branch, or the failures in the best branch.
+
+    `largest_turn_rad` is the largest turn of any axis between two approach points, or from the start.
+    """
 
     branch: Branch | None
     reached: tuple[Reached, ...]
-    moves: tuple[JointMove, ...]
     unmet: tuple[Unmet, ...]
+    largest_turn_rad: float = 0.0
 
     @property
     def passed(self) -> bool:

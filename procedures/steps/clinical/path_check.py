@@ -217,7 +217,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             free_angle_turns_rad=dict(turned.turns_rad),
             branch=check.branch,
             joint_ranges_rad=check.joint_ranges_rad,
-            largest_move_rad=max(move.largest_rad for move in check.moves),
+            largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
             localizations=_localizations(check, matched),
             targets=_targets(check, setting),

@@ -142,7 +142,7 @@ class LiveWatch:
             self._tried = (joints_rad, None, most)
             return None
         segments = body_segments(self._bodies, joints_rad)
-        moved = self._moved(segments)
+        moved = max(self._ways_mm(segments))
         self._tried = (joints_rad, segments, moved)
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
@@ -221,11 +221,8 @@ class LiveWatch:
             return None
         return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
-    def _moved(self, segments: list[Segment]) -> float:
-        """Largest motion of an end of any body since the last set-point."""
-        return max(self._ways_mm(segments))
-
     def _ways_mm(self, segments: list[Segment]) -> list[float]:
+        """Largest motion of an end of each body since the last set-point."""
         if self._segments is None:
             self._segments = body_segments(self._bodies, self._joints)
         return [
