@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -53,24 +54,18 @@ def leave(run: Path, record: Record) -> None:
     journal.close()
 
 
+def sample(theatre: Path, tip_mm: tuple[float, float, float], **changes: object) -> None:
+    """Append a sample of the tip at the first target."""
+    guide = SCENE.mount.tool_number_guide
+    values = {"mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0), "target": TRAJECTORY}
+    append_sample(
+        TipSample.model_validate({**values, "theatre_time_s": 1.0, "tip_mm": tip_mm, **changes}), theatre
+    )
+
+
 @pytest.fixture
 def at_target(run: Path) -> Callable[..., None]:
-    """Have the tip sampled at the first target."""
-
-    def sample(tip_mm: tuple[float, float, float], tool: int = SCENE.mount.tool_number_guide) -> None:
-        append_sample(
-            TipSample(
-                target=TRAJECTORY,
-                theatre_time_s=1.0,
-                mounted_tool=tool,
-                arm_at_rest=True,
-                tip_mm=tip_mm,
-                axis=(0.0, 0.0, -1.0),
-            ),
-            run / THEATRE_FOLDER,
-        )
-
-    return sample
+    return partial(sample, run / THEATRE_FOLDER)
 
 
 @pytest.fixture
@@ -103,43 +98,30 @@ def test_the_last_sample_at_a_target_counts(run: Path, at_target: Callable[..., 
 
 
 def test_a_target_reached_with_the_stereo_head_is_marked(run: Path, at_target: Callable[..., None]) -> None:
-    at_target(TARGET_MM, SCENE.mount.tool_number_stereo)
+    at_target(TARGET_MM, mounted_tool=SCENE.mount.tool_number_stereo)
     assert not verify_run(run)["targets"][0]["guide_mounted"]
 
 
+OFF_MM = [np.add(centre, (0.0, 0.03, 0.04)).tolist() for centre in FIDUCIALS_MM[1:]]
+COUNT = len(FIDUCIALS_MM)
+
+
+@pytest.mark.parametrize(
+    ("centres_mm", "counts"),
+    [([*OFF_MM, (500.0, 0.0, 0.0)], (COUNT - 1, 1, 1, pytest.approx(0.05))), ([], (0, COUNT, 0, None))],
+)
 def test_spheres_are_counted_as_found_missed_and_false(
-    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+    run: Path, localize: Callable[..., None], centres_mm: list[Sequence[float]], counts: tuple[object, ...]
 ) -> None:
-    found = [np.add(centre, (0.0, 0.03, 0.04)).tolist() for centre in FIDUCIALS_MM[1:]]
-    localize([*found, (500.0, 0.0, 0.0)])
-    assert verify_run(run)["ct"] == {
-        "found": len(FIDUCIALS_MM) - 1,
-        "missed": 1,
-        "false": 1,
-        "rms_error_mm": pytest.approx(0.05),
-    }
-
-
-def test_a_localization_without_spheres_counts_all_of_them_as_missed(
-    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
-) -> None:
-    localize([])
-    assert verify_run(run)["ct"] == {
-        "found": 0,
-        "missed": len(FIDUCIALS_MM),
-        "false": 0,
-        "rms_error_mm": None,
-    }
+    localize(centres_mm)
+    names = ("found", "missed", "false", "rms_error_mm")
+    assert verify_run(run)["ct"] == dict(zip(names, counts, strict=True))
 
 
 @pytest.mark.parametrize("centre_mm", [["x", 0.0, 0.0], [1.0], None])
 def test_a_record_that_no_run_writes_is_refused(run: Path, centre_mm: list[object] | None) -> None:
-    leave(
-        run,
-        Record(
-            "02-fiducial_localization", "fiducial_localization", {}, {"markers": [{"centre_mm": centre_mm}]}
-        ),
-    )
+    payload = {"markers": [{"centre_mm": centre_mm}]}
+    leave(run, Record("02-fiducial_localization", "fiducial_localization", {}, payload))
     with pytest.raises(NothingToVerify, match="is not what a run writes"):
         verify_run(run)
 
@@ -172,7 +154,7 @@ def test_a_run_that_reached_no_target_is_no_success(
 ) -> None:
     localize(FIDUCIALS_MM)
     if inserted_at is not None:
-        sample(run / THEATRE_FOLDER, TARGET_MM, 0.0, inserted_at)
+        sample(run / THEATRE_FOLDER, TARGET_MM, target=inserted_at)
     done = in_this_process(ronna_sim, "verify", run, *(["--json"] if as_json else []))
     assert done.returncode == EXIT_FAILED
     shown = " ".join(one_error(done.stderr))
@@ -198,18 +180,11 @@ def theatre(run: Path) -> Path:
     return (run / THEATRE_FOLDER).rename(run.parent / f"{run.name}-theatre")
 
 
-def sample(theatre: Path, tip_mm: tuple[float, float, float], taken_s: float, at: str = TRAJECTORY) -> None:
-    guide = SCENE.mount.tool_number_guide
-    values = {"mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0), "target": at}
-    one = TipSample.model_validate(values | {"theatre_time_s": taken_s, "tip_mm": tip_mm})
-    append_sample(one, theatre)
-
-
 def test_a_manual_run_is_compared_with_the_samples_its_theatre_took_during_it(
     run: Path, theatre: Path
 ) -> None:
-    sample(theatre, (10.0, 20.0, 30.1), 0.0)
-    sample(theatre, (15.0, 20.0, 30.0), 3600.0)  # by a later run
+    sample(theatre, (10.0, 20.0, 30.1), theatre_time_s=0.0)
+    sample(theatre, (15.0, 20.0, 30.0), theatre_time_s=3600.0)  # by a later run
     with pytest.raises(NothingToVerify, match=r"no simulated theatre.*--theatre"):
         verify_run(run)
     assert [target["axial_mm"] for target in verify_run(run, theatre)["targets"]] == pytest.approx([-0.1])
