@@ -28,10 +28,10 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
         where = _place(item["loc"])
-        message = in_words(item)
+        message = describe_mistake(item)
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
-            message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
+            message = f"unknown key{_suggestion(str(item['loc'][-1]), known)}"
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
@@ -90,14 +90,14 @@ def _model_in(annotation: Any) -> Any:
     return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
 
 
-def _meant(key: str, known: Sequence[str]) -> str:
+def _suggestion(key: str, known: Sequence[str]) -> str:
     """The most similar known key as a question, or else all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""
 
 
-def in_words(item: ErrorDetails) -> str:
+def describe_mistake(item: ErrorDetails) -> str:
     """Word one mistake, without its place and its finding."""
     context = item.get("ctx", {})
     match item["type"]:

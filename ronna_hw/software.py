@@ -56,7 +56,10 @@ def this_software(checkout: Path = CHECKOUT) -> Software:
         return Software(version, None, None)
     content = lock.read_bytes()
     return Software(
-        version, _commit(checkout), hashlib.sha256(content).hexdigest(), tuple(_otherwise(content.decode()))
+        version,
+        _commit(checkout),
+        hashlib.sha256(content).hexdigest(),
+        tuple(_differing_packages(content.decode())),
     )
 
 
@@ -78,7 +81,7 @@ def _commit(checkout: Path) -> str | None:
     return done.stdout.strip() or None
 
 
-def _otherwise(lock: str) -> list[str]:
+def _differing_packages(lock: str) -> list[str]:
     """Packages of the lock installed in another version. Those not installed are not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):

@@ -133,23 +133,23 @@ def _three(values: Any) -> Numbers3:
     return (x, y, z)
 
 
-def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
+def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
     """Finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
     Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
     is a warning, as is an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
-    wrong, unseen = _wrong(volume, entry, target)
+    wrong, unseen = _entry_problems(volume, entry, target)
     warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
     if not wrong:
-        return None, _in_the_air(volume, trajectory) or (warning if unseen else "")
-    swapped = not _wrong(volume, target, entry)[0]
+        return None, _far_from_skin(volume, trajectory) or (warning if unseen else "")
+    swapped = not _entry_problems(volume, target, entry)[0]
     hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
     return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
 
 
-def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+def _entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
     """Problems of a trajectory, and whether the line before its entry is entirely outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
@@ -170,7 +170,7 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
     return wrong, len(before) == 0
 
 
-def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
+def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
     """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)

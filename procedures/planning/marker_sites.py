@@ -48,7 +48,7 @@ SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
 Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds
 Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
 FEWEST, MOST = 3, 8
-CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
+CLEAR_OF_PATH_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
 DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
 DISTINCT_BY_NUMBER = 5
 DRAWS = 20_000  # random sets tried first, representing freehand choices
@@ -252,7 +252,7 @@ def allowed(points: Array) -> NDArray[np.bool_]:
 def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
     """Whether a position is clear of every trajectory's line."""
     away = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
-    return all(np.linalg.norm(to - (to @ axis) * axis) >= CLEAR_OF_WAY_MM for to, axis in away)
+    return all(np.linalg.norm(to - (to @ axis) * axis) >= CLEAR_OF_PATH_MM for to, axis in away)
 
 
 def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:

@@ -23,7 +23,7 @@ from procedures.planning.errors import (
     raise_together,
 )
 from procedures.planning.guide import held_trajectories, too_short
-from procedures.planning.head_in_ct import standoff_in_skin, way_into_head
+from procedures.planning.head_in_ct import check_entry_path, standoff_in_skin
 from procedures.planning.plan_file import other_voxels
 from procedures.planning.plan_model import FiducialKind, Plan
 from procedures.planning.structures import StructureDistance, structure_distances, structure_findings
@@ -183,7 +183,7 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
     findings = [*_points_outside(plan, volume), *([] if altered is None else [altered])]
     if findings:
         return findings, []
-    into_head = [way_into_head(volume, one) for one in plan.trajectories]
+    into_head = [check_entry_path(volume, one) for one in plan.trajectories]
     findings += [finding for finding, _ in into_head if finding]
     in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
     findings += [finding for finding in in_skin if finding]

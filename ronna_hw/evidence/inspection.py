@@ -154,7 +154,7 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     if every_file and chain.lines:
         problems += _files(folder, chain, manifest)
     elif chain.lines:
-        problems += _some(folder, chain, [name for name in files if os.path.lexists(folder / name)])
+        problems += _sealed_only(folder, chain, [name for name in files if os.path.lexists(folder / name)])
     found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
     out_of_reach = dict.fromkeys(one.file for one in problems if one.out_of_reach)
     return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
@@ -206,7 +206,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
             problems.append(Problem(name, what if there else "missing: named in the journal"))
             series = None
         else:
-            wrong = [Problem(name, what) for what in _unlike(record, line, run, known)]
+            wrong = [Problem(name, what) for what in _mismatches(record, line, run, known)]
             problems += wrong
             if not wrong:
                 yield record
@@ -214,7 +214,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         known[str(line.get("record"))] = KnownRecord(str(line.get("sha256")), series)
 
 
-def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
+def _mismatches(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
     step, _, trajectory = str(line.get("step")).partition(":")
     if record.sha256 != line.get("sha256"):
         yield "not the record named in the journal"
@@ -235,20 +235,21 @@ def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRe
 def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
     """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
     closed, named = chain.is_closed, manifest.files
-    yield from against(folder, manifest.request | manifest.pictures)
+    yield from compare_files(folder, manifest.request | manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.truth_problems(folder))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:
-        yield from against(folder, named)
+        yield from compare_files(folder, named)
         yield from (Problem(name, what) for name, what in manifest.exchanged_inputs())
         # What could not be read at the end is compared with what results were made from.
         unread = {name: of for name, of in manifest.made_from.items() if name not in named}
-        yield from against(folder, unread | manifest.outside, inputs=True)
+        yield from compare_files(folder, unread | manifest.outside, inputs=True)
     else:
-        yield from against(folder, manifest.lasting)
+        yield from compare_files(folder, manifest.lasting)
         yield from _not_put_back(folder, manifest, there)
-        since = against(folder, manifest.made_from, inputs=True)  # a resumed run compares what is in them
+        # A resumed run compares what is in them.
+        since = compare_files(folder, manifest.made_from, inputs=True)
         for one in since:
             yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
         for name in there:
@@ -264,7 +265,7 @@ def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
         return
     whole = yield from _against_seal(folder, chain, seal)
     if whole:
-        yield from against(folder, seal.files)
+        yield from compare_files(folder, seal.files)
         yield from _added([name for name in there if name not in named and name not in seal.files])
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
@@ -274,12 +275,12 @@ def _not_put_back(folder: Path, manifest: Manifest, there: Collection[str]) -> I
     """Files that a killed program found changed or added, and that still are."""
     expected = manifest.not_vouched_for
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
-    yield from against(folder, known, inputs=True)
+    yield from compare_files(folder, known, inputs=True)
     suspects = {*there} - {*TRUTH_FILES, *manifest.pictures}
     yield from _added([name for name in expected if expected[name] is None and name in suspects])
 
 
-def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
+def _sealed_only(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
     """Problems with files that only the seal covers, and with the journal, which it also covers."""
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
@@ -289,7 +290,7 @@ def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]
         if seal is None or not whole:
             yield Problem(name, "not confirmed by a seal")
         elif name in seal.files:
-            yield from against(folder, {name: seal.files[name]})
+            yield from compare_files(folder, {name: seal.files[name]})
         else:
             yield from _added([name])
 
@@ -315,7 +316,7 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
             yield Problem(name, "added: not part of the run", beside=True)
 
 
-def against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
+def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
     """Compare files of the folder with their hashes; with `inputs` also files elsewhere, by whole path."""
     left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():

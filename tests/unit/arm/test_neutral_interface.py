@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from monitored_motion import drive_monitored
 from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
@@ -171,12 +172,7 @@ def _driven(arm: Kinematics, plan: MotionPlan) -> JointVector:
     monitor = Monitor(monitor_limits(arm, working_limits(arm), CYCLE_S, plan.start_rad), plan.start_rad)
     monitor.watch(LiveWatch(Bodies(arm, Surroundings(tool=TOOL)), CYCLE_S, plan.start_rad))
     motion = PathMotion(plan.path(arm), plan.start_rad, plan.limits, CYCLE_S)
-    while not motion.finished:
-        go_rad, stop_rad = motion.prepare()
-        assert monitor.check(stop_rad) is None
-        assert monitor.check(go_rad) is None
-        motion.take_go()
-        monitor.sent(go_rad)
+    assert isinstance(drive_monitored(motion, monitor), int)
     return monitor.last_rad
 
 
