@@ -27,7 +27,7 @@ from ronna_hw.calibration import (
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.mistakes import describe_mistakes
+from ronna_hw.mistakes import count_mistakes
 from ronna_hw.plausible import (
     LONGEST_LIFE,
     ArmError,
@@ -37,7 +37,6 @@ from ronna_hw.plausible import (
     SensorPixels,
     farther_than,
 )
-from ronna_hw.text import counted
 from ronna_hw.theatre_kind import is_simulated
 from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 
@@ -384,10 +383,7 @@ def parse_theatre(content: dict[str, Any], name: str = "theatre file") -> Theatr
         # Strict models refuse TOML's lists where tuples are declared, so lists are converted to tuples first.
         return TheatreFile.model_validate(_tuples(content))
     except ValidationError as error:
-        mistakes = describe_mistakes(error, TheatreFile)
-        raise BadTheatreFile(
-            f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
-        ) from error
+        raise BadTheatreFile(f"{name} has {count_mistakes(error, TheatreFile)}") from error
 
 
 def _tuples(value: Any) -> Any:

@@ -63,18 +63,6 @@ class Endpoint:
         return self
 
 
-def _check_host(text: str, host: str) -> None:
-    """Refuse text that can only be meant as an IPv4 address but is not one: no name ends in a number."""
-    if not host.rpartition(".")[2].isdigit():
-        return
-    try:
-        IPv4Address(host)
-    except ValueError as error:
-        raise BadEndpoint(
-            f"{text!r}: {host} is not an IPv4 address", expected="four numbers from 0 to 255"
-        ) from error
-
-
 def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
     """Parse an endpoint; raises CFG-002 with the reason.
 
@@ -95,7 +83,12 @@ def parse_endpoint(text: str, *, listening: bool = False) -> Endpoint:
         return Endpoint(parts.scheme, path=parts.path)
     if not parts.hostname or parts.path or parts.query:
         raise BadEndpoint(f"{text!r} needs a host", expected=f"{parts.scheme}://host:port")
-    _check_host(text, parts.hostname)
+    if parts.hostname.rpartition(".")[2].isdigit():  # no name ends in a number
+        try:
+            IPv4Address(parts.hostname)
+        except ValueError as error:
+            what = f"{text!r}: {parts.hostname} is not an IPv4 address"
+            raise BadEndpoint(what, expected="four numbers from 0 to 255") from error
     if parts.scheme == "gev":
         return Endpoint("gev", host=parts.hostname, port=port or 0)
     if port is None or (port == 0 and not listening):

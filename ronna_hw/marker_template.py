@@ -16,8 +16,7 @@ from pydantic import Field, ValidationError, model_validator
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Strict
 from ronna_hw.errors import ConfigurationError
-from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.mistakes import count_mistakes
 
 FEWEST, MOST = 3, 4  # with more, their number identifies them
 LEAST_DISTANCE_MM = 15.0  # two 11.5 mm spheres, and a gap that a CT shows
@@ -93,7 +92,4 @@ def read_marker_template(path: Path) -> MarkerTemplate:
     try:
         return MarkerTemplate.model_validate_json(json.dumps(content, default=str))
     except ValidationError as error:
-        mistakes = describe_mistakes(error)
-        raise BadTemplate(
-            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
-        ) from error
+        raise BadTemplate(f"{path.name} has {count_mistakes(error)}") from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from datetime import date
 from difflib import get_close_matches
 from typing import Any, get_args
@@ -12,6 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from ronna_hw.plausible import NAME_PATTERN
+from ronna_hw.text import counted
 
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
 LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
@@ -27,10 +28,10 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
         where = _place(item["loc"])
-        message = in_words(item)
+        message = describe_mistake(item)
         if item["type"] == "extra_forbidden":
             known = () if model is None else known_keys(model, item["loc"][:-1])
-            message = f"unknown key{_meant(str(item['loc'][-1]), known)}"
+            message = f"unknown key{_suggestion(str(item['loc'][-1]), known)}"
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
@@ -38,6 +39,12 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     if len(found) > MISTAKES_SHOWN:
         lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
     return lines
+
+
+def count_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> str:
+    """Count and describe all mistakes in one line: `2 mistakes: a: is missing; b: unknown key`."""
+    mistakes = describe_mistakes(error, model)
+    return f"{counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
@@ -83,14 +90,14 @@ def _model_in(annotation: Any) -> Any:
     return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
 
 
-def _meant(key: str, known: Sequence[str]) -> str:
+def _suggestion(key: str, known: Sequence[str]) -> str:
     """The most similar known key as a question, or else all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
     return f" (known: {', '.join(known)})" if known else ""
 
 
-def in_words(item: ErrorDetails) -> str:
+def describe_mistake(item: ErrorDetails) -> str:
     """Word one mistake, without its place and its finding."""
     context = item.get("ctx", {})
     match item["type"]:
@@ -99,7 +106,11 @@ def in_words(item: ErrorDetails) -> str:
         case "model_type":
             return "expected a table"
         case "too_long" | "too_short" if "actual_length" in context:
-            return _count_wrong(context)
+            at_most = context.get("max_length")
+            expected = (
+                f"{context['min_length']} or more" if at_most is None else f"{at_most}: a decimal comma?"
+            )
+            return f"{context['actual_length']} values, expected {expected}"
         case "string_pattern_mismatch" if context.get("pattern") == NAME_PATTERN:
             return "expected letters, digits, _ . or -, a letter or a digit first"
     said = item["msg"].removeprefix("Value error, ")
@@ -118,10 +129,3 @@ def _only_quoted(value: object) -> bool:
     except ValueError:
         return value in ("true", "false")
     return True
-
-
-def _count_wrong(limits: Mapping[str, Any]) -> str:
-    """Number of values found and expected."""
-    if "max_length" in limits:
-        return f"{limits['actual_length']} values, expected {limits['max_length']}: a decimal comma?"
-    return f"{limits['actual_length']} values, expected {limits['min_length']} or more"

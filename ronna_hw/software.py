@@ -9,7 +9,7 @@ from __future__ import annotations
 import hashlib
 import re
 import subprocess
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
 
@@ -35,12 +35,7 @@ class Software:
 
     def as_plain(self) -> dict[str, str | list[str] | None]:
         """Plain values for a journal or a log."""
-        return {
-            "version": self.version,
-            "commit": self.commit,
-            "lock_sha256": self.lock_sha256,
-            "otherwise": list(self.otherwise),
-        }
+        return asdict(self) | {"otherwise": list(self.otherwise)}
 
     def __str__(self) -> str:
         commit = f" ({self.commit})" if self.commit else ""
@@ -61,7 +56,10 @@ def this_software(checkout: Path = CHECKOUT) -> Software:
         return Software(version, None, None)
     content = lock.read_bytes()
     return Software(
-        version, _commit(checkout), hashlib.sha256(content).hexdigest(), tuple(_otherwise(content.decode()))
+        version,
+        _commit(checkout),
+        hashlib.sha256(content).hexdigest(),
+        tuple(_differing_packages(content.decode())),
     )
 
 
@@ -83,7 +81,7 @@ def _commit(checkout: Path) -> str | None:
     return done.stdout.strip() or None
 
 
-def _otherwise(lock: str) -> list[str]:
+def _differing_packages(lock: str) -> list[str]:
     """Packages of the lock installed in another version. Those not installed are not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):

@@ -1,5 +1,13 @@
 """Plain tuples of numbers that readings, motions and the arm's mathematics share."""
 
+from collections.abc import Iterable
+
 Vector3 = tuple[float, float, float]
 Quaternion = tuple[float, float, float, float]  # scalar first, unit
 JointVector = tuple[float, float, float, float, float, float]  # from the base outwards, radians
+
+
+def joint_vector(values: Iterable[float]) -> JointVector:
+    """Pack six numbers, from the base outwards; raises ValueError for another count."""
+    a, b, c, d, e, f = values
+    return (a, b, c, d, e, f)

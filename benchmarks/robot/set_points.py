@@ -18,8 +18,8 @@ from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import with_speed_steps
 from ronna_hw.collision_config import CollisionConfig
+from ronna_hw.preview import with_speed_steps
 
 CYCLE_S = 0.004
 ROUNDS = 20

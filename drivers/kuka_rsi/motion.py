@@ -19,8 +19,8 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan
 from ronna_hw.arm.path_preview import PathPreview
-from ronna_hw.arm.preview import plan_motion, preview_motion, with_speed_steps
 from ronna_hw.devices.robot import Motion, OperatingMode
+from ronna_hw.preview import plan_motion, preview_motion, with_speed_steps
 from ronna_hw.vectors import JointVector
 
 POLL_S = 0.5  # host time between checks of theatre time during a motion

@@ -28,8 +28,8 @@ from procedures.calibration.pose_set import (
     rms_mm,
 )
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.arm.deviations import ArmDeviations
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform

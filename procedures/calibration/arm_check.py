@@ -16,9 +16,9 @@ from procedures.calibration.errors import ArmChanged, NoArmRecord
 from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses
-from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame

@@ -19,8 +19,9 @@ from pydantic import Field
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.observations import Joints, Measurements
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
-from ronna_hw.arm.error_budget import (
+from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
+from ronna_hw.calibrated_arm.error_budget import (
     BACKLASH_RAD,
     HARMONIC_RAD,
     JOINT_OFFSET_RAD,
@@ -29,7 +30,6 @@ from ronna_hw.arm.error_budget import (
     SAG_RAD,
     TOOL_MM,
 )
-from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibration import (
     ArmCalibration,
     ArmName,

@@ -8,8 +8,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.registration.target_prediction import OwnErrors, SharedErrors
-from ronna_hw.arm.deviations import FLANK_SHARE, flange_rotations
-from ronna_hw.arm.error_budget import (
+from ronna_hw.arm.kinematics import Chain
+from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations
+from ronna_hw.calibrated_arm.error_budget import (
     BACKLASH_RAD,
     SAGGING,
     UNCALIBRATED,
@@ -17,7 +18,6 @@ from ronna_hw.arm.error_budget import (
     by_deviation,
     displacements,
 )
-from ronna_hw.arm.kinematics import Chain
 
 Array = NDArray[np.float64]
 

@@ -27,8 +27,8 @@ from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.head_model import CAMERA_PARAMETERS, Cameras, cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
-from ronna_hw.arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
 from ronna_hw.text import beyond

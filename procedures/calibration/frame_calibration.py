@@ -33,7 +33,7 @@ from procedures.calibration.pose_set import (
     rms_mm,
     turned_about,
 )
-from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM
+from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
     ArmCalibration,
     Dated,

@@ -18,7 +18,7 @@ from procedures.journal.results import StepResult
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.inspection import Inspection, inspected
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
-from ronna_hw.evidence.manifest import hashes_at_closing, hashes_outside, keep_earlier_hashes, not_vouched_for
+from ronna_hw.evidence.manifest import Manifest, hashes_at_closing, hashes_outside, keep_earlier_hashes
 from ronna_hw.logs import logger
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import BadRecord, OtherVersion, Record
@@ -148,7 +148,7 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
-        expected = not_vouched_for(read_chain(folder / JOURNAL_FILE).lines)
+        expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).not_vouched_for
         hashes = keep_earlier_hashes(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
     except (OSError, RonnaError) as error:  # closing must go on; verify says that the files are not named
         _log.error("files not hashed", error=str(error))

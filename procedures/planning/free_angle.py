@@ -62,19 +62,20 @@ def choose_free_angles(
     own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
     unmet = fixed_unmet(setting)
     if unmet:
-        return TurnedPaths(PathCheck(None, (), (), unmet), axes, own)
+        return TurnedPaths(PathCheck(None, (), unmet), axes, own)
     start = setting.kinematics.branch_of(setting.start_rad)
-    seen = _seen_along(setting, axes, fiducials, sight, start)
+    search = _Search(setting, fiducials, sight)
+    seen = search.seen_along(axes, start)
     nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
     blind = set(own)
     for branch in branches_for(setting, axes.turned(nearest), fiducials):
-        options = _seen_along(setting, axes, fiducials, sight, branch)
+        options = search.seen_along(axes, branch)
         first = {name: turn for name, turns in options.items() if (turn := next(turns, None)) is not None}
         blind -= first.keys()
         if first.keys() < options.keys():
             continue
         turns = {name: chain((first[name],), others) for name, others in options.items()}
-        found = _in_branch(setting, axes, fiducials, sight, turns, branch)
+        found = search.in_branch(axes, turns, branch)
         if found is not None:
             return found
     if blind:
@@ -82,120 +83,103 @@ def choose_free_angles(
             problem
             for axis in axes.each
             if axis.identifier in blind
-            for problem in _hidden(setting, axes.only(axis.identifier), fiducials, sight, start)
+            for problem in search.hidden(axes.only(axis.identifier), start)
         ]
-        return TurnedPaths(PathCheck(None, (), (), tuple(hidden)), axes, own)
+        return TurnedPaths(PathCheck(None, (), tuple(hidden)), axes, own)
     turned = axes.turned(nearest)
     check = check_axes(setting, turned, fiducials)
     return TurnedPaths(check, turned, nearest) if check.passed else TurnedPaths(check, axes, own)
 
 
-def _in_branch(
-    setting: ArmSetting,
-    axes: Axes,
-    fiducials_mm: Array,
-    sight: StereoSight,
-    options: Mapping[str, Iterable[float]],
-    branch: Branch,
-) -> TurnedPaths | None:
-    """The best turns in this branch, one axis after the other; None if it cannot serve."""
-    ranked = {
-        name: _searched(setting, axes.only(name), fiducials_mm, sight, turns, branch)
-        for name, turns in options.items()
-    }
-    chosen: dict[str, float] = {}
-    for name, turns in ranked.items():
-        first = next(turns, None)
-        if first is None:
-            return None
-        chosen[name] = first
-    while True:
-        turned = axes.turned(chosen)
-        check = drive(setting, turned, fiducials_mm, branch)
-        if check.passed:
-            return TurnedPaths(check, turned, chosen)
-        # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
-        failed = {problem.pose.partition("/")[0] for problem in check.unmet}
-        for name in [one for one in chosen if one in failed]:
-            other = next(ranked[name], None)
-            if other is None:
+@dataclass(frozen=True, eq=False)
+class _Search:
+    """The search for turns that serve, with what it keeps constant; fiducials (n, 3) in CT mm."""
+
+    setting: ArmSetting
+    fiducials_mm: Array
+    sight: StereoSight
+
+    def in_branch(
+        self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
+    ) -> TurnedPaths | None:
+        """The best turns in this branch, one axis after the other; None if it cannot serve."""
+        ranked = {name: self._searched(axes.only(name), turns, branch) for name, turns in options.items()}
+        chosen: dict[str, float] = {}
+        for name, turns in ranked.items():
+            first = next(turns, None)
+            if first is None:
                 return None
-            chosen[name] = other
+            chosen[name] = first
+        while True:
+            turned = axes.turned(chosen)
+            check = drive(self.setting, turned, self.fiducials_mm, branch)
+            if check.passed:
+                return TurnedPaths(check, turned, chosen)
+            # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
+            failed = {problem.pose.partition("/")[0] for problem in check.unmet}
+            for name in [one for one in chosen if one in failed]:
+                other = next(ranked[name], None)
+                if other is None:
+                    return None
+                chosen[name] = other
 
+    def _searched(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
+        """The turns that serve in this branch, then smaller steps next to those that nearly do."""
+        nearly = yield from self._ranked(axis, turns, branch)
+        between = (
+            turn for turn in intermediate_turns_rad(nearly) if not self.hidden(_turned(axis, turn), branch)
+        )
+        yield from self._ranked(axis, between, branch)
 
-def _searched(
-    setting: ArmSetting,
-    axis: Axes,
-    fiducials_mm: Array,
-    sight: StereoSight,
-    turns: Iterable[float],
-    branch: Branch,
-) -> Iterator[float]:
-    """The turns that serve in this branch, then smaller steps next to those that nearly do."""
-    nearly = yield from _ranked(setting, axis, fiducials_mm, turns, branch)
-    between = (
-        turn
-        for turn in intermediate_turns_rad(nearly)
-        if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch)
-    )
-    yield from _ranked(setting, axis, fiducials_mm, between, branch)
+    def _ranked(
+        self, axis: Axes, turns: Iterable[float], branch: Branch
+    ) -> Generator[float, None, list[float]]:
+        """The turns that serve in this branch: those with a good wrist in order, then the others, best first.
 
-
-def _ranked(
-    setting: ArmSetting, axis: Axes, fiducials_mm: Array, turns: Iterable[float], branch: Branch
-) -> Generator[float, None, list[float]]:
-    """The turns that serve in this branch: those with a good wrist in order, then the others, best first.
-
-    Returns those that only lack some clearance, no more than a turn by half a step may gain.
-    """
-    others: list[tuple[float, float]] = []
-    nearly: list[float] = []
-    for turn in turns:
-        check = drive(setting, _turned(axis, turn), fiducials_mm, branch, first_only=True)
-        if not check.passed:
-            if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
-                nearly.append(turn)
-            continue
-        wrist = WristState.of(setting.kinematics, check)
-        if wrist.good:
-            yield turn
-        else:
-            others.append((wrist.least_bend_rad, turn))
-    for _, turn in sorted(others, key=lambda one: -one[0]):
-        yield turn
-    return nearly
-
-
-def _seen_along(
-    setting: ArmSetting, axes: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
-) -> dict[str, Iterator[float]]:
-    """Turns in which every sphere is visible, by axis and in the strategy's order.
-
-    Usually the first will do, and checking the others takes most of the time, so each is computed on demand.
-    """
-    arm = setting.in_branch(branch)
-
-    def along(one: Trajectory) -> Iterator[float]:
-        axis = axes.only(one.identifier)
-        for turn in setting.strategy.turns_rad(one, fiducials_mm, setting.robot_from_ct, arm):
-            if not _hidden(setting, _turned(axis, turn), fiducials_mm, sight, branch):
+        Returns those that only lack some clearance, no more than a turn by half a step may gain.
+        """
+        others: list[tuple[float, float]] = []
+        nearly: list[float] = []
+        for turn in turns:
+            check = drive(self.setting, _turned(axis, turn), self.fiducials_mm, branch, first_only=True)
+            if not check.passed:
+                if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
+                    nearly.append(turn)
+                continue
+            wrist = WristState.of(self.setting.kinematics, check)
+            if wrist.good:
                 yield turn
+            else:
+                others.append((wrist.least_bend_rad, turn))
+        for _, turn in sorted(others, key=lambda one: -one[0]):
+            yield turn
+        return nearly
 
-    return {one.identifier: along(one) for one in axes.each}
+    def seen_along(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
+        """Turns in which every sphere is visible, by axis and in the strategy's order.
 
+        Usually the first will do, and checking the others takes most of the time: each is computed on demand.
+        """
+        setting, arm = self.setting, self.setting.in_branch(branch)
 
-def _hidden(
-    setting: ArmSetting, axis: Axes, fiducials_mm: Array, sight: StereoSight, branch: Branch
-) -> tuple[Unmet, ...]:
-    unmet: list[Unmet] = []
-    for one in axis.localized:
-        try:
-            visits = localizations_along(setting, one, fiducials_mm, branch)
-        except LimitError as error:
-            unmet.append(Unmet.by(f"{one.identifier}/fiducials", error))
-        else:
-            unmet += sight.unmet(visits, setting.robot_from_ct.apply(fiducials_mm))
-    return tuple(unmet)
+        def along(one: Trajectory) -> Iterator[float]:
+            axis = axes.only(one.identifier)
+            for turn in setting.strategy.turns_rad(one, self.fiducials_mm, setting.robot_from_ct, arm):
+                if not self.hidden(_turned(axis, turn), branch):
+                    yield turn
+
+        return {one.identifier: along(one) for one in axes.each}
+
+    def hidden(self, axis: Axes, branch: Branch) -> tuple[Unmet, ...]:
+        unmet: list[Unmet] = []
+        for one in axis.localized:
+            try:
+                visits = localizations_along(self.setting, one, self.fiducials_mm, branch)
+            except LimitError as error:
+                unmet.append(Unmet.by(f"{one.identifier}/fiducials", error))
+            else:
+                unmet += self.sight.unmet(visits, self.setting.robot_from_ct.apply(self.fiducials_mm))
+        return tuple(unmet)
 
 
 def _turned(axis: Axes, turn_rad: float) -> Axes:

@@ -31,10 +31,8 @@ GRID_MM = 4.0  # a head is large: this resolution is enough
 THIN_MM = 18.0  # anything thinner in any direction is not part of the head
 LEAST_VOXELS = 500  # 32 ml: anything smaller is not a head
 TARGET_BALL_MM = 3.0  # radius in which the target's surroundings are averaged
-BEFORE_ENTRY_MM = (
-    15.0,
-    25.0,
-)  # before the entry: beyond the scalp for an oblique trajectory, still near the head
+# Before the entry: beyond the scalp for an oblique trajectory, still near the head.
+BEFORE_ENTRY_MM = (15.0, 25.0)
 SAMPLING_MM = 1.0
 LEAST_SHARE = 0.5  # "mostly": of the samples
 SKIN_WITHIN_MM = 40.0  # outwards from an entry planned on the bone
@@ -42,17 +40,13 @@ AIR_RUN_MM = 5.0  # of the room outside: a fold of the skin is shorter
 SKIN_RUN_MM = 5.0  # of the head: a cover on it is thinner
 OFF_SKIN_MM = 10.0  # more than a coarse slice or thick hair
 BONE_HU = 300.0  # brain and skin stay below 100, the outer face of the skull has 600 and more
-BONE_OUTSIDE_MM, BONE_INSIDE_MM = (
-    40.0,
-    40.0,
-)  # along the trajectory, about the entry: the range searched for bone
+# Along the trajectory, about the entry: the range searched for bone.
+BONE_OUTSIDE_MM, BONE_INSIDE_MM = 40.0, 40.0
 STEP_MM = 0.25
 RINGS_MM = (2.0, 4.0)  # about the trajectory: the width of a burr hole
 AROUND = 8
 LEAST_RAYS = 9  # of 17 that must meet bone
-SAME_BONE_MM = (
-    15.0  # along the trajectory, from where the central ray meets bone: farther off it is another bone
-)
+SAME_BONE_MM = 15.0  # along the trajectory, from where the central ray meets bone: farther is another bone
 
 
 class HeadEllipsoid(Strict):
@@ -139,23 +133,23 @@ def _three(values: Any) -> Numbers3:
     return (x, y, z)
 
 
-def way_into_head(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
+def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
     """Finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
     Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
     is a warning, as is an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
-    wrong, unseen = _wrong(volume, entry, target)
+    wrong, unseen = _entry_problems(volume, entry, target)
     warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
     if not wrong:
-        return None, _in_the_air(volume, trajectory) or (warning if unseen else "")
-    swapped = not _wrong(volume, target, entry)[0]
+        return None, _far_from_skin(volume, trajectory) or (warning if unseen else "")
+    swapped = not _entry_problems(volume, target, entry)[0]
     hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
     return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
 
 
-def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+def _entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
     """Problems of a trajectory, and whether the line before its entry is entirely outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
@@ -176,7 +170,7 @@ def _wrong(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool
     return wrong, len(before) == 0
 
 
-def _in_the_air(volume: Volume, trajectory: PlannedTrajectory) -> str:
+def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
     """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)

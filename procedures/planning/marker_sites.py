@@ -48,7 +48,7 @@ SKIN_THICK_MM = 4.0  # anything thinner is a sheet or a cable
 Place = Annotated[float, Field(ge=-5000.0, le=5000.0)]  # mm: markers on the head are within a plan's bounds
 Axis = Annotated[float, Field(gt=0.0, le=1000.0)]  # mm
 FEWEST, MOST = 3, 8
-CLEAR_OF_WAY_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
+CLEAR_OF_PATH_MM = 30.0  # of a marker's centre from a trajectory: the guide's radius, a sphere, a margin
 DIFFER_MM = 6.0  # between the distances of three or four markers, which might otherwise be confused
 DISTINCT_BY_NUMBER = 5
 DRAWS = 20_000  # random sets tried first, representing freehand choices
@@ -122,7 +122,7 @@ def propose_markers(
     usual = np.percentile(by_target, USUAL, axis=0)
     return ProposedMarkers(
         markers=tuple(
-            TemplateMarker(centre_mm=_three(centres[site]), post=_three(posts[site])) for site in chosen
+            TemplateMarker(centre_mm=_rounded(centres[site]), post=_rounded(posts[site])) for site in chosen
         ),
         marker_error_mm=marker_error_mm,
         targets=tuple(
@@ -160,7 +160,7 @@ def propose_further(
     now = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
     names = (one.identifier for one in trajectories)
     return FurtherMarker(
-        centre_mm=_three(centres[best]),
+        centre_mm=_rounded(centres[best]),
         targets=tuple(zip(names, now.tolist(), with_it[best].tolist(), strict=True)),
     )
 
@@ -199,7 +199,7 @@ def propose_template(
     best = good[int(expected.argmin())]
     return MarkerTemplate(
         markers=tuple(
-            TemplateMarker(centre_mm=_rounded6(centres[site]), post=_rounded6(posts[site]))
+            TemplateMarker(centre_mm=_rounded(centres[site], 6), post=_rounded(posts[site], 6))
             for site in sets[best]
         )
     )
@@ -251,11 +251,8 @@ def allowed(points: Array) -> NDArray[np.bool_]:
 
 def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
     """Whether a position is clear of every trajectory's line."""
-    for one in trajectories:
-        away = centre_mm - np.array(one.target_mm)
-        if np.linalg.norm(away - (away @ one.axis_ct) * one.axis_ct) < CLEAR_OF_WAY_MM:
-            return False
-    return True
+    away = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
+    return all(np.linalg.norm(to - (to @ axis) * axis) >= CLEAR_OF_PATH_MM for to, axis in away)
 
 
 def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:
@@ -350,11 +347,6 @@ def write_template(path: Path, template: MarkerTemplate) -> None:
     write_whole(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())
 
 
-def _three(vector: Array) -> Numbers3:
-    x, y, z = (round(float(value), 3) for value in vector)
-    return x, y, z
-
-
-def _rounded6(vector: Array) -> tuple[float, float, float]:
-    x, y, z = (round(float(value), 6) for value in vector)
+def _rounded(vector: Array, decimals: int = 3) -> Numbers3:
+    x, y, z = (round(float(value), decimals) for value in vector)
     return x, y, z

@@ -15,11 +15,10 @@ from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, appro
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import Closest, sweep_path
-from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.path_preview import PathPreview
-from ronna_hw.arm.preview import preview
 from ronna_hw.errors import LimitError
+from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
 HOME, GAUGE = "home", "gauge"
@@ -122,10 +121,9 @@ def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
-    limits = setting.limits
-    onto = plan_joint_move(setting.kinematics, setting.start_rad, setting.gauge_rad, limits)
+    onto = plan_joint_move(setting.kinematics, setting.start_rad, setting.gauge_rad, setting.limits)
     yield Motion(HOME, GAUGE, onto, around)
-    yield from _home(setting, (GAUGE, setting.gauge_rad), limits, around)
+    yield from _home(setting, (GAUGE, setting.gauge_rad), around)
 
 
 def previews_of(
@@ -146,7 +144,6 @@ def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
     """The motions from home through all visits and back home."""
-    limits = setting.limits
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
@@ -161,37 +158,33 @@ def motions_of(
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
         if kind is not None and visit.kind is not kind:  # tools are exchanged at home
-            yield from _home(setting, here, limits, before)
+            yield from _home(setting, here, before)
             here = (HOME, setting.start_rad)
         if visit.kind is VisitKind.TARGET and kind is not visit.kind:
             yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `fixed_unmet`
         kind = visit.kind
-        yield from _to(setting, here, reached, limits, around)
+        yield from _to(setting, here, reached, around)
         here = (visit.identifier, reached.approach_rad)
         if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
-            yield from _home(setting, here, limits, around)
+            yield from _home(setting, here, around)
             here = (HOME, setting.start_rad)
             yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))
     if kind is VisitKind.LOCALIZATION:
-        yield from _home(setting, here, limits, around)
+        yield from _home(setting, here, around)
 
 
 def _to(
-    setting: ArmSetting,
-    here: tuple[str, JointVector],
-    reached: Reached,
-    limits: MotionLimits,
-    around: Surroundings,
+    setting: ArmSetting, here: tuple[str, JointVector], reached: Reached, around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = here
-    name, kinematics = reached.visit.identifier, setting.kinematics
+    name, kinematics, limits = reached.visit.identifier, setting.kinematics, setting.limits
     straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
     if start == HOME:
         yield straight
     elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
         yield replace(straight, clear=True)
     else:
-        yield from _home(setting, here, limits, around)
+        yield from _home(setting, here, around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
@@ -205,11 +198,9 @@ def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
 
 
-def _home(
-    setting: ArmSetting, here: tuple[str, JointVector], limits: MotionLimits, around: Surroundings
-) -> Iterator[Motion]:
+def _home(setting: ArmSetting, here: tuple[str, JointVector], around: Surroundings) -> Iterator[Motion]:
     start, joints = here
-    arm, home_rad = setting.kinematics, setting.start_rad
+    arm, home_rad, limits = setting.kinematics, setting.start_rad, setting.limits
     back_rad = approach_joints(home_rad, ONE_SIDE)
     yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)
     yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, clear=True)

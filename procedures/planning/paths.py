@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
@@ -15,7 +15,6 @@ from procedures.planning.motions import unclear
 from procedures.planning.visits import (
     ArmSetting,
     Axes,
-    JointMove,
     PathCheck,
     Reached,
     Unmet,
@@ -29,7 +28,7 @@ from procedures.strategies.strategy import APPROACH_RAD
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics, Solution
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
+from ronna_hw.arm.motion.planning import plan_joint_move, plan_line
 from ronna_hw.arm.pose import Pose
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
@@ -56,7 +55,7 @@ def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> Path
             return checked
         if best is None or len(checked.unmet) < len(best.unmet):
             best = checked
-    return best or PathCheck(None, (), (), ())
+    return best or PathCheck(None, (), ())
 
 
 def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
@@ -66,7 +65,7 @@ def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tu
         visits = visits_of(setting, axes, fiducials_mm, own)
     except LimitError:  # poses depend on the branch: the start's own has none
         visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
-    flanges = [_flange(setting, visit) for visit in visits]
+    flanges = [visit.pose @ _tool(setting, visit).inverse() for visit in visits]
     return ranked_branches(setting.kinematics, flanges, setting.start_rad)
 
 
@@ -83,81 +82,43 @@ def drive(
     Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
     stops at the first failure.
     """
-    limits = setting.limits
-    journey = _Journey(setting.start_rad)
-    for visit in _poses(journey, setting, axes, fiducials_mm, branch):
-        if first_only and journey.unmet:
+    near_rad, largest_rad = setting.start_rad, 0.0
+    reached: list[Reached] = []
+    unmet: list[Unmet] = []
+    for visit in _visits(setting, axes, fiducials_mm, branch, unmet):
+        if first_only and unmet:
             break
-        tool = _tool(setting, visit)
         try:
-            posture = place(
-                setting.kinematics, visit.approach, visit.pose, tool, branch, journey.near_rad, limits
-            )
+            here = place(setting.kinematics, visit, _tool(setting, visit), branch, near_rad, setting.limits)
         except LimitError as error:
-            journey.unmet.append(Unmet.by(visit.identifier, error))
+            unmet.append(Unmet.by(visit.identifier, error))
             continue
-        _note(journey, visit, posture)
-    check = PathCheck(branch, tuple(journey.reached), tuple(journey.moves), tuple(journey.unmet))
+        turns_rad = (abs(to - at) for at, to in zip(near_rad, here.approach_rad, strict=True))
+        near_rad, largest_rad = here.approach_rad, max(largest_rad, *turns_rad)
+        reached.append(here)
+    check = PathCheck(branch, tuple(reached), tuple(unmet), largest_rad)
     if setting.scene is None or not check.passed:
         return check
-    unmet = unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
-    return replace(check, unmet=unmet)
+    return replace(check, unmet=unclear(setting, setting.scene, check, axes.targeted, first_only=first_only))
 
 
-@dataclass
-class _Journey:
-    """The joints and moves collected while going through the visits."""
-
-    near_rad: JointVector
-    last: str = "start"
-    reached: list[Reached] = field(default_factory=list)
-    moves: list[JointMove] = field(default_factory=list)
-    unmet: list[Unmet] = field(default_factory=list)
-
-
-def _poses(
-    journey: _Journey, setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
+def _visits(
+    setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, unmet: list[Unmet]
 ) -> Iterator[Visit]:
-    """The visits; axes for which the strategy finds no poses in this branch are failures."""
+    """Visits in order; adds to `unmet` the axes for which the strategy finds no poses in this branch."""
     for axis in axes.localized:
         try:
             yield from localizations_along(setting, axis, fiducials_mm, branch)
         except LimitError as error:
-            journey.unmet.append(Unmet.by(f"{axis.identifier}/fiducials", error))
+            unmet.append(Unmet.by(f"{axis.identifier}/fiducials", error))
     for trajectory in axes.targeted:
         yield target_visit(setting, trajectory)
-
-
-def _note(journey: _Journey, visit: Visit, posture: Posture) -> None:
-    turns_rad = [
-        abs(after - before) for before, after in zip(journey.near_rad, posture.approach_rad, strict=True)
-    ]
-    journey.moves.append(JointMove(journey.last, visit.identifier, max(turns_rad)))
-    journey.reached.append(Reached(visit, posture.approach_rad, posture.line))
-    journey.near_rad, journey.last = posture.approach_rad, visit.identifier
 
 
 def _tool(setting: ArmSetting, visit: Visit) -> Transform:
     if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
         return setting.flange_from_stereo
     return setting.flange_from_tool
-
-
-def _flange(setting: ArmSetting, visit: Visit) -> Transform:
-    return visit.pose @ _tool(setting, visit).inverse()
-
-
-@dataclass(frozen=True)
-class Posture:
-    """Joint angles at the approach point, and the straight line of the tool from there to the pose."""
-
-    approach_rad: JointVector
-    line: MotionPlan
-
-    @property
-    def at_rad(self) -> JointVector:
-        """Joint angles at the pose."""
-        return self.line.target_rad
 
 
 def ranked_branches(
@@ -183,27 +144,24 @@ def ranked_branches(
 
 def place(
     kinematics: Kinematics,
-    approach: Transform,
-    pose: Transform,
+    visit: Visit,
     flange_from_tool: Transform,
     branch: Branch,
     near_rad: JointVector,
     limits: MotionLimits,
-) -> Posture:
+) -> Reached:
     """Joint angles in `branch` at both ends of the approach line, choosing turns nearest to `near_rad`.
 
-    Poses are ROBOT <- TOOL. Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
+    Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
     within the arm's limits, or leaves no room for the joints to stand back before they settle there.
     """
     limits = replace(limits, range_margin_rad=limits.range_margin_rad + APPROACH_RAD)
     back = flange_from_tool.inverse()
-    begin = kinematics.solve_branch(Pose.from_transform(approach @ back), branch, near_rad)
-    plan_joint_move(
-        kinematics, near_rad, begin, limits
-    )  # raises if the margin of the joint ranges forbids it
+    begin = kinematics.solve_branch(Pose.from_transform(visit.approach @ back), branch, near_rad)
+    plan_joint_move(kinematics, near_rad, begin, limits)  # raises beyond the margin of the joint ranges
     x, y, z = flange_from_tool.translation_mm.tolist()
-    line = plan_line(kinematics, begin, Pose.from_transform(pose @ back), limits, (x, y, z))
-    return Posture(begin, line)
+    line = plan_line(kinematics, begin, Pose.from_transform(visit.pose @ back), limits, (x, y, z))
+    return Reached(visit, begin, line)
 
 
 def _solutions(kinematics: Kinematics, flange: Transform) -> tuple[Solution, ...]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
 
@@ -23,7 +23,7 @@ from procedures.planning.errors import (
     raise_together,
 )
 from procedures.planning.guide import held_trajectories, too_short
-from procedures.planning.head_in_ct import standoff_in_skin, way_into_head
+from procedures.planning.head_in_ct import check_entry_path, standoff_in_skin
 from procedures.planning.plan_file import other_voxels
 from procedures.planning.plan_model import FiducialKind, Plan
 from procedures.planning.structures import StructureDistance, structure_distances, structure_findings
@@ -115,16 +115,6 @@ class PlanCheck:
         }
 
 
-@dataclass(frozen=True)
-class _ArmCheck:
-    """Motions of the arm for a plan, or what prevents them."""
-
-    unmet: tuple[RonnaError, ...] = ()
-    motions: tuple[PreviewedMotion, ...] = ()
-    turns_rad: tuple[tuple[str, float], ...] = ()
-    paths: PathCheck | None = None
-
-
 def check_plan(
     plan: Plan,
     volume: Volume,
@@ -170,22 +160,14 @@ def check_plan(
         found, warned = _check_fiducials(plan, np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
         findings += found
         warnings += warned
-    arm_check = _ArmCheck()
+    check = PlanCheck(plan, (), (), distances=distances)
     if arm is not None:
         held = tuple(one.trajectory for one in plan.trajectories)
         held = held if bore is None else held_trajectories(plan, bore)
-        arm_check = _check_arm(held, fiducials_mm if to_fiducials else None, arm, sight)
-        findings += arm_check.unmet
-        warnings += _close_at_start(arm_check.motions)
-    return PlanCheck(
-        plan,
-        tuple(findings),
-        tuple(warnings),
-        arm_check.motions,
-        arm_check.turns_rad,
-        arm_check.paths,
-        distances,
-    )
+        check = _check_arm(check, held, fiducials_mm if to_fiducials else None, arm, sight)
+        findings += check.findings
+        warnings += _close_at_start(check.motions)
+    return replace(check, findings=tuple(findings), warnings=tuple(warnings))
 
 
 def _check_series(plan: Plan, volume: Volume) -> CheckResult:
@@ -201,7 +183,7 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
     findings = [*_points_outside(plan, volume), *([] if altered is None else [altered])]
     if findings:
         return findings, []
-    into_head = [way_into_head(volume, one) for one in plan.trajectories]
+    into_head = [check_entry_path(volume, one) for one in plan.trajectories]
     findings += [finding for finding, _ in into_head if finding]
     in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
     findings += [finding for finding in in_skin if finding]
@@ -259,12 +241,13 @@ def _check_frame(points_mm: Array) -> CheckResult:
 
 
 def _check_arm(
+    check: PlanCheck,
     trajectories: tuple[Trajectory, ...],
     fiducials_mm: ArrayLike | None,
     arm: ArmSetting,
     sight: StereoSight | None,
-) -> _ArmCheck:
-    """Check the arm's paths; return their obstacles, or the motions, if there is a scene, and turns."""
+) -> PlanCheck:
+    """Add the arm's paths: findings that prevent them, or turns and, if there is a scene, motions."""
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
@@ -294,15 +277,13 @@ def _check_arm(
                 for one in trajectories
                 if one.identifier in missed
             }
-        unmet: list[RonnaError] = [
-            NotReachable(f"{one.pose}: {one.reason}", action=advice(would)) for one in turned.check.unmet
-        ]
-        return _ArmCheck(tuple(unmet))
-    turns = tuple(turned.turns_rad.items())
-    if arm.scene is None:
-        return _ArmCheck(turns_rad=turns, paths=turned.check)
-    motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
-    return _ArmCheck((), motions, turns, turned.check)
+        how = advice(would)
+        unmet = (NotReachable(f"{one.pose}: {one.reason}", action=how) for one in turned.check.unmet)
+        return replace(check, findings=tuple(unmet))
+    motions: tuple[PreviewedMotion, ...] = ()
+    if arm.scene is not None:
+        motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
+    return replace(check, motions=motions, turns_rad=tuple(turned.turns_rad.items()), paths=turned.check)
 
 
 def _close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
@@ -321,13 +302,9 @@ def _close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
 
 
 def _unknown_tools(plan: Plan) -> list[RonnaError]:
-    """Tools of the plan that this version does not know."""
-    found: list[RonnaError] = []
-    if plan.tool not in KNOWN_TOOLS:
-        found.append(
-            UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)
-        )
-    return found
+    if plan.tool in KNOWN_TOOLS:
+        return []
+    return [UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)]
 
 
 def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:

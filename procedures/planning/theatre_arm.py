@@ -14,9 +14,9 @@ from procedures.planning.tool_records import ToolRecords
 from procedures.planning.visits import ArmSetting
 from procedures.registration.errors import LayoutNotFound
 from procedures.strategies.strategy import Strategy
-from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.motion.planning import require_in_range
 from ronna_hw.arm.pose import Pose, radians6
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.clock import HostClock
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.command_line.errors import UsageMistake

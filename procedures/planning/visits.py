@@ -17,10 +17,10 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.scene import PlanningScene
 from procedures.strategies.strategy import ArmInBranch, Strategy
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames, target_pose
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
@@ -71,15 +71,6 @@ class Reached:
 
 
 @dataclass(frozen=True)
-class JointMove:
-    """A joint move between two approach points, and its largest turn of any axis."""
-
-    start: str
-    end: str
-    largest_rad: float
-
-
-@dataclass(frozen=True)
 class Unmet:
     """A failed precondition: which pose, and why.
 
@@ -98,12 +89,15 @@ class Unmet:
 
 @dataclass(frozen=True)
 class PathCheck:
-    """The result: every visit with its joints in one branch, or the failures in the best branch."""
+    """The result: every visit with its joints in one branch, or the failures in the best branch.
+
+    `largest_turn_rad` is the largest turn of any axis between two approach points, or from the start.
+    """
 
     branch: Branch | None
     reached: tuple[Reached, ...]
-    moves: tuple[JointMove, ...]
     unmet: tuple[Unmet, ...]
+    largest_turn_rad: float = 0.0
 
     @property
     def passed(self) -> bool:

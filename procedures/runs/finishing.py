@@ -28,10 +28,8 @@ from ronna_hw.evidence.manifest import (
     REPORT_FILE,
     REQUEST_FILE,
     SEAL_FILE,
-    closed_files,
-    is_closed,
+    Manifest,
     is_sealed,
-    not_vouched_for,
     seal,
 )
 from ronna_hw.host.files import remove_folder, walk
@@ -142,7 +140,7 @@ def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResul
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
             drop_unconfirmed_truth(run)
-            if is_closed(found.chain.lines) and not is_sealed(run):
+            if found.chain.is_closed and not is_sealed(run):
                 from procedures.runs.interrupted_run import read_interrupted_run
                 from procedures.runs.reopening import close_again
 
@@ -183,8 +181,9 @@ def seal_run(folder: Path, *, at_once: bool = False) -> None:
         _keep_raw(folder, at_once=at_once)
     try:
         chain = read_chain(folder / JOURNAL_FILE)
-        if is_closed(chain.lines):
-            seal(folder, closed_files(chain.lines), not_vouched_for(chain.lines))
+        if chain.is_closed:
+            manifest = Manifest(chain.lines)
+            seal(folder, manifest.files, manifest.not_vouched_for)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 

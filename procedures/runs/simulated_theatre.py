@@ -12,10 +12,10 @@ from procedures.engine.errors import CommandRefused
 from procedures.operator.question import Task
 from procedures.runs.request import RunRequest
 from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
+from ronna_hw.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.evidence.manifest import WITH_PORTS
 from ronna_hw.host.child_process import ChildNotReady, await_end, command, finished_command
-from ronna_hw.host.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.records import write_whole
 from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 

@@ -30,8 +30,8 @@ from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.arm.pose import radians6
-from ronna_hw.arm.preview import preview_motion
 from ronna_hw.devices import Motion
+from ronna_hw.preview import preview_motion
 from ronna_hw.vectors import JointVector
 
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them

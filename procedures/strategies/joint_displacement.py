@@ -31,8 +31,8 @@ from scipy.spatial.transform import Rotation
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
 from procedures.strategies.trajectory import Trajectory, target_pose, tool_pose
-from ronna_hw.arm.error_budget import displacements
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibrated_arm.error_budget import displacements
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 

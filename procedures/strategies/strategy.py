@@ -18,9 +18,9 @@ from typing import Protocol
 from numpy.typing import ArrayLike
 
 from procedures.strategies.trajectory import Trajectory, back_along_axis, require_frames
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Branch, Kinematics
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Frame, Transform
 
 Joints = tuple[float, float, float, float, float, float]  # rad

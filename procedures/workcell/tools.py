@@ -11,8 +11,8 @@ from procedures.journal.journal import Entry
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import AnotherArm, InstrumentInGuide, WrongTool
 from ronna_hw.arm.catalogue import kinematics_named
-from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.arm.kinematics import Kinematics
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
 from ronna_hw.config import Calibrations
 from ronna_hw.errors import RonnaError

@@ -13,7 +13,7 @@ from math import radians
 from ronna_hw.arm.clearance.live_watch import LiveWatch, Violation, ViolationKind
 from ronna_hw.arm.kinematics import JointRanges
 from ronna_hw.arm.motion.limits import MotionLimits
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 SPEED_MARGIN = 1.05  # over the working limits, so that rounding and the end of a ramp do not trip it
 ACCELERATION_MARGIN = 2.0  # differences over one cycle include jerk
@@ -55,12 +55,10 @@ def monitor_limits(
     """
 
     def times(values: JointVector, factor: float) -> JointVector:
-        a, b, c, d, e, f = (v * factor for v in values)
-        return (a, b, c, d, e, f)
+        return joint_vector(value * factor for value in values)
 
-    def minus(values: JointVector) -> JointVector:
-        a, b, c, d, e, f = (v - s for v, s in zip(values, start_rad, strict=True))
-        return (a, b, c, d, e, f)
+    def minus_start(values: JointVector) -> JointVector:
+        return joint_vector(value - start for value, start in zip(values, start_rad, strict=True))
 
     lower_rad, upper_rad = limits.ranges(arm, start_rad)
     return MonitorLimits(
@@ -71,8 +69,8 @@ def monitor_limits(
         step_rad=times(limits.speed_rad_s, SPEED_MARGIN * cycle_s),
         second_difference_rad=times(limits.acceleration_rad_s2, ACCELERATION_MARGIN * cycle_s**2),
         third_difference_rad=times(limits.jerk_rad_s3, JERK_MARGIN * cycle_s**3),
-        correction_lower_rad=minus(arm.lower_rad),
-        correction_upper_rad=minus(arm.upper_rad),
+        correction_lower_rad=minus_start(arm.lower_rad),
+        correction_upper_rad=minus_start(arm.upper_rad),
         following_cycles=round(FOLLOWING_TIME_S / cycle_s),
     )
 

@@ -1,8 +1,8 @@
-"""A planned path in numbers, for people, records and JSON; `ronna_hw.arm.preview` makes it."""
+"""A planned path in numbers, for people, records and JSON; `ronna_hw.preview` makes it."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from typing import Any
 
 from ronna_hw.arm.clearance.sweep import Closest
@@ -29,19 +29,15 @@ class PathPreview:
 
     def as_payload(self) -> dict[str, Any]:
         """Plain numbers for a record or for JSON."""
-        closest = self.closest
+        closest: dict[str, Any] | None = None
+        if self.closest is not None:
+            closest = asdict(self.closest)
+            closest["at"] = closest.pop("fraction")
         return {
             "duration_s": self.duration_s,
             "joint_ranges_rad": [list(limits) for limits in self.joint_ranges_rad],
             "clear": self.clear,
-            "closest": None
-            if closest is None
-            else {
-                "first": closest.first,
-                "second": closest.second,
-                "distance_mm": closest.distance_mm,
-                "at": closest.fraction,
-            },
+            "closest": closest,
             "singularity": self.singularity._asdict(),
             "largest_joint_speed_share": self.largest_joint_speed_share,
             "largest_speed_mm_s": self.largest_speed_mm_s,

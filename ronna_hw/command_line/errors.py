@@ -156,13 +156,14 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
         named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
         meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
         return UsageMistake(text, action=f"{meant}{see}")
-    message = getattr(mistake, "message", "") or _formatted(mistake)
+    message = getattr(mistake, "message", "")
+    if not message:
+        message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
-        if any(map(os.path.exists, found[1].split())):
-            repeat = "A pattern such as * may stand for several files or folders: name one. "
-            return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
         repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
         repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
+        if any(map(os.path.exists, found[1].split())):
+            repeat = "A pattern such as * may stand for several files or folders: name one. "
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
@@ -213,7 +214,3 @@ def _meaning(parameter: Any, context: Any) -> str:
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())
     return text if not text or text.endswith((".", "]")) else f"{text}."
-
-
-def _formatted(mistake: Exception) -> str:
-    return str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)

@@ -113,7 +113,7 @@ def print_table(title: str, columns: Sequence[str], rows: Sequence[Sequence[obje
 def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[int] | None:
     """Widths that fill the terminal without splitting a word; None if there are none."""
     by_column = list(zip(*rows, strict=True))
-    widths = [_least_width(cells) for cells in by_column]
+    widths = [max((len(word) for cell in cells for word in cell.split()), default=0) for cells in by_column]
     wanted = [max(len(line) for cell in cells for line in cell.split("\n")) for cells in by_column]
     spare = terminal_width - 1 - FRAME_WIDTH * len(widths) - sum(widths)
     if spare < 0:
@@ -124,11 +124,6 @@ def _column_widths(rows: Sequence[Sequence[str]], terminal_width: int) -> list[i
             break
         widths[lacking.index(max(lacking))] += 1
     return widths
-
-
-def _least_width(cells: Sequence[str]) -> int:
-    """Smallest width of a column that splits no word."""
-    return max((len(word) for cell in cells for word in cell.split()), default=0)
 
 
 PROGRESS_DELAY_S = 2.0  # no bar for shorter work

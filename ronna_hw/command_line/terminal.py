@@ -134,14 +134,14 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 def _command_of(app: typer.Typer, asked: str) -> Any:
     """The command; of a group only the selected one: typer takes two milliseconds for each."""
-    named = next((one for one in app.registered_commands if _name_of(one) == asked), None)
+
+    def name_of(one: typer.models.CommandInfo) -> str:
+        assert one.callback is not None
+        return one.name or typer.main.get_command_name(one.callback.__name__)
+
+    named = next((one for one in app.registered_commands if name_of(one) == asked), None)
     alone = len(app.registered_commands) + len(app.registered_groups) == 1
     return _build_command(app, None if alone else named)
-
-
-def _name_of(command: typer.models.CommandInfo) -> str:
-    assert command.callback is not None
-    return command.name or typer.main.get_command_name(command.callback.__name__)
 
 
 @cache

@@ -43,21 +43,15 @@ _NEXT = {  # the call that leads on; from the others there is a choice, or none
     Lifecycle.CONNECTED: "configure",
     Lifecycle.CONFIGURED: "activate",
 }
-_ALLOWED: dict[Lifecycle, frozenset[Lifecycle]] = {
-    Lifecycle.DISCONNECTED: frozenset({Lifecycle.CONNECTED, Lifecycle.CLOSED}),
-    Lifecycle.CONNECTED: frozenset({Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}),
-    Lifecycle.CONFIGURED: frozenset(
-        {Lifecycle.ACTIVE, Lifecycle.CONNECTED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
-    ),
-    Lifecycle.ACTIVE: frozenset(
-        {Lifecycle.HOLD, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
-    ),
-    Lifecycle.HOLD: frozenset(
-        {Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED, Lifecycle.CLOSED}
-    ),
+_ALLOWED: dict[Lifecycle, set[Lifecycle]] = {  # and from each but CLOSED to CLOSED
+    Lifecycle.DISCONNECTED: {Lifecycle.CONNECTED},
+    Lifecycle.CONNECTED: {Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED},
+    Lifecycle.CONFIGURED: {Lifecycle.ACTIVE, Lifecycle.CONNECTED, Lifecycle.DISCONNECTED},
+    Lifecycle.ACTIVE: {Lifecycle.HOLD, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED},
+    Lifecycle.HOLD: {Lifecycle.ACTIVE, Lifecycle.CONFIGURED, Lifecycle.DISCONNECTED},
     # A fault is cleared only by `recover`, which ends in the state of the re-read device.
-    Lifecycle.FAULT: frozenset({Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.CLOSED}),
-    Lifecycle.CLOSED: frozenset(),
+    Lifecycle.FAULT: {Lifecycle.CONNECTED, Lifecycle.CONFIGURED},
+    Lifecycle.CLOSED: set(),
 }
 
 
@@ -259,7 +253,8 @@ class LifecycleGuard:
             before = self.state
             if state is before:
                 return
-            if state not in _ALLOWED[before]:
+            closes = state is Lifecycle.CLOSED and before is not Lifecycle.CLOSED
+            if not closes and state not in _ALLOWED[before]:
                 raise WrongState(f"{self._device}: cannot go from {before} to {state}")
             self._now = (state, None)
         self.log.info(state, before=before, **facts)

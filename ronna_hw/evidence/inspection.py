@@ -21,26 +21,14 @@ from ronna_hw.evidence.manifest import (
     REQUEST_FILE,
     SEAL_FILE,
     TRUTH_FILES,
+    Manifest,
     Seal,
-    closed_files,
     count_names,
-    exchanged_inputs,
     files_of,
-    hashes_in,
-    is_closed,
     is_later,
     is_made_anew,
-    last_end,
-    lasting_files,
-    made_from,
-    not_vouched_for,
-    picture_files,
     read_seal,
-    record_files,
     sha256_of,
-    superseded_in,
-    truth_difference,
-    truth_problems,
 )
 from ronna_hw.records import PARTIAL, BadRecord, Record, read_record
 from ronna_hw.text import printable
@@ -92,6 +80,7 @@ class Inspection:
 
     folder: Path
     chain: Chain
+    manifest: Manifest
     records: tuple[Record, ...]
     problems: tuple[Problem, ...]
     out_of_reach: tuple[str, ...] = ()  # inputs outside the run that are not here, and were not compared
@@ -99,7 +88,7 @@ class Inspection:
     @property
     def superseded(self) -> frozenset[str]:
         """Identifiers of the superseded records."""
-        return superseded_in(self.chain.lines)
+        return self.manifest.superseded
 
     @property
     def changes(self) -> tuple[Problem, ...]:
@@ -113,8 +102,7 @@ class Inspection:
         Excluded are files that every program continues, such as the log, unless added, and a renamed folder,
         which is found whenever it is read.
         """
-        end = last_end(self.chain.lines)
-        known = hashes_in(end, "files") | hashes_in(end, "inputs") | lasting_files(self.chain.lines)
+        known = self.manifest.files | self.manifest.outside | self.manifest.lasting
         return {
             one.file: known.get(one.file)
             for one in self.changes
@@ -135,10 +123,9 @@ class Inspection:
 
     def require_content(self, name: str, content: bytes) -> bytes:
         """Return content read after the check; raise PRO-033 if its file was exchanged since."""
-        lines = self.chain.lines
-        named = closed_files(lines) if is_closed(lines) else {}
+        named = self.manifest.files if self.chain.is_closed else {}
         changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
-        if what := "changed" if changed else truth_difference(name, content, lines):
+        if what := "changed" if changed else self.manifest.truth_difference(name, content):
             self._require((Problem(name, what),))
         return content
 
@@ -161,15 +148,16 @@ def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] =
     chain = _chain(folder, problems)
     if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
-        return Inspection(folder, chain, (), tuple(problems))
+        return Inspection(folder, chain, Manifest(), (), tuple(problems))
+    manifest = Manifest(chain.lines)
     records = tuple(_records(folder, chain.lines, problems))
     if every_file and chain.lines:
-        problems += _files(folder, chain)
+        problems += _files(folder, chain, manifest)
     elif chain.lines:
-        problems += _some(folder, chain, [name for name in files if os.path.lexists(folder / name)])
+        problems += _sealed_only(folder, chain, [name for name in files if os.path.lexists(folder / name)])
     found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
     out_of_reach = dict.fromkeys(one.file for one in problems if one.out_of_reach)
-    return Inspection(folder, chain, records, found, tuple(out_of_reach))
+    return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
 
 
 def _chain(folder: Path, problems: list[Problem]) -> Chain:
@@ -189,7 +177,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
     if chain.torn:
         what = f"torn: {len(chain.torn)} bytes after line {len(chain.lines)}"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
-    if not is_closed(chain.lines) and broken is None:
+    if not chain.is_closed and broken is None:
         what = "not closed: the run was killed, is still running, or its last lines are missing"
         problems.append(Problem(JOURNAL_FILE, what, unfinished=True))
     run, name = chain.lines[0].get("run") if chain.lines else None, folder.resolve().name
@@ -218,7 +206,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
             problems.append(Problem(name, what if there else "missing: named in the journal"))
             series = None
         else:
-            wrong = [Problem(name, what) for what in _unlike(record, line, run, known)]
+            wrong = [Problem(name, what) for what in _mismatches(record, line, run, known)]
             problems += wrong
             if not wrong:
                 yield record
@@ -226,7 +214,7 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         known[str(line.get("record"))] = KnownRecord(str(line.get("sha256")), series)
 
 
-def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
+def _mismatches(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
     step, _, trajectory = str(line.get("step")).partition(":")
     if record.sha256 != line.get("sha256"):
         yield "not the record named in the journal"
@@ -244,31 +232,28 @@ def _unlike(record: Record, line: Line, run: object, known: Mapping[str, KnownRe
             yield f"is of another CT series than its parent {identifier}"
 
 
-def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
+def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
     """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
-    lines, closed, named = chain.lines, is_closed(chain.lines), closed_files(chain.lines)
-    request = lines[0].get("request_sha256")
-    if isinstance(request, str):
-        yield from against(folder, {REQUEST_FILE: request})
-    yield from against(folder, picture_files(lines))
-    yield from (Problem(name, what) for name, what in truth_problems(folder, lines))
+    closed, named = chain.is_closed, manifest.files
+    yield from compare_files(folder, manifest.request | manifest.pictures)
+    yield from (Problem(name, what) for name, what in manifest.truth_problems(folder))
     there = [name for name, _ in files_of(folder)]
     seal = read_seal(folder)
     if closed:
-        yield from against(folder, named)
-        yield from (Problem(name, what) for name, what in exchanged_inputs(lines))
+        yield from compare_files(folder, named)
+        yield from (Problem(name, what) for name, what in manifest.exchanged_inputs())
         # What could not be read at the end is compared with what results were made from.
-        unread = {name: of for name, of in made_from(lines).items() if name not in named}
-        yield from against(folder, unread | hashes_in(lines[-1], "inputs"), inputs=True)
+        unread = {name: of for name, of in manifest.made_from.items() if name not in named}
+        yield from compare_files(folder, unread | manifest.outside, inputs=True)
     else:
-        yield from against(folder, lasting_files(lines))
-        yield from _not_put_back(folder, lines, there)
-        since = against(folder, made_from(lines), inputs=True)  # a resumed run compares what is in them
+        yield from compare_files(folder, manifest.lasting)
+        yield from _not_put_back(folder, manifest, there)
+        # A resumed run compares what is in them.
+        since = compare_files(folder, manifest.made_from, inputs=True)
         for one in since:
             yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
-        in_journal = record_files(lines)
         for name in there:
-            if name.startswith(f"{RECORDS_FOLDER}/") and name not in in_journal:
+            if name.startswith(f"{RECORDS_FOLDER}/") and name not in manifest.records:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
     if seal is None:
         if os.path.lexists(folder / SEAL_FILE):
@@ -280,22 +265,22 @@ def _files(folder: Path, chain: Chain) -> Iterator[Problem]:
         return
     whole = yield from _against_seal(folder, chain, seal)
     if whole:
-        yield from against(folder, seal.files)
+        yield from compare_files(folder, seal.files)
         yield from _added([name for name in there if name not in named and name not in seal.files])
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
 
 
-def _not_put_back(folder: Path, lines: Sequence[Line], there: Collection[str]) -> Iterator[Problem]:
+def _not_put_back(folder: Path, manifest: Manifest, there: Collection[str]) -> Iterator[Problem]:
     """Files that a killed program found changed or added, and that still are."""
-    expected = not_vouched_for(lines)
+    expected = manifest.not_vouched_for
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
-    yield from against(folder, known, inputs=True)
-    suspects = {*there} - {*TRUTH_FILES, *picture_files(lines)}
+    yield from compare_files(folder, known, inputs=True)
+    suspects = {*there} - {*TRUTH_FILES, *manifest.pictures}
     yield from _added([name for name in expected if expected[name] is None and name in suspects])
 
 
-def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
+def _sealed_only(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
     """Problems with files that only the seal covers, and with the journal, which it also covers."""
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
@@ -305,7 +290,7 @@ def _some(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]
         if seal is None or not whole:
             yield Problem(name, "not confirmed by a seal")
         elif name in seal.files:
-            yield from against(folder, {name: seal.files[name]})
+            yield from compare_files(folder, {name: seal.files[name]})
         else:
             yield from _added([name])
 
@@ -331,7 +316,7 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
             yield Problem(name, "added: not part of the run", beside=True)
 
 
-def against(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
+def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
     """Compare files of the folder with their hashes; with `inputs` also files elsewhere, by whole path."""
     left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():

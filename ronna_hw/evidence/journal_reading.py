@@ -87,6 +87,11 @@ class Chain:
     last: str = FIRST
     torn: bytes = b""  # anything after the last complete line
 
+    @property
+    def is_closed(self) -> bool:
+        """Whether it ends like that of a closed run."""
+        return bool(self.lines) and self.lines[-1]["entry"] == Entry.CLOSED
+
 
 def read_chain(path: Path) -> Chain:
     """Read a journal's lines in order, with the torn rest at its end; raises PRO-011 for a broken chain."""

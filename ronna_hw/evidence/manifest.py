@@ -15,7 +15,7 @@ import stat
 from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import cast
+from typing import NamedTuple, cast
 
 from pydantic import BaseModel, ConfigDict, Field
 
@@ -71,85 +71,113 @@ def count_names(lines: Iterable[Line]) -> int:
     return sum(len(hashes_in(line, field)) for line in lines for field in fields)
 
 
-def is_closed(lines: Sequence[Line]) -> bool:
-    """Whether a journal ends like that of a closed run."""
-    return bool(lines) and lines[-1]["entry"] == Entry.CLOSED
+class StatedTruth(NamedTuple):
+    """Length and SHA-256 of a truth file as last stated, and whether a step has begun since."""
+
+    length: int
+    sha256: str
+    step_begun: bool = False
 
 
-def last_end(lines: Sequence[Line]) -> Line:
-    """The last `closed` line; empty if the run was never closed."""
-    return next((line for line in reversed(lines) if line["entry"] == Entry.CLOSED), {})
+class Manifest:
+    """What the lines of a journal state about the files of its run, by name with their SHA-256.
 
+    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere; `begun_with`
+    are the inputs that the last program to open the run began with; `made_from` those of the standing
+    results, or of a finding that one was rewritten since with the same meaning. `pictures` with different
+    hashes have no valid one. `superseded` are identifiers of records.
 
-def closed_files(lines: Sequence[Line]) -> dict[str, str]:
-    """Files and hashes of the last `closed` line."""
-    return hashes_in(last_end(lines), "files")
-
-
-def record_files(lines: Iterable[Line]) -> set[str]:
-    """Files of the records that lines name."""
-    return {f"{RECORDS_FOLDER}/{line.get('record')}.json" for line in lines}
-
-
-def picture_files(lines: Iterable[Line]) -> dict[str, str]:
-    """Pictures and their hashes; a picture named with different ones has no valid hash."""
-    pictures: dict[str, str] = {}
-    for line in lines:
-        for picture, of in hashes_in(line, "pictures").items():
-            name = f"{PICTURES_FOLDER}/{picture}"
-            pictures[name] = of if pictures.get(name, of) == of else "two hashes"
-    return pictures
-
-
-def begun_with(lines: Sequence[Line]) -> dict[str, str]:
-    """Input files that the last program to open the run began with, with their hashes then."""
-    begun = [line for number, line in enumerate(lines) if line["entry"] in BEGINNINGS or not number]
-    return hashes_in(begun[-1], "inputs") if begun else {}
-
-
-def made_from(lines: Sequence[Line]) -> dict[str, str]:
-    """Input files of the standing results, with their hashes then.
-
-    A finding updates the hash of a file that was rewritten since with the same meaning.
+    `not_vouched_for` are files that were not as left when the run was resumed after an end, as in
+    `Inspection.not_as_left`: of every program since that end, up to the one that has just closed the run. A
+    killed one vouches for nothing. The first of them states how a file was left.
     """
-    gone, found = superseded_in(lines), dict[str, str]()
-    for line in lines:
-        if line["entry"] in (Entry.RESULT, Entry.FINDING) and str(line.get("record")) not in gone:
-            found |= hashes_in(line, "inputs")
-    return found
+
+    def __init__(self, lines: Sequence[Line] = ()) -> None:
+        self.request = {} if not lines else _hash_of(REQUEST_FILE, lines[0].get("request_sha256"))
+        self.files: dict[str, str] = {}
+        self.outside: dict[str, str] = {}
+        self.begun_with: dict[str, str] = {}
+        self.made_from: dict[str, str] = {}
+        self.pictures: dict[str, str] = {}
+        self.records: set[str] = set()
+        self.not_vouched_for: dict[str, str | None] = {}
+        self.truth: dict[str, StatedTruth] = {}
+        gone = (line.get("supersedes") for line in lines)
+        self.superseded = frozenset(str(one) for names in gone if isinstance(names, list) for one in names)
+        for number, line in enumerate(lines):
+            if line["entry"] in BEGINNINGS or not number:
+                self.begun_with = hashes_in(line, "inputs")
+            match line["entry"]:
+                case Entry.RESULT | Entry.FINDING if str(line.get("record")) not in self.superseded:
+                    self.made_from |= hashes_in(line, "inputs")
+                case Entry.RESTARTED:
+                    found = cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
+                    self.not_vouched_for = found | self.not_vouched_for
+                case Entry.CLOSED:
+                    self.files, self.outside = hashes_in(line, "files"), hashes_in(line, "inputs")
+                    if number < len(lines) - 1:
+                        self.not_vouched_for = {}
+            for picture, sha256 in hashes_in(line, "pictures").items():
+                name = f"{PICTURES_FOLDER}/{picture}"
+                self.pictures[name] = sha256 if self.pictures.get(name, sha256) == sha256 else "two hashes"
+            if "record" in line:
+                self.records.add(f"{RECORDS_FOLDER}/{line['record']}.json")
+            self._note_truth(line)
+
+    def _note_truth(self, line: Line) -> None:
+        if line["entry"] in (Entry.INTENT, Entry.RESTARTED):
+            self.truth = {name: known._replace(step_begun=True) for name, known in self.truth.items()}
+        field = line.get(TRUTH_FIELD)
+        for name, value in field.items() if isinstance(field, Mapping) else ():
+            match value:
+                case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
+                    self.truth[name] = StatedTruth(int(length), sha256)
+
+    @property
+    def lasting(self) -> dict[str, str]:
+        """Files of an open run that must not have changed since the journal named them.
+
+        Inputs of results are left out: resuming the run compares their content.
+        """
+        lasting = {name: sha256 for name, sha256 in self.files.items() if name.startswith(LASTING)}
+        apart = {WITH_PORTS, *self.made_from}
+        return {name: sha256 for name, sha256 in (lasting | self.begun_with).items() if name not in apart}
+
+    def exchanged_inputs(self) -> Iterator[tuple[str, str]]:
+        """Inputs of a closed run that differ between its standing results and its end, and how."""
+        at_end = self.files | self.outside
+        for name, sha256 in (self.begun_with | self.made_from).items():
+            if at_end.get(name, sha256) != sha256:
+                yield name, "exchanged while the run was open: its results were made from another file"
+
+    def truth_problems(self, folder: Path) -> Iterator[tuple[str, str]]:
+        """Truth files of a run that do not match its journal, and how."""
+        for name in self.truth:
+            try:
+                with open_regular(folder / name) as file:
+                    content = file.read(LARGEST_TRUTH_BYTES + 1)
+            except FileNotFoundError:
+                yield name, "missing"
+            except OSError as error:
+                yield name, f"replaced, or cannot be read: {error.strerror}"
+            else:
+                if what := self.truth_difference(name, content):
+                    yield name, what
+
+    def truth_difference(self, name: str, content: bytes) -> str:
+        """How the content of a truth file differs from the journal; empty if it matches or is not named."""
+        if name not in self.truth:
+            return ""
+        size, sha256, step_begun = self.truth[name]
+        if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
+            return "changed"
+        if len(content) > size and not (name in GROWING and step_begun):
+            return "continues beyond the journal, and no step was running"
+        return ""
 
 
-def lasting_files(lines: Sequence[Line]) -> dict[str, str]:
-    """Files of an open run that must not have changed since the journal named them, with their hashes.
-
-    Inputs of results are left out: resuming the run compares their content.
-    """
-    lasting = {name: sha256 for name, sha256 in closed_files(lines).items() if name.startswith(LASTING)}
-    apart = {WITH_PORTS, *made_from(lines)}
-    return {name: sha256 for name, sha256 in (lasting | begun_with(lines)).items() if name not in apart}
-
-
-def exchanged_inputs(lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Inputs of a closed run that differ between its standing results and its end, and how."""
-    at_end = closed_files(lines) | hashes_in(lines[-1], "inputs")
-    for name, sha256 in (begun_with(lines) | made_from(lines)).items():
-        if at_end.get(name, sha256) != sha256:
-            yield name, "exchanged while the run was open: its results were made from another file"
-
-
-def not_vouched_for(lines: Sequence[Line]) -> dict[str, str | None]:
-    """Files that were not as left when the run was resumed after an end, as in `Inspection.not_as_left`.
-
-    This covers every program since that end, up to the one that has just closed the run: a killed one vouches
-    for nothing. The first of them states how a file was left.
-    """
-    expected: dict[str, str | None] = {}
-    for line in reversed(lines[:-1] if is_closed(lines) else lines):
-        if line["entry"] == Entry.CLOSED:
-            break
-        if line["entry"] == Entry.RESTARTED:
-            expected |= cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
-    return expected
+def _hash_of(name: str, sha256: JournalValue) -> dict[str, str]:
+    return {name: sha256} if isinstance(sha256, str) else {}
 
 
 def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | None]) -> dict[str, str]:
@@ -159,12 +187,6 @@ def keep_earlier_hashes(hashes: Mapping[str, str], expected: Mapping[str, str | 
     """
     held = {name: sha256 for name, sha256 in hashes.items() if name not in expected}
     return held | {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
-
-
-def superseded_in(lines: Iterable[Line]) -> frozenset[str]:
-    """Identifiers of the records that the lines of a journal supersede."""
-    gone = (line.get("supersedes") for line in lines)
-    return frozenset(str(name) for names in gone if isinstance(names, list) for name in names)
 
 
 def sha256_of(path: Path) -> str:
@@ -254,49 +276,6 @@ def truth_so_far(folder: Path) -> dict[str, JournalValue]:
             content = file.read(LARGEST_TRUTH_BYTES)
             known[name] = [len(content), hashlib.sha256(content).hexdigest()]
     return {TRUTH_FIELD: known} if known else {}
-
-
-def journalled_truth(lines: Sequence[Line]) -> dict[str, tuple[int, str, int]]:
-    """Last stated length and hash of each truth file, with the number of the line that states them."""
-    known: dict[str, tuple[int, str, int]] = {}
-    for number, line in enumerate(lines):
-        field = line.get(TRUTH_FIELD)
-        for name, value in field.items() if isinstance(field, Mapping) else ():
-            match value:
-                case [int(length), str(sha256)] if name in TRUTH_FILES and length >= 0:
-                    known[name] = (int(length), sha256, number)
-    return known
-
-
-def truth_problems(folder: Path, lines: Sequence[Line]) -> Iterator[tuple[str, str]]:
-    """Truth files of a run that do not match its journal, and how."""
-    for name in journalled_truth(lines):
-        try:
-            with open_regular(folder / name) as file:
-                content = file.read(LARGEST_TRUTH_BYTES + 1)
-        except FileNotFoundError:
-            yield name, "missing"
-        except OSError as error:
-            yield name, f"replaced, or cannot be read: {error.strerror}"
-        else:
-            if what := truth_difference(name, content, lines):
-                yield name, what
-
-
-def truth_difference(name: str, content: bytes, lines: Sequence[Line]) -> str:
-    """How the content of a truth file differs from the journal; empty if it matches or is not named."""
-    if name not in (known := journalled_truth(lines)):
-        return ""
-    size, sha256, number = known[name]
-    if len(content) < size or hashlib.sha256(content[:size]).hexdigest() != sha256:
-        return "changed"
-    if len(content) > size and not (name in GROWING and _step_begun(lines[number + 1 :])):
-        return "continues beyond the journal, and no step was running"
-    return ""
-
-
-def _step_begun(lines: Sequence[Line]) -> bool:
-    return any(line["entry"] in (Entry.INTENT, Entry.RESTARTED) for line in lines)
 
 
 class Seal(BaseModel):

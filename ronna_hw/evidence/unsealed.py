@@ -11,20 +11,7 @@ from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.manifest import (
-    REQUEST_FILE,
-    closed_files,
-    files_of,
-    is_closed,
-    is_later,
-    is_sealed,
-    journalled_truth,
-    lasting_files,
-    made_from,
-    not_vouched_for,
-    picture_files,
-    record_files,
-)
+from ronna_hw.evidence.manifest import files_of, is_later, is_sealed
 from ronna_hw.records import PARTIAL
 from ronna_hw.text import counted, printable
 
@@ -34,15 +21,16 @@ REPORT = "report"  # made anew at every end
 
 def unsealed(found: Inspection) -> dict[str, int]:
     """Files that neither journal nor seal confirms, with their length, except those reported as problems."""
-    lines = found.chain.lines
-    if not lines:
+    if not found.chain.lines:
         return {}
-    known = {*found.not_as_left, *not_vouched_for(lines)}
+    manifest = found.manifest
+    known = {*found.not_as_left, *manifest.not_vouched_for}
     if is_sealed(found.folder):
         doubtful = {one.file for one in found.changes if is_later(one.file)}
     else:
         doubtful = {name for name, _ in files_of(found.folder)}
-        known |= _confirmed(lines)
+        known.update(manifest.files if found.chain.is_closed else manifest.lasting, manifest.request)
+        known.update(manifest.records, manifest.pictures, manifest.made_from, manifest.truth)
     return {
         name: path.lstat().st_size
         for name, path in files_of(found.folder)
@@ -59,18 +47,6 @@ def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
                 f"not vouched for: {', '.join(_named(files))} had no seal when the run was resumed "
                 f"after line {number} of its journal; a change before that would not show"
             )
-
-
-def _confirmed(lines: tuple[Line, ...]) -> set[str]:
-    """Files that the journal confirms by hash or by content."""
-    return {
-        *(closed_files(lines) if is_closed(lines) else lasting_files(lines)),
-        *([REQUEST_FILE] if "request_sha256" in lines[0] else []),
-        *record_files(lines),
-        *picture_files(lines),
-        *made_from(lines),
-        *journalled_truth(lines),
-    }
 
 
 def _named(files: Mapping[str, object]) -> Iterator[str]:

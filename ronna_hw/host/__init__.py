@@ -1,1 +1,1 @@
-"""The computer the code runs on: processes, memory, files, networks, ports, and the control port."""
+"""The computer the code runs on: processes, memory, files, networks and ports."""

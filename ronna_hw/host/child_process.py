@@ -43,6 +43,13 @@ class ChildNotReady(LinkTimeout):
     action = "Run the command alone to see why it stops."
 
 
+def gave_up(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
+    """Error of a process that took `late_s`, or with None of one that used no processor time for `idle_s`."""
+    if late_s is not None:
+        return ChildNotReady(what, limit=f"{late_s:g} s", action=TOO_SLOW)
+    return ChildNotReady(what, limit=f"{idle_s:g} s without using the processor", action=HANGS)
+
+
 def command(module: str, *arguments: str) -> list[str]:
     """Command line of one of our modules, run by this Python, independent of the path."""
     return [sys.executable, "-P", "-m", module, *arguments]
@@ -110,15 +117,12 @@ class ChildProcess:
             try:
                 line = self._lines.get(timeout=max(0.0, min(LOOK_S, deadline - time.monotonic())))
             except Empty:
-                late, idle = time.monotonic() >= deadline, use.idle_s() >= idle_s
-                if not late and not idle:
+                late = time.monotonic() >= deadline
+                if not late and use.idle_s() < idle_s:
                     continue
                 self.stop(stop_s)
-                raise ChildNotReady(
-                    f"{self.name} did not become ready",
-                    limit=f"{timeout_s:g} s" if late else f"{idle_s:g} s without using the processor",
-                    action=TOO_SLOW if late else HANGS,
-                ) from None
+                what = f"{self.name} did not become ready"
+                raise gave_up(what, timeout_s if late else None, idle_s) from None
             if line is None:
                 self.process.wait()
                 self._readers[1].join(timeout=1.0)
@@ -214,13 +218,9 @@ def await_end(
                 return process.communicate(timeout=LOOK_AGAIN_S)
             except subprocess.TimeoutExpired:
                 meanwhile()
-            late, idle = time.monotonic() >= deadline_s, use.idle_s() >= IDLE_TIMEOUT_S
-            if late or idle:
-                raise ChildNotReady(
-                    f"{name} did not finish",
-                    limit=f"{limit_s:g} s" if late else f"{IDLE_TIMEOUT_S:g} s without using the processor",
-                    action=TOO_SLOW if late else HANGS,
-                )
+            late = time.monotonic() >= deadline_s
+            if late or use.idle_s() >= IDLE_TIMEOUT_S:
+                raise gave_up(f"{name} did not finish", limit_s if late else None)
     except BaseException:  # also an interruption: nothing is left running
         process.kill()
         process.wait()

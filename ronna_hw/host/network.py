@@ -40,7 +40,12 @@ def interfaces() -> tuple[Interface, ...]:
     """All interfaces with an IPv4 address."""
     states = psutil.net_if_stats()
     return tuple(
-        Interface(name, each.address, _prefix(each.netmask), states[name].mtu if name in states else 0)
+        Interface(
+            name,
+            each.address,
+            IPv4Network(f"0.0.0.0/{each.netmask or '255.255.255.255'}").prefixlen,
+            states[name].mtu if name in states else 0,
+        )
         for name, addresses in psutil.net_if_addrs().items()
         for each in addresses
         if each.family == socket.AF_INET
@@ -52,10 +57,6 @@ def interface_of(local_address: str) -> Interface | None:
     every = interfaces()
     exact = (each for each in every if each.address == local_address)
     return next(exact, next((each for each in every if each.reaches(local_address)), None))
-
-
-def _prefix(netmask: str | None) -> int:
-    return IPv4Network(f"0.0.0.0/{netmask or '255.255.255.255'}").prefixlen
 
 
 FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which start at 32768
@@ -105,7 +106,8 @@ def account_at(peer: Place, here: Place) -> int | None:
 
 def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
     """Account and inode of the socket with these ends; None if there is none. Raises OSError."""
-    wanted = _SOCKET.pack(*_ports(local, remote), *_addresses(local, remote), 0, _NO_COOKIE)
+    addresses = (socket.inet_aton(address) for address, _ in (local, remote))
+    wanted = _SOCKET.pack(*_ports(local, remote), *addresses, 0, _NO_COOKIE)
     question = _QUESTION.pack(socket.AF_INET, socket.IPPROTO_TCP, 0, _ALL_STATES) + wanted
     head = _HEADER.pack(_HEADER.size + len(question), _SOCK_DIAG_BY_FAMILY, _NLM_F_REQUEST, 0, 0)
     with socket.socket(socket.AF_NETLINK, socket.SOCK_DGRAM, _NETLINK_SOCK_DIAG) as kernel:
@@ -122,10 +124,6 @@ def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
 
 def _ports(*places: Place) -> tuple[bytes, ...]:
     return tuple(port.to_bytes(2, "big") for _, port in places)
-
-
-def _addresses(*places: Place) -> tuple[bytes, ...]:
-    return tuple(socket.inet_aton(address) for address, _ in places)
 
 
 def _listed(peer: Place, here: Place) -> int | None:

@@ -92,14 +92,11 @@ def holder_of_lock(file: int) -> PortUser | None:
             _number, kind, *others = line.split()
             if kind == "FLOCK" and others[-3].endswith(f":{inode}"):
                 pid = int(others[2])
-                return PortUser(pid, _name(pid), _terminal(pid))
+                terminal = ""
+                with contextlib.suppress(psutil.Error):
+                    terminal = psutil.Process(pid).terminal() or ""
+                return PortUser(pid, _name(pid), terminal)
     return None
-
-
-def _terminal(pid: int) -> str:
-    with contextlib.suppress(psutil.Error):
-        return psutil.Process(pid).terminal() or ""
-    return ""
 
 
 def _open_devices(pid: int) -> Iterator[Path]:

@@ -276,15 +276,9 @@ def text(capacity_bytes: int) -> FieldCode:
     return FieldCode(f"{capacity_bytes}s", encode, decode)
 
 
-def _host_to_bytes(host: str) -> bytes:
-    return inet_aton(host or ANY_HOST)
-
-
-def _host_of_bytes(packed: bytes) -> str:
-    return inet_ntoa(packed) if any(packed) else ""
-
-
-IPV4_HOST = FieldCode("4s", _host_to_bytes, _host_of_bytes)  # "" for none
+IPV4_HOST = FieldCode(  # "" for none
+    "4s", lambda host: inet_aton(host or ANY_HOST), lambda packed: inet_ntoa(packed) if any(packed) else ""
+)
 
 
 class RowCodec(Generic[RowT]):

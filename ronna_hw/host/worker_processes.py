@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import TypeVar
 
-from ronna_hw.host.child_process import HANGS, IDLE_TIMEOUT_S, LOOK_S, ChildNotReady, ProcessorUse
+from ronna_hw.host.child_process import IDLE_TIMEOUT_S, LOOK_S, ProcessorUse, gave_up
 
 Result = TypeVar("Result")
 
@@ -39,11 +39,7 @@ def results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
     for future in waiting:
         while not wait([future], LOOK_S).done:
             if all([use.idle_s() >= IDLE_TIMEOUT_S for use in uses]):
-                raise ChildNotReady(
-                    "the worker processes do not finish",
-                    limit=f"{IDLE_TIMEOUT_S:g} s without using the processor",
-                    action=HANGS,
-                )
+                raise gave_up("the worker processes do not finish", None, IDLE_TIMEOUT_S)
         yield future.result()
 
 

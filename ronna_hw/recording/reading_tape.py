@@ -169,23 +169,11 @@ class ReadingTape:
             self._full = True
 
     def _write(self, answer: RecordedCall) -> None:
-        line: dict[str, Any] = {
-            "section": answer.section,
-            "device": answer.device,
-            "call": answer.call,
-            "state": answer.state,
-            "theatre_time_s": answer.theatre_time_s,
-        }
-        if answer.error is not None:
-            error = answer.error
-            line["error"] = {
-                "code": error.code,
-                "class": type(error).__qualname__,
-                "what": error.what,
-                "expected": error.expected,
-                "limit": error.limit,
-                "got": error.got,
-            }
+        kept = ("section", "device", "call", "state", "theatre_time_s")
+        line: dict[str, Any] = {name: getattr(answer, name) for name in kept}
+        if (error := answer.error) is not None:
+            said = {name: getattr(error, name) for name in ("what", "expected", "limit", "got")}
+            line["error"] = {"code": error.code, "class": type(error).__qualname__, **said}
         else:
             line["answer"] = as_plain(answer.value, self._put_pixels)
         if answer.properties:

@@ -29,9 +29,9 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.bounded_input import parse_json
+from ronna_hw.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.control_port import LONGEST_LINE, TOKEN_KEY, ControlAddress
 from sim.world.faults import (
     DEVICES,
     FaultBoard,

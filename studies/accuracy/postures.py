@@ -15,9 +15,9 @@ from procedures.planning.free_angle import LEAST_BEND_RAD
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory, target_pose
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM

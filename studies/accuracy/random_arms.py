@@ -15,9 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.deviations import FLANK_SHARE
 from ronna_hw.arm.kinematics import Chain, Joint, Kinematics
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.calibrated_arm.deviations import FLANK_SHARE
 from sim.world.scene.as_built import TOOL_IN_FLANGE_MM, draw_arm, draw_mount
 from sim.world.scene.model import ArmTruth
 from studies.errors import PoseNotSolved

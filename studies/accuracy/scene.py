@@ -22,7 +22,7 @@ from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.strategies.catalogue import CANDIDATES, strategy_named
 from procedures.strategies.strategy import Strategy
-from ronna_hw.arm.error_budget import UNCALIBRATED, ErrorSizes
+from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
 from sim.world.scene.as_built import (
     BACKLASH_RAD,

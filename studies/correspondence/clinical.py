@@ -30,10 +30,10 @@ from procedures.registration.similarity_matrix import (
 from ronna_hw.bounded_input import MOST_VALUES, parse_json, parse_toml, read_json_bytes
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.control_port import ControlPortClient
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
 from ronna_hw.host.child_process import ChildProcess, command, finished_command
-from ronna_hw.host.control_port import ControlPortClient
 from ronna_hw.records import write_whole
 from ronna_hw.registry import make_device
 from studies.campaign import bounds

@@ -21,9 +21,9 @@ from procedures.calibration.arm_model import ArmModel, LookArrays, choose_poses
 from procedures.calibration.pose_set import centred_looks
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses
-from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes, IdentifiedArm
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Transform
 from sim.world.true_arm import TrueArm

@@ -18,9 +18,9 @@ from good_inputs import CONTROLLER_COMMANDS, CONTROLLER_REQUESTS
 from hostile_clients import camera_commands, loading, maltreat, with_right_checksum, write_register
 from waiting import eventually
 
+from ronna_hw.control_port import ControlAddress, ask_control_port
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.control_port import ControlAddress, ask_control_port
 from ronna_hw.host.network import own_udp_endpoint
 from ronna_hw.wire.gige_vision import CCP_CONTROL, CCP_OPEN, GVCP_PORT, Bootstrap
 from ronna_hw.wire.polaris_rom import MARKER_FACES_OFFSET

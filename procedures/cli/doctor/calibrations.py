@@ -10,7 +10,12 @@ from pathlib import Path
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
 from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_together
 from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
-from ronna_hw.arm.error_budget import LINK_TRANSLATION_MM, UNCALIBRATED_MM, ErrorSizes, arm_error_mm
+from ronna_hw.calibrated_arm.error_budget import (
+    LINK_TRANSLATION_MM,
+    UNCALIBRATED_MM,
+    ErrorSizes,
+    arm_error_mm,
+)
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, TheatreFile
 from ronna_hw.devices.probing import Diagnostic, refusal

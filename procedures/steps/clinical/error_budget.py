@@ -40,7 +40,7 @@ from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
 from procedures.strategies.trajectory import refined_target_pose
-from ronna_hw.arm.error_budget import ErrorSizes, backlash_mm2
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
 from ronna_hw.frames import Transform
 
 Array = NDArray[np.float64]

@@ -21,7 +21,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
-from ronna_hw.evidence.manifest import input_hashes, made_from
+from ronna_hw.evidence.manifest import Manifest, input_hashes
 from ronna_hw.records import Record
 
 Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
@@ -85,7 +85,7 @@ def note_same_content(engine: Engine, path: Path, record: Record) -> None:
     Raises PRO-003.
     """
     folder = engine.case.folder
-    then = made_from(read_chain(folder / JOURNAL_FILE).lines)
+    then = Manifest(read_chain(folder / JOURNAL_FILE).lines).made_from
     now: dict[str, JournalValue] = dict(input_hashes(folder, [path]))
     if any(then.get(name, sha256) != sha256 for name, sha256 in now.items()):
         text = f"{path.name} was written again with the same content"

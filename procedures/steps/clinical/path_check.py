@@ -35,9 +35,9 @@ from procedures.strategies.strategy import Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
 from ronna_hw.arm.clearance.sweep import Closest
-from ronna_hw.arm.error_budget import ErrorSizes
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.text import counted
 
 Array = NDArray[np.float64]
@@ -217,7 +217,7 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             free_angle_turns_rad=dict(turned.turns_rad),
             branch=check.branch,
             joint_ranges_rad=check.joint_ranges_rad,
-            largest_move_rad=max(move.largest_rad for move in check.moves),
+            largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
             localizations=_localizations(check, matched),
             targets=_targets(check, setting),

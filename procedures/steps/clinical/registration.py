@@ -55,7 +55,7 @@ from procedures.steps.clinical.results import (
     Relocalization,
 )
 from procedures.workcell import MountedTool
-from ronna_hw.arm.error_budget import arm_error_mm
+from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 from ronna_hw.frames import Frame
 from ronna_hw.text import beyond, side_by_side
 

@@ -32,7 +32,7 @@ from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
-from ronna_hw.arm.error_budget import ErrorSizes
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.errors import RonnaError
 from ronna_hw.text import beyond
 

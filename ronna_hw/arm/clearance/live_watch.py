@@ -137,12 +137,12 @@ class LiveWatch:
 
     def check(self, joints_rad: JointVector) -> Violation | None:
         """Return the first violation if this set-point were sent next, or None."""
-        most = self._at_most(joints_rad)
-        if self._plainly_well(most):
+        most = self._motion_bound_mm(joints_rad)
+        if self._is_clearly_safe(most):
             self._tried = (joints_rad, None, most)
             return None
         segments = body_segments(self._bodies, joints_rad)
-        moved = self._moved(segments)
+        moved = max(self._motions_mm(segments))
         self._tried = (joints_rad, segments, moved)
         return self._too_near(segments, moved) or self._too_fast(segments, moved)
 
@@ -154,11 +154,11 @@ class LiveWatch:
         if self._tried is not None and self._tried[0] is joints_rad:
             _, segments, moved = self._tried
         else:
-            moved = self._at_most(joints_rad)
+            moved = self._motion_bound_mm(joints_rad)
         self._odometer_mm += moved
         self._joints, self._segments = joints_rad, segments
 
-    def _at_most(self, joints_rad: JointVector) -> float:
+    def _motion_bound_mm(self, joints_rad: JointVector) -> float:
         """Upper bound of the largest motion of any body since the last set-point, mm."""
         a, b, c, d, e, f = self._levers
         p1, p2, p3, p4, p5, p6 = joints_rad
@@ -172,7 +172,7 @@ class LiveWatch:
             + f * abs(p6 - q6)
         )
 
-    def _plainly_well(self, most: float) -> bool:
+    def _is_clearly_safe(self, most: float) -> bool:
         """Whether a motion of at most `most` mm neither makes a pair due nor reaches a speed cap."""
         travel = self._odometer_mm + most
         if self._due and self._due[0][0] < travel:
@@ -202,8 +202,9 @@ class LiveWatch:
     def _too_fast(self, segments: list[Segment], moved: float) -> Violation | None:
         speed = moved / self._cycle_s
         if speed > self._body_speed_mm_s * SPEED_MARGIN:
-            ways = self._ways_mm(segments)
-            return Violation(ViolationKind.BODY_SPEED, ways.index(max(ways)), speed, self._body_speed_mm_s)
+            motions = self._motions_mm(segments)
+            fastest = motions.index(max(motions))
+            return Violation(ViolationKind.BODY_SPEED, fastest, speed, self._body_speed_mm_s)
         cap = self._surroundings.cap_mm_s
         bounds, travel = self._bounds, self._odometer_mm + moved
         if not bounds or speed <= cap(min(bounds) - travel):
@@ -221,11 +222,8 @@ class LiveWatch:
             return None
         return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
-    def _moved(self, segments: list[Segment]) -> float:
-        """Largest motion of an end of any body since the last set-point."""
-        return max(self._ways_mm(segments))
-
-    def _ways_mm(self, segments: list[Segment]) -> list[float]:
+    def _motions_mm(self, segments: list[Segment]) -> list[float]:
+        """Largest motion of an end of each body since the last set-point."""
         if self._segments is None:
             self._segments = body_segments(self._bodies, self._joints)
         return [

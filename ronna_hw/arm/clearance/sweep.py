@@ -17,11 +17,11 @@ from math import ceil
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from ronna_hw.arm.clearance.bodies import Bodies, Corridor, Surroundings
+from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.planning import JointPath, LinePath, MotionPlan
-from ronna_hw.vectors import JointVector, Vector3
+from ronna_hw.vectors import JointVector, Vector3, joint_vector
 
 Array = NDArray[np.float64]
 POINT_MM2 = 1e-12
@@ -135,8 +135,9 @@ def sweep_path(
         if not len(open_rows):
             break
         middles = (fractions[open_rows] + fractions[open_rows + 1]) / 2.0
+        starts = joints[open_rows].tolist()
         between = np.array(
-            [path.joints(float(s), _vector(joints[row])) for s, row in zip(middles, open_rows, strict=True)]
+            [path.joints(s, joint_vector(at)) for s, at in zip(middles.tolist(), starts, strict=True)]
         )
         more = sweep(bodies, between)
         fractions = np.insert(fractions, open_rows + 1, middles)
@@ -196,11 +197,6 @@ def _joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array
     return np.array(found)
 
 
-def _vector(row: Array) -> JointVector:
-    a, b, c, d, e, f = row.tolist()
-    return (a, b, c, d, e, f)
-
-
 def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
     """Bodies and distances at joint vectors (n, axes)."""
     joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
@@ -229,7 +225,8 @@ def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
     if corridor is not None:
         for column, pair in enumerate(pairs):
             if pair.enters_head and pair.is_head:
-                gaps[_in_corridor(corridor, ends[:, pair.moving]), column] = np.inf
+                inside = [corridor.holds(tuple(start), tuple(end)) for start, end in ends[:, pair.moving]]
+                gaps[inside, column] = np.inf
     return Swept(ends, gaps, to_head)
 
 
@@ -278,11 +275,6 @@ def segment_distances(a: Array, b: Array, c: Array, d: Array) -> Array:
         rest = offset - share * direction
         least = np.minimum(least, _dot(rest, rest))
     return np.asarray(np.sqrt(least))
-
-
-def _in_corridor(corridor: Corridor, ends: Array) -> NDArray[np.bool_]:
-    """Mask of the (n, 2, 3) segments that are entirely in the corridor."""
-    return np.array([corridor.holds(tuple(start), tuple(end)) for start, end in ends])
 
 
 @cache

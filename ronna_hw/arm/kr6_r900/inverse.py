@@ -45,12 +45,8 @@ BRANCHES = tuple(
 def branch_of(arm: Dimensions, joints_rad: JointVector) -> Branch:
     """The branch of a joint vector."""
     _, A2, A3, _, A5, _ = joints_rad
-    ahead_mm = (
-        arm.shoulder_offset_mm
-        + arm.upper_arm_mm * cos(A2)
-        + arm.elbow_to_wrist_mm * cos(A2 + A3 - arm.stretched_A3_rad)
-    )
-    return branch(overhead=ahead_mm < 0.0, elbow=arm.stretched_A3_rad <= A3, flipped=A5 <= 0.0)
+    overhead = arm.wrist_ahead_mm(A2, A3) < 0.0
+    return branch(overhead=overhead, elbow=arm.stretched_A3_rad <= A3, flipped=A5 <= 0.0)
 
 
 def solutions(arm: Dimensions, pose: Pose) -> tuple[Solution, ...]:

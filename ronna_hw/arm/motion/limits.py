@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import astuple, dataclass, replace
 from itertools import chain
 
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kinematics import JointRanges
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 WORKING_SPEED_FRACTION = 0.12  # below 1/8 of full speed, one lost packet is a small step for the controller
 WORKING_ACCELERATION_FRACTION = 0.25  # of the planner's accelerations
@@ -52,7 +52,8 @@ class MotionLimits:
     @classmethod
     def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
         """The inverse of `as_numbers`."""
-        return cls(_vector(numbers[:6]), _vector(numbers[6:12]), _vector(numbers[12:18]), *numbers[18:])
+        speed, acceleration, jerk = (joint_vector(numbers[first : first + 6]) for first in (0, 6, 12))
+        return cls(speed, acceleration, jerk, *numbers[18:])
 
     def ranges(
         self, arm: JointRanges, start_rad: Sequence[float] | None = None
@@ -62,16 +63,16 @@ class MotionLimits:
         An axis that starts closer to an end may stay there or move away.
         """
         margin = self.range_margin_rad
-        lower = _vector(low + margin for low in arm.lower_rad)
-        upper = _vector(high - margin for high in arm.upper_rad)
+        lower = joint_vector(low + margin for low in arm.lower_rad)
+        upper = joint_vector(high - margin for high in arm.upper_rad)
         if start_rad is None:
             return lower, upper
         return (
-            _vector(
+            joint_vector(
                 max(low, min(least, at))
                 for low, least, at in zip(arm.lower_rad, lower, start_rad, strict=True)
             ),
-            _vector(
+            joint_vector(
                 min(high, max(most, at))
                 for high, most, at in zip(arm.upper_rad, upper, start_rad, strict=True)
             ),
@@ -96,7 +97,7 @@ class MotionLimits:
         """Reduce the speeds for a person at the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
-            speed_rad_s=_vector(
+            speed_rad_s=joint_vector(
                 min(speed, REDUCED_SPEED_FRACTION * full)
                 for speed, full in zip(self.speed_rad_s, arm.full_speed_rad_s, strict=True)
             ),
@@ -116,9 +117,4 @@ def working_limits(arm: JointRanges, speed_fraction: float = WORKING_SPEED_FRACT
 
 
 def _times(values: Sequence[float], factor: float) -> JointVector:
-    return _vector(value * factor for value in values)
-
-
-def _vector(values: Iterable[float]) -> JointVector:
-    a, b, c, d, e, f = values
-    return (a, b, c, d, e, f)
+    return joint_vector(value * factor for value in values)

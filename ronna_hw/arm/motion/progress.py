@@ -139,7 +139,7 @@ class StopPrediction(NamedTuple):
     parameter: float
 
 
-class _Course(NamedTuple):
+class _Leg(NamedTuple):
     """Profile in progress: its speed limit, and whether it leads to the end or to a lower speed."""
 
     profile: MotionProfile
@@ -165,10 +165,10 @@ class PathProgress:
         self._profiler = MotionProfiler(1)
         self.state = self._before = State.resting([0.0])
         self._ceiling: SpeedStep | None = None  # the slower step ahead, while braking for it
-        self._course = self._planned(self._speed_at(0.0))
+        self._leg = self._planned(self._speed_at(0.0))
         self._time_s = 0.0
         self._halt: MotionProfile | None = None  # the stop in progress
-        self._next: tuple[State, _Course, float] | None = None  # go state, its course, and the time on it
+        self._next: tuple[State, _Leg, float] | None = None  # go state, its leg, and the time on it
         self._next_halt: tuple[State, MotionProfile] | None = None
 
     @property
@@ -181,13 +181,13 @@ class PathProgress:
         """Whether the last point taken is the end, or the end of a stop."""
         if self._halt is not None:
             return self._time_s >= self._halt.duration_s
-        return self._course.to_end and self._time_s >= self._course.profile.duration_s
+        return self._leg.to_end and self._time_s >= self._leg.profile.duration_s
 
     def prepare(self) -> tuple[State, State]:
         """The next states for going on and for stopping; the same object twice while stopping."""
         if self._halt is not None:
             go = self._halt.at(self._time_s + self._cycle_s)
-            self._next = (go, self._course, self._time_s + self._cycle_s)
+            self._next = (go, self._leg, self._time_s + self._cycle_s)
             return go, go
         go = self._choose()
         profile = self._stop_from(self.state)
@@ -200,7 +200,7 @@ class PathProgress:
         if self._next is None:
             return
         self._before = self.state
-        self.state, self._course, self._time_s = self._next
+        self.state, self._leg, self._time_s = self._next
         self._next = self._next_halt = None
         if self._ceiling is not None and self.state.position[0] >= self._ceiling.start:
             self._ceiling = None
@@ -238,7 +238,7 @@ class PathProgress:
         if self._halt is not None:
             self._halt = self._stop_from(self.state)
         else:
-            self._course = self._planned(self._speed_at(self.state.position[0]))
+            self._leg = self._planned(self._speed_at(self.state.position[0]))
 
     def _choose(self) -> State:
         """The fastest next state from which every slower step ahead, and the end, can still be reached."""
@@ -246,30 +246,28 @@ class PathProgress:
         if self._ceiling is not None:
             velocity = min(velocity, self._ceiling.velocity * self._fraction)
         while True:
-            course, time_s = self._course, self._time_s + self._cycle_s
-            braked = not course.to_end and self._time_s >= course.profile.duration_s
-            if velocity != course.velocity or braked:
-                course, time_s = self._towards(velocity)
-            go = course.at(time_s)
+            leg, time_s = self._leg, self._time_s + self._cycle_s
+            braked = not leg.to_end and self._time_s >= leg.profile.duration_s
+            if velocity != leg.velocity or braked:
+                leg, time_s = self._towards(velocity)
+            go = leg.at(time_s)
             missed = self._missed_ahead(go, velocity)
             if missed is None:
-                self._next = (go, course, time_s)
+                self._next = (go, leg, time_s)
                 return go
             self._ceiling, velocity = missed, missed.velocity * self._fraction
 
-    def _towards(self, velocity: float) -> tuple[_Course, float]:
-        """Towards the end at a speed, or first down to it: the course, and the time of the next point on it.
+    def _towards(self, velocity: float) -> tuple[_Leg, float]:
+        """Towards the end at a speed, or first down to it: the leg, and the time of the next point on it.
 
-        If the end is too close to slow down first, the present course is kept.
+        If the end is too close to slow down first, the present leg is kept.
         """
         if _peak(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
             return self._planned(velocity), self._cycle_s
-        braking = _Course(
-            self._profiler.brake(self.state, [velocity], self._bounds(velocity)), velocity, False
-        )
+        braking = _Leg(self._profiler.brake(self.state, [velocity], self._bounds(velocity)), velocity, False)
         slow = braking.at(braking.profile.duration_s)
-        if self._course.to_end and self._rest_after(slow) + slow.velocity[0] * self._cycle_s > 1.0:
-            return self._course._replace(velocity=velocity), self._time_s + self._cycle_s
+        if self._leg.to_end and self._rest_after(slow) + slow.velocity[0] * self._cycle_s > 1.0:
+            return self._leg._replace(velocity=velocity), self._time_s + self._cycle_s
         return braking, self._cycle_s
 
     def _missed_ahead(self, go: State, velocity: float) -> SpeedStep | None:
@@ -320,9 +318,9 @@ class PathProgress:
             velocity = step.velocity
         return velocity * self._fraction
 
-    def _planned(self, velocity: float) -> _Course:
+    def _planned(self, velocity: float) -> _Leg:
         bounds = self._bounds(velocity * (1.0 + ROUNDING))
-        return _Course(self._profiler.move(self.state, [1.0], bounds), velocity, True)
+        return _Leg(self._profiler.move(self.state, [1.0], bounds), velocity, True)
 
     def _bounds(self, velocity: float) -> Bounds:
         return Bounds([velocity], [self._limits.acceleration], [self._limits.jerk])

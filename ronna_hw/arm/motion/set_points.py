@@ -30,7 +30,7 @@ from ronna_hw.arm.motion.progress import (
     SpeedStep,
     State,
 )
-from ronna_hw.vectors import JointVector
+from ronna_hw.vectors import JointVector, joint_vector
 
 RESTING_RAD_S = 1e-9  # anything slower has no direction
 SHARE = 0.99  # of acceleration and jerk, above what plans use: a state estimated from set-points is not exact
@@ -152,7 +152,9 @@ class StopMotion:
     take_stop = take_go
 
     def _at(self, time_s: float) -> JointVector:
-        return _vector(self._profile.at(time_s)) if self._halt is None else self._halt.at(time_s)
+        if self._halt is not None:
+            return self._halt.at(time_s)
+        return joint_vector(self._profile.at(time_s).position)
 
 
 def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
@@ -186,11 +188,10 @@ class Parabola(NamedTuple):
     def at(self, length_rad: float) -> JointVector:
         """The joints at this length along it."""
         half = 0.5 * length_rad * length_rad
-        a, b, c, d, e, f = (
+        return joint_vector(
             q + u * length_rad + k * half
             for q, u, k in zip(self.origin_rad, self.direction, self.bend_per_rad, strict=True)
         )
-        return (a, b, c, d, e, f)
 
 
 class Halt(NamedTuple):
@@ -261,8 +262,3 @@ def _braking(
         return None
     _, deceleration, jerk = found
     return Bounds([speed], [deceleration], [jerk])
-
-
-def _vector(state: State) -> JointVector:
-    a, b, c, d, e, f = state.position
-    return (a, b, c, d, e, f)

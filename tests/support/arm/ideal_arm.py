@@ -13,7 +13,6 @@ from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.clearance.sweep import sweep_path
 from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.path_preview import PathPreview
-from ronna_hw.arm.preview import plan_motion, preview_motion
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.errors import MotionInterrupted
@@ -22,6 +21,7 @@ from ronna_hw.devices.readings import ArmReading, LinkStatistics, Stamp, ToolIde
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, OperatingMode, StopKind
 from ronna_hw.errors import ConnectError
 from ronna_hw.frames import Transform
+from ronna_hw.preview import plan_motion, preview_motion
 from ronna_hw.vectors import JointVector
 
 STEPS = 20  # of any motion

@@ -20,9 +20,9 @@ from ronna_hw.arm.motion.limits import MotionLimits, working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, state_from_history
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import with_speed_steps
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.errors import LimitError
+from ronna_hw.preview import with_speed_steps
 from ronna_hw.vectors import JointVector
 
 CYCLE_S = 0.004

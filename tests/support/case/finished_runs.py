@@ -15,7 +15,7 @@ from procedures.journal.results import StepResult
 from procedures.runs.finishing import seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.manifest import closed_files, seal
+from ronna_hw.evidence.manifest import Manifest, seal
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
 
@@ -45,7 +45,7 @@ def finished_run(folder: Path) -> Path:
 
 
 def sealed(folder: Path) -> None:
-    seal(folder, closed_files(tuple(read_journal(folder / JOURNAL_FILE))))
+    seal(folder, Manifest(tuple(read_journal(folder / JOURNAL_FILE))).files)
 
 
 def without_last_lines(folder: Path, count: int) -> None:

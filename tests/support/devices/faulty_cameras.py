@@ -5,10 +5,10 @@ from __future__ import annotations
 from drivers.basler_stereo import BaslerStereoPair
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.devices.readings import AreaOfInterest
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess
-from ronna_hw.host.control_port import ask_control_port
 
 AREA = AreaOfInterest(896, 416, 256, 256)
 LIMIT_S = 30.0  # of host time; what takes longer hangs

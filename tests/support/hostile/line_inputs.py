@@ -23,8 +23,8 @@ from drivers.ndi_polaris.tool_loading import list_handles, request_handle
 from drivers.ndi_polaris.unit import read_identity, read_parameter, whole_number
 from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
 from procedures.cli.tool.records import DIALS, read_gauge
+from ronna_hw.control_port import ControlPortClient
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.control_port import ControlPortClient
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
 from sim.world.control_port import Room, _Conversation

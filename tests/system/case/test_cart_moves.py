@@ -14,8 +14,8 @@ from user_commands import Commands
 from procedures.exchange.run_export import export_run
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.steps.branches import GO_ON
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_REFUSED
-from ronna_hw.host.control_port import ask_control_port
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(500)]
 MINI = ("--sim", "--scene", "mini", "--seed", "3", "--targets", "2")

@@ -10,9 +10,9 @@ from user_commands import in_this_process, one_error
 from drivers.ndi_polaris import PolarisTracker
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.devices.readings import Validity
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.theatre import TheatreProcess
 from sim.cli import app
 

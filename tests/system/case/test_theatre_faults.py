@@ -15,8 +15,8 @@ from user_commands import Commands
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
 from procedures.steps.clinical.tool_check import APPROACHES
 from ronna_hw.calibration import Numbers3
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.errors import EXIT_REFUSED
-from ronna_hw.host.control_port import ask_control_port
 from sim.world.truth import THEATRE_FOLDER, read_samples
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]

@@ -22,10 +22,10 @@ from procedures.cli.procedure import app
 from procedures.journal.journal import Journal
 from procedures.steps.clinical import set_up
 from procedures.workcell import Workcell
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_DONE, EXIT_NOT_FOUND, EXIT_REFUSED, RonnaError
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.registry import load_driver
 from ronna_hw.theatre import Theatre
 

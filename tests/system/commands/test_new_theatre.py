@@ -73,7 +73,7 @@ def test_devices_are_found_written_to_the_file_and_assessed(cell: dict[str, Any]
 def test_a_controller_in_use_is_written_to_the_file_with_the_reason(
     cell: dict[str, Any], tmp_path: Path
 ) -> None:
-    from ronna_hw.host.control_port import ask_control_port
+    from ronna_hw.control_port import ask_control_port
 
     lab = tmp_path / "lab.toml"
     ask_control_port(cell["endpoints"]["control"], "fault", line="robot eki taken")

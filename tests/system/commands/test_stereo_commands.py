@@ -29,11 +29,11 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.evidence.inspection import inspected
 from ronna_hw.evidence.manifest import REPORT_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.control_port import ask_control_port
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
 from sim.world.scene.named_scenes import named_scene

@@ -16,10 +16,10 @@ from waiting import eventually
 
 from ronna_hw import open_theatre, simulated_theatre
 from ronna_hw.clock import ClockUnavailable
+from ronna_hw.control_port import ControlAddress
 from ronna_hw.devices import RobotArm
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.child_process import ChildNotReady, descendants_of
-from ronna_hw.host.control_port import ControlAddress
 from ronna_hw.theatre import TheatreProcess
 
 README = Path(__file__).parents[3] / "README.md"

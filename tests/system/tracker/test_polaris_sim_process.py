@@ -17,8 +17,8 @@ from parent_death import ends_with_its_parent
 from user_commands import in_this_process
 from waiting import HANG_LIMIT_S, STALL_OF_THE_COMPUTER_S
 
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.host.child_process import STOP_TIMEOUT_S, ChildProcess, command
-from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import crc16
 from sim.cli import app
 from sim.polaris.unit.tool_definition import write_definition

@@ -14,8 +14,8 @@ import numpy as np
 import pytest
 from tracker_strangers import NdicapiError, NdicapiHost, scikit_frames
 
+from ronna_hw.control_port import ask_control_port
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.control_port import ask_control_port
 from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 from ronna_hw.arm.clearance.bodies import Capsule, Corridor, Obstacle, Surroundings
-from ronna_hw.arm.deviations import ArmDeviations, CalibratedArm, flange_poses
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm, flange_poses
 from sim.theatre.records import arm_values
 from sim.world.scene.as_built import draw_arm
 from sim.world.scene.model import ArmResidual

@@ -5,8 +5,13 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from ronna_hw.arm.error_budget import JOINT_OFFSET_RAD, LINK_ROTATION_RAD, LINK_TRANSLATION_MM, error_columns
 from ronna_hw.arm.kr6_r900 import kr6_r900
+from ronna_hw.calibrated_arm.error_budget import (
+    JOINT_OFFSET_RAD,
+    LINK_ROTATION_RAD,
+    LINK_TRANSLATION_MM,
+    error_columns,
+)
 from sim.world.nominal_arm import description
 from sim.world.scene.model import LinkError
 from sim.world.true_arm import JointChain

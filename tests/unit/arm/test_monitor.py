@@ -74,21 +74,20 @@ def test_a_point_that_is_not_a_number_trips(value: float) -> None:
 
 @pytest.mark.hazard(18)
 @pytest.mark.hazard(22)
-def test_a_jump_trips_as_speed() -> None:
-    assert _kind(_monitor().check(_with(6, START[5] + 1.01 * LIMITS.step_rad[5]))) == ("speed", 6)
-
-
-def test_a_kick_within_the_step_trips_as_acceleration() -> None:
-    kick = 0.5 * LIMITS.step_rad[1]
-    assert kick > LIMITS.second_difference_rad[1]
-    assert _kind(_monitor().check(_with(2, START[1] + kick))) == ("acceleration", 2)
-
-
-def test_a_shake_within_the_acceleration_trips_as_jerk() -> None:
-    monitor = _monitor()
-    shake = 0.9 * LIMITS.second_difference_rad[0]
-    assert shake > LIMITS.third_difference_rad[0]
-    assert _kind(monitor.check(_with(1, START[0] + shake))) == ("jerk", 1)
+@pytest.mark.parametrize(
+    ("axis", "shift_rad", "beyond_rad", "kind"),
+    [
+        (6, 1.01 * LIMITS.step_rad[5], LIMITS.step_rad[5], "speed"),
+        (2, 0.5 * LIMITS.step_rad[1], LIMITS.second_difference_rad[1], "acceleration"),
+        (1, 0.9 * LIMITS.second_difference_rad[0], LIMITS.third_difference_rad[0], "jerk"),
+    ],
+    ids=["jump", "kick within the step", "shake within the acceleration"],
+)
+def test_a_sudden_motion_trips_the_lowest_difference_that_it_exceeds(
+    axis: int, shift_rad: float, beyond_rad: float, kind: str
+) -> None:
+    assert shift_rad > beyond_rad
+    assert _kind(_monitor().check(_with(axis, START[axis - 1] + shift_rad))) == (kind, axis)
 
 
 @pytest.mark.hazard(19)

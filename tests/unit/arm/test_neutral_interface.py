@@ -8,6 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+from monitored_motion import drive_monitored
 from ur5 import Ur5
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Part, Surroundings
@@ -20,8 +21,8 @@ from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import preview
 from ronna_hw.frames import Frame
+from ronna_hw.preview import preview
 from ronna_hw.vectors import JointVector
 
 ARMS: tuple[Kinematics, ...] = (*map(kr6_r900, ArmVariant), Ur5())
@@ -171,12 +172,7 @@ def _driven(arm: Kinematics, plan: MotionPlan) -> JointVector:
     monitor = Monitor(monitor_limits(arm, working_limits(arm), CYCLE_S, plan.start_rad), plan.start_rad)
     monitor.watch(LiveWatch(Bodies(arm, Surroundings(tool=TOOL)), CYCLE_S, plan.start_rad))
     motion = PathMotion(plan.path(arm), plan.start_rad, plan.limits, CYCLE_S)
-    while not motion.finished:
-        go_rad, stop_rad = motion.prepare()
-        assert monitor.check(stop_rad) is None
-        assert monitor.check(go_rad) is None
-        motion.take_go()
-        monitor.sent(go_rad)
+    assert isinstance(drive_monitored(motion, monitor), int)
     return monitor.last_rad
 
 

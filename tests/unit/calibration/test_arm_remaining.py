@@ -15,9 +15,9 @@ from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
 from procedures.runs.calibrations import ARM
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
-from ronna_hw.arm.error_budget import ErrorSizes, IdentifiedArm, by_deviation
 from ronna_hw.bounded_input import parse_toml
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses, flange_rotations, gravity_levers
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes, IdentifiedArm, by_deviation
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 

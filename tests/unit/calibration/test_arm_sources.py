@@ -11,8 +11,10 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_sources import REPEATABILITY_MM, ArmPoses, arm_sources
 from procedures.registration.target_prediction import SharedErrors, predict_target_error
-from ronna_hw.arm.deviations import ArmDeviations, joint_errors
-from ronna_hw.arm.error_budget import (
+from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
+from ronna_hw.arm.pose import radians6
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, joint_errors
+from ronna_hw.calibrated_arm.error_budget import (
     HARMONIC_RAD,
     LINK_TRANSLATION_MM,
     SAG_RAD,
@@ -22,8 +24,6 @@ from ronna_hw.arm.error_budget import (
     arm_error_mm,
     displacements,
 )
-from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
-from ronna_hw.arm.pose import radians6
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 

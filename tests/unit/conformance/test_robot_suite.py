@@ -16,12 +16,12 @@ from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.path_preview import PathPreview
-from ronna_hw.arm.preview import preview_motion
 from ronna_hw.clock import Clock, HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
 from ronna_hw.devices.robot import JointMove, LineMove, Motion, StopKind
+from ronna_hw.preview import preview_motion
 from ronna_hw.vectors import JointVector
 
 MakeDut = Callable[..., DeviceUnderTest]

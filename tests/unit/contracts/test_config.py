@@ -72,49 +72,28 @@ RECORD: dict[str, Any] = {
 POSE: dict[str, Any] = {"translation_mm": [0.0, 0.0, 300.0], "quaternion_wxyz": [1.0, 0.0, 0.0, 0.0]}
 
 
-@pytest.mark.parametrize(
-    ("record", "pose", "said"),
-    [
-        (
-            {},
-            {"translation_mm": [0.0, 0.0, 0.3]},
-            "length 0.3: give millimetres, not metres",
-        ),
-        (
-            {},
-            {"quaternion_wxyz": [0.0, 90.0, 0.0, 0.0]},
-            "not 1: give a rotation, not angles",
-        ),
-        (
-            {"expires": datetime.fromisoformat("2026-12-01")},
-            {},
-            "expected day, time and time zone, as 2026",
-        ),
-        ({"expires": date(2026, 12, 21)}, {}, "time zone, as 2026-12-21T12:00:00Z (found 2026-12-21)"),
-    ],
-)
-def test_a_record_in_the_wrong_unit_or_without_a_time_zone_is_explained(
-    record: dict[str, Any], pose: dict[str, Any], said: str
-) -> None:
-    tip = {**RECORD, "flange_from_tool": {**POSE, **pose}, **record}
-    with pytest.raises(BadTheatreFile, match=re.escape(said)):
-        parse_theatre({"theatre": "lab", "calibration": {"tool_tip": tip}})
+def _tip(pose: dict[str, Any] = POSE, **changes: object) -> dict[str, Any]:
+    return {"calibration": {"tool_tip": {**RECORD, "flange_from_tool": {**POSE, **pose}, **changes}}}
+
+
+NOT_A_TABLE = {"driver": "kuka_rsi", "endpoint": {"rsi": "udp://127.0.0.1:1"}}
 
 
 @pytest.mark.parametrize(
     ("content", "said"),
     [
+        (_tip({"translation_mm": [0.0, 0.0, 0.3]}), "length 0.3: give millimetres, not metres"),
+        (_tip({"quaternion_wxyz": [0.0, 90.0, 0.0, 0.0]}), "not 1: give a rotation, not angles"),
+        (_tip(expires=datetime.fromisoformat("2026-12-01")), "expected day, time and time zone, as 2026"),
+        (_tip(expires=date(2026, 12, 21)), "time zone, as 2026-12-21T12:00:00Z (found 2026-12-21)"),
+        ({"procedure": {"stand_mm": [0.56, 0.1, 0.3]}}, "stand_mm: has length 0.643: give millimetres"),
         (
-            {"procedure": {"stand_mm": [0.56, 0.1, 0.3]}},
-            "stand_mm: has length 0.643: give millimetres",
-        ),
-        (
-            {"robot": {"master": {"driver": "kuka_rsi", "endpoint": {"rsi": "udp://127.0.0.1:1"}}}},
+            {"robot": {"master": NOT_A_TABLE}},
             "robot.master.endpoint: expected one address, got a table: did you mean 'endpoints'?",
         ),
     ],
 )
-def test_a_setting_in_the_wrong_unit_or_place_is_explained(content: dict[str, Any], said: str) -> None:
+def test_a_value_in_the_wrong_unit_form_or_place_is_explained(content: dict[str, Any], said: str) -> None:
     with pytest.raises(BadTheatreFile, match=re.escape(said)):
         parse_theatre({"theatre": "lab", **content})
 

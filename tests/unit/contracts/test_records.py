@@ -17,12 +17,19 @@ def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
 
 
 @pytest.mark.hazard(1)
-def test_an_altered_record_is_refused(tmp_path: Path) -> None:
-    path = write_record(Record("02-plan", "plan", {"01-ct_import": "ab"}, {"margin_mm": 2.0}), tmp_path)
-    content = json.loads(path.read_text())
-    content["payload"]["margin_mm"] = 20.0
-    path.write_text(json.dumps(content))
-    with pytest.raises(BadRecord, match="does not match its hash"):
+@pytest.mark.parametrize(
+    ("old", "new", "what"),
+    [
+        ('"x": 1', '"x": 2', "does not match its hash"),
+        ("payload", "pay", "it has an unknown field 'pay'"),
+        ('"run"', '"x"', "it has no 'run'"),
+        ("{", " {", "was rewritten"),
+    ],
+)
+def test_an_altered_or_reformatted_record_is_refused(tmp_path: Path, old: str, new: str, what: str) -> None:
+    path = write_record(Record("a", "k", {"p": "1"}, {"x": 1}), tmp_path)
+    path.write_text(path.read_text().replace(old, new, 1))
+    with pytest.raises(BadRecord, match=what):
         read_record(path)
 
 
@@ -31,19 +38,6 @@ def test_a_malformed_record_is_refused(tmp_path: Path, text: str) -> None:
     path = tmp_path / "torn.json"
     path.write_text(text)
     with pytest.raises(BadRecord):
-        read_record(path)
-
-
-@pytest.mark.parametrize(
-    ("old", "new", "what"),
-    [("payload", "pay", "it has an unknown field 'pay'"), ('"run"', '"x"', "it has no 'run'")],
-)
-def test_a_record_with_other_fields_is_refused_by_the_name_of_one(
-    tmp_path: Path, old: str, new: str, what: str
-) -> None:
-    path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
-    path.write_text(path.read_text().replace(old, new))
-    with pytest.raises(BadRecord, match=what):
         read_record(path)
 
 
@@ -66,14 +60,6 @@ def test_a_record_with_other_fields_is_refused_by_the_name_of_one(
 def test_the_hash_covers_every_field_of_a_record(change: dict[str, Any]) -> None:
     one = Record("a", "k", {"p": "1"}, {"x": 1}, 1, "run", "1.2.3", "T1", "2026-01-01")
     assert replace(one, **change).sha256 != one.sha256
-
-
-@pytest.mark.hazard(1)
-def test_a_reformatted_record_is_refused(tmp_path: Path) -> None:
-    path = write_record(Record("a", "k", {}, {"x": 1}), tmp_path)
-    path.write_text(path.read_text() + " ")
-    with pytest.raises(BadRecord, match="was rewritten"):
-        read_record(path)
 
 
 @pytest.mark.parametrize("own_hash", [True, False], ids=["own hash", "another hash"])

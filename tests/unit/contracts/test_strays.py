@@ -89,13 +89,16 @@ def test_only_strays_inside_the_volume_and_new_measurements_are_averaged():
     assert average.groups[0].mean_mm.tolist() == [0.0, 0.0, -1500.0]
 
 
-@pytest.mark.parametrize("frame", [[(np.nan, 0.0, 0.0)], [(1.0, 2.0)], [1.0, 2.0, 3.0]])
-def test_an_invalid_position_is_refused(frame):
+@pytest.mark.parametrize(
+    ("frames", "wish"),
+    [
+        ([[(np.nan, 0.0, 0.0)]], {}),
+        ([[(1.0, 2.0)]], {}),
+        ([[1.0, 2.0, 3.0]], {}),
+        ([], {"radius_mm": 0.0}),
+        ([], {"least_share": 1.5}),
+    ],
+)
+def test_invalid_positions_and_impossible_parameters_are_refused(frames, wish):
     with pytest.raises(BadStrays, match="DEV-005"):
-        group_strays([frame])
-
-
-@pytest.mark.parametrize("wish", [{"radius_mm": 0.0}, {"least_share": 1.5}])
-def test_impossible_parameters_are_refused(wish):
-    with pytest.raises(BadStrays, match="DEV-005"):
-        group_strays([], **wish)
+        group_strays(frames, **wish)

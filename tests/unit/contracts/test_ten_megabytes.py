@@ -14,9 +14,9 @@ from hostile_inputs import Parser, parsers
 from memory_folder import memory_folder
 
 from drivers.ndi_polaris.command_link import LONGEST_REPLY_BYTES
+from ronna_hw.control_port import LONGEST_LINE
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
-from ronna_hw.host.control_port import LONGEST_LINE
 from sim.kuka.eki.server import READ_BYTES
 from sim.polaris.line.server import RECEIVE_BYTES
 

@@ -52,10 +52,9 @@ def test_a_certificate_and_key_that_do_not_match_are_refused(
     pair: tuple[Path, Path], tmp_path: Path, own: str
 ) -> None:
     (tmp_path / "other.pem").write_text("no certificate")
-    with pytest.raises(UsageMistake, match="not a matching certificate and key"):
-        ViewersAddress(own, tmp_path / "other.pem", pair[1]).check()
-    with pytest.raises(UsageMistake, match="not a matching certificate and key"):
-        ViewersAddress(own, pair[0], tmp_path / "nothing.pem").check()
+    for files in ((tmp_path / "other.pem", pair[1]), (pair[0], tmp_path / "nothing.pem")):
+        with pytest.raises(UsageMistake, match="not a matching certificate and key"):
+            ViewersAddress(own, *files).check()
 
 
 def test_the_check_warns_about_patient_data_and_about_a_world_readable_key(

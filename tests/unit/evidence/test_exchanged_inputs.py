@@ -35,8 +35,14 @@ def run(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def engine(run: Path) -> Engine:
+    return reading(run, run / CT, run / "case" / "unreadable")
+
+
+def reading(run: Path, *files: Path) -> Engine:
+    """A run whose first step has read these files."""
+
     def read(context: StepContext) -> Outcome[StepResult]:
-        context.note_inputs(run / CT, run / "case" / "unreadable")
+        context.note_inputs(*files)
         return Outcome(Image())
 
     cell = RecordingCell(run)
@@ -94,16 +100,7 @@ def test_inputs_whose_folder_is_elsewhere_now_are_not_compared_and_the_run_is_wh
     patient = tmp_path / "patient"
     patient.mkdir()
     (patient / "slice-1.dcm").write_text("as it was")
-
-    def read(context: StepContext) -> Outcome[StepResult]:
-        context.note_inputs(*patient.iterdir())
-        return Outcome(Image())
-
-    cell = RecordingCell(run)
-    cell.journal.write(Entry.OPENED, 0.0, run=run.name)
-    engine = cell.engine(plain_order("T1", image=read))
-    engine.run_step(engine.order.find("image"))
-    engine.close("done")
+    reading(run, *patient.iterdir()).close("done")
     aside = patient.rename(tmp_path / "archive")
     found = inspected(run)
     assert (found.changes, found.out_of_reach) == ((), (str(patient / "slice-1.dcm"),))

@@ -18,7 +18,7 @@ from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
 from ronna_hw.evidence.inspection import Problem, inspected
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
-from ronna_hw.evidence.manifest import SEAL_FILE, closed_files, is_sealed
+from ronna_hw.evidence.manifest import SEAL_FILE, Manifest, is_sealed
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed_sentences
 
 READINGS = "readings.jsonl"
@@ -134,7 +134,7 @@ def test_a_resumed_run_is_checked_against_its_first_end(run: Path) -> None:
 
 
 def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> None:
-    files = closed_files(tuple(read_journal(run / JOURNAL_FILE)))
+    files = Manifest(tuple(read_journal(run / JOURNAL_FILE))).files
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
     journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
@@ -154,45 +154,27 @@ def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
     assert changed_files(run) == {JOURNAL_FILE}
 
 
-def session_after_a_kill(run: Path) -> None:
-    (run / SEAL_FILE).unlink()
-    without_last_lines(run, 1)
-    (run / "log.jsonl").write_text("not what was logged\n")
-    gone_home(run)
-
-
-def session_without_a_seal_before_it(run: Path) -> None:
-    (run / SEAL_FILE).unlink()
-    (run / "log.jsonl").write_text("not what was logged\n")
-    gone_home(run)
-
-
-def homing_over_a_changed_log(run: Path) -> None:
-    (run / "log.jsonl").write_text("not what was logged\n")
-    gone_home(run)
-
-
-def report_without_a_seal(run: Path) -> None:
-    (run / SEAL_FILE).unlink()
-    (run / "log.jsonl").write_text("not what was logged\n")
-    make_report(run)
-
-
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize(
-    ("happens", "also"),
+    ("sealed_before", "lines_lost", "later_session", "also"),
     [
-        (session_after_a_kill, {"theatre/world.json", "theatre/truth.jsonl", "case/plan.toml"}),
-        (session_without_a_seal_before_it, {"theatre/world.json"}),
-        (homing_over_a_changed_log, set()),
-        (report_without_a_seal, {"theatre/world.json"}),
+        (False, 1, gone_home, {"theatre/world.json", "theatre/truth.jsonl", "case/plan.toml"}),
+        (False, 0, gone_home, {"theatre/world.json"}),
+        (True, 0, gone_home, set()),
+        (False, 0, make_report, {"theatre/world.json"}),
     ],
+    ids=["killed", "home without a seal", "home over a changed log", "report without a seal"],
 )
 def test_verify_names_what_a_later_session_sealed_as_it_lay(
-    run: Path, happens: Callable[[Path], None], also: set[str]
+    run: Path, sealed_before: bool, lines_lost: int, later_session: Callable[[Path], object], also: set[str]
 ) -> None:
     assert told_by_verify(run) == []
-    happens(run)
+    if not sealed_before:
+        (run / SEAL_FILE).unlink()
+    if lines_lost:
+        without_last_lines(run, lines_lost)
+    (run / "log.jsonl").write_text("not what was logged\n")
+    later_session(run)
     lines = tuple(read_journal(run / JOURNAL_FILE))
     (number,) = [one for one, line in enumerate(lines) if UNSEALED in line]
     assert lines[number][UNSEALED].keys() == {"log.jsonl", *also}

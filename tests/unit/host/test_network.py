@@ -5,17 +5,12 @@ from __future__ import annotations
 from ronna_hw.host.network import interface_of, interfaces
 
 
-def test_the_loopback_interface_is_found_and_flagged_as_loopback() -> None:
+def test_the_loopback_interface_is_found_and_reaches_only_addresses_of_its_subnet() -> None:
     own = interface_of("127.0.0.1")
     assert own in interfaces()
     assert own is not None
     assert own.loopback
     assert own.mtu_bytes > 1500
-
-
-def test_an_interface_reaches_only_addresses_of_its_subnet() -> None:
-    own = interface_of("127.0.0.1")
-    assert own is not None
     assert own.reaches("127.9.9.9")
     assert not own.reaches("192.168.3.1")
     assert not own.reaches("camera.local")

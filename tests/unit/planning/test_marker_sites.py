@@ -13,7 +13,7 @@ from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate
 from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
 from procedures.planning.marker_sites import (
     APART_MM,
-    CLEAR_OF_WAY_MM,
+    CLEAR_OF_PATH_MM,
     STANDOFF_MM,
     head_of_scene,
     propose_further,
@@ -47,7 +47,7 @@ def test_markers_keep_apart_clear_of_the_paths_and_serve_every_target_better_tha
     for one in TRAJECTORIES:
         away = centres - one.target_mm
         aside = away - np.outer(away @ one.axis_ct, one.axis_ct)
-        assert np.linalg.norm(aside, axis=1).min() >= CLEAR_OF_WAY_MM - 0.01
+        assert np.linalg.norm(aside, axis=1).min() >= CLEAR_OF_PATH_MM - 0.01
     assert all(target.expected_mm < target.usual_mm for target in found.targets)
 
 

@@ -43,35 +43,16 @@ def test_a_file_that_is_not_toml_is_unreadable(content, plan_path):
     assert "\n" not in str(caught.value)
 
 
-def test_a_decimal_comma_is_named_with_its_line(plan_text, plan_path):
-    with pytest.raises(PlanUnreadable) as caught:
-        read_plan(plan_path(plan_text.replace("implanted = 4", "implanted = 4,0")))
-    assert "implanted = 4,0; decimals have a point, not a comma" in str(caught.value)
-    assert "correct the line that is quoted" in caught.value.advice
-
-
-def test_a_stand_off_in_metres_is_a_mistake(plan_text, plan_path):
-    metres = plan_text.replace("standoff_mm = 30.0", "standoff_mm = 0.03")
-    assert metres != plan_text
-    with pytest.raises(PlanMistakes, match=r"standoff_mm: 0.03 mm is closer .* millimetres, not metres"):
-        read_plan(plan_path(metres))
-
-
 def test_a_theatre_file_given_as_a_plan_is_recognised(plan_path):
     with pytest.raises(PlanUnreadable, match="is a theatre file, not a plan"):
         read_plan(plan_path('schema = 1\ntheatre = "lab"\n[tracker]\ndriver = "ndi_polaris"\n'))
 
 
-def test_a_missing_file_and_a_folder_are_unreadable(tmp_path):
-    for path in (tmp_path / "absent.toml", tmp_path):
+def test_a_missing_file_a_folder_and_bytes_that_are_not_text_are_unreadable(tmp_path):
+    (tmp_path / "plan.toml").write_bytes(b"\xff\xfe\x00")
+    for path in (tmp_path / "absent.toml", tmp_path, tmp_path / "plan.toml"):
         with pytest.raises(PlanUnreadable, match="PLAN-001"):
             read_plan(path)
-
-
-def test_bytes_that_are_not_text_are_unreadable(tmp_path):
-    (tmp_path / "plan.toml").write_bytes(b"\xff\xfe\x00")
-    with pytest.raises(PlanUnreadable, match="PLAN-001"):
-        read_plan(tmp_path / "plan.toml")
 
 
 @pytest.mark.parametrize(
@@ -118,21 +99,23 @@ def test_a_plan_without_trajectories_is_a_mistake(trajectories, plan_text, plan_
         read_plan(plan_path(head + trajectories))
 
 
-def test_entry_and_target_must_be_apart(plan_text, plan_path):
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*trajectory T1.*0\.2 mm apart"):
-        read_plan(
-            plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [10, -50, 60.2]"))
-        )
+FIRST_TARGET = "target_mm = [5.0, -20.0, 20.0]"
 
 
-def test_a_depth_beyond_any_head_is_refused(plan_text, plan_path):
-    with pytest.raises(BadTrajectoryGeometry, match=r"PLAN-004.*deep"):
-        read_plan(plan_path(plan_text.replace("target_mm = [5.0, -20.0, 20.0]", "target_mm = [5, 140, 20]")))
-
-
-def test_ids_must_differ(plan_text, plan_path):
-    with pytest.raises(DuplicateTrajectory, match=r"PLAN-005.*'T1'"):
-        read_plan(plan_path(plan_text.replace('"T2"', '"T1"')))
+@pytest.mark.parametrize(
+    ("old", "new", "error", "said"),
+    [
+        (FIRST_TARGET, "target_mm = [10, -50, 60.2]", BadTrajectoryGeometry, "PLAN-004.*T1.*0.2 mm apart"),
+        (FIRST_TARGET, "target_mm = [5, 140, 20]", BadTrajectoryGeometry, "PLAN-004.*deep"),
+        ('"T2"', '"T1"', DuplicateTrajectory, "PLAN-005.*'T1'"),
+        ("standoff_mm = 30.0", "standoff_mm = 0.03", PlanMistakes, "0.03 mm is closer .* not metres"),
+        ("implanted = 4", "implanted = 4,0", PlanUnreadable, "4,0; decimals have a point, not a comma"),
+    ],
+)
+def test_an_impossible_value_is_refused_with_its_code(old, new, error, said, plan_text, plan_path):
+    assert old in plan_text
+    with pytest.raises(error, match=said):
+        read_plan(plan_path(plan_text.replace(old, new, 1)))
 
 
 def test_all_mistakes_come_in_one_error_with_their_codes(plan_text, plan_path):

@@ -14,6 +14,7 @@ from procedures.planning.plan_check import check_plan
 from procedures.planning.plan_file import parse_plan, read_plan, write_plan
 from procedures.planning.plan_model import MOST_POINTS, Plan, Structure
 from procedures.planning.structures import read_structure, structure_distances, structure_of
+from ronna_hw.errors import RonnaError
 
 BESIDE_TARGET = (9.0, -20.0, 20.0)  # 4 mm to the left of the target of T1
 
@@ -125,21 +126,23 @@ def test_points_are_imported_from_csv_and_slicer_files(make_volume: Callable[...
         assert set(read.points_mm) == {(1.0, 2.0, 3.0), (-4.0, 5.5, 6.0)}
 
 
-@pytest.mark.parametrize("content", [b"", b"\xff\xfe", b"1,2\n", b"x,y,z\n1,2,3\n", b"1,2,nan\n"])
-def test_a_file_without_points_is_refused_with_the_accepted_formats(
-    content: bytes, make_volume: Callable[..., Volume]
+@pytest.mark.parametrize(
+    ("content", "error", "said"),
+    [
+        *(
+            (content, StructureUnreadable, "PLAN-028.*Give CSV rows")
+            for content in (b"", b"\xff\xfe", b"1,2\n", b"x,y,z\n1,2,3\n", b"1,2,nan\n")
+        ),
+        (
+            b"0.009,-0.02,0.02\n0.01,-0.03,0.03\n",
+            StructureUnreadable,
+            r"PLAN-028.*vessel\.csv.*millimetres, not metres",
+        ),
+        (b"0,0,900\n", OutsideField, r"PLAN-006.*100% of the points in vessel\.csv"),
+    ],
+)
+def test_a_file_without_points_in_millimetres_of_this_ct_is_refused(
+    content: bytes, error: type[RonnaError], said: str, make_volume: Callable[..., Volume]
 ) -> None:
-    with pytest.raises(StructureUnreadable, match=r"PLAN-028.*Give CSV rows"):
+    with pytest.raises(error, match=said):
         read_structure(content, "vessel.csv", "vessel", 3.0, make_volume().geometry)
-
-
-def test_a_file_with_points_in_metres_is_refused(make_volume: Callable[..., Volume]) -> None:
-    with pytest.raises(StructureUnreadable, match=r"PLAN-028.*vessel\.csv.*millimetres, not metres"):
-        read_structure(
-            b"0.009,-0.02,0.02\n0.01,-0.03,0.03\n", "vessel.csv", "vessel", 3.0, make_volume().geometry
-        )
-
-
-def test_a_file_with_points_outside_the_ct_field_is_refused(make_volume: Callable[..., Volume]) -> None:
-    with pytest.raises(OutsideField, match=r"PLAN-006.*100% of the points in vessel\.csv"):
-        read_structure(b"0,0,900\n", "vessel.csv", "vessel", 3.0, make_volume().geometry)

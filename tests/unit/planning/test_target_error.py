@@ -25,8 +25,8 @@ from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
 from procedures.strategies.trajectory import Trajectory
-from ronna_hw.arm.deviations import ArmDeviations, flange_poses
-from ronna_hw.arm.error_budget import ErrorSizes
+from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 
 MARKERS_MM = np.array([[60.0, -40.0, 60.0], [-50.0, -45.0, 55.0], [5.0, 40.0, 80.0], [-60.0, 20.0, 70.0]])
 TARGET_MM = (5.0, -20.0, 20.0)

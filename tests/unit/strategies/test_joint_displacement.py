@@ -19,9 +19,9 @@ from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.joint_displacement import JointDisplacementMinimization, least_displacement
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
 from procedures.strategies.trajectory import Trajectory, target_pose
-from ronna_hw.arm.error_budget import ErrorSizes, displacements
 from ronna_hw.arm.errors import Unreachable
 from ronna_hw.arm.pose import Pose
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes, displacements
 from ronna_hw.frames import Frame, Transform
 
 JDMS = JointDisplacementMinimization()

@@ -202,9 +202,8 @@ def test_a_limit_near_the_head_cannot_be_switched_off_by_a_large_number(
 @pytest.mark.parametrize("table", ["stereo_head", "tool_tip"])
 def test_a_tool_longer_than_the_arm_is_refused(content: dict[str, Any], table: str, far_mm: float) -> None:
     _change(content, f"calibration.{table}.flange_from_tool.translation_mm", lambda _: [far_mm, 0.0, 0.0])
-    with pytest.raises(
-        BadTheatreFile, match=rf"calibration\.{table}\.flange_from_tool.*has length .*at most"
-    ):
+    said = rf"calibration\.{table}\.flange_from_tool.*has length .*at most"
+    with pytest.raises(BadTheatreFile, match=said):
         parse_theatre(content)
 
 

@@ -8,7 +8,7 @@ import pytest
 import tomli_w
 
 from drivers.kuka_rsi.options import read_options
-from ronna_hw.arm.error_budget import ErrorSizes
+from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import CalibrationExpired
 from ronna_hw.config import Calibrations, ProcedureSettings, parse_theatre, read_theatre_file
 from ronna_hw.errors import ConfigurationError

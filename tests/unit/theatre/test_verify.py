@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -26,7 +27,6 @@ from sim.world.scene.named_scenes import named_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TRUTH_FILE, TipSample, append_sample
 
 SCENE = named_scene("mini")
-Localize = Callable[[Sequence[Sequence[float]]], None]
 TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name
 FIDUCIALS_MM = [fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials]
 ENTRY_MM, TARGET_MM = (10.0, 20.0, 80.0), (10.0, 20.0, 30.0)  # straight down, 50 mm deep
@@ -54,27 +54,22 @@ def leave(run: Path, record: Record) -> None:
     journal.close()
 
 
-def sample(
-    theatre: Path,
-    tip_mm: tuple[float, float, float],
-    taken_s: float = 1.0,
-    at: str = TRAJECTORY,
-    tool: int = SCENE.mount.tool_number_guide,
-) -> None:
-    """Have the tip sampled at a target."""
-    one = TipSample(
-        target=at,
-        theatre_time_s=taken_s,
-        mounted_tool=tool,
-        arm_at_rest=True,
-        tip_mm=tip_mm,
-        axis=(0.0, 0.0, -1.0),
+def sample(theatre: Path, tip_mm: tuple[float, float, float], **changes: object) -> None:
+    """Append a sample of the tip at the first target."""
+    guide = SCENE.mount.tool_number_guide
+    values = {"mounted_tool": guide, "arm_at_rest": True, "axis": (0.0, 0.0, -1.0), "target": TRAJECTORY}
+    append_sample(
+        TipSample.model_validate({**values, "theatre_time_s": 1.0, "tip_mm": tip_mm, **changes}), theatre
     )
-    append_sample(one, theatre)
 
 
 @pytest.fixture
-def localize(run: Path) -> Localize:
+def at_target(run: Path) -> Callable[..., None]:
+    return partial(sample, run / THEATRE_FOLDER)
+
+
+@pytest.fixture
+def localize(run: Path) -> Callable[[Sequence[Sequence[float]]], None]:
     """Leave the record of a localization in the run."""
 
     def record(centres_mm: Sequence[Sequence[float]]) -> None:
@@ -84,8 +79,10 @@ def localize(run: Path) -> Localize:
     return record
 
 
-def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(run: Path) -> None:
-    sample(run / THEATRE_FOLDER, (10.3, 20.4, 28.8))  # 0.5 mm beside it and 1.2 mm too deep
+def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(
+    run: Path, at_target: Callable[..., None]
+) -> None:
+    at_target((10.3, 20.4, 28.8))  # 0.5 mm beside it and 1.2 mm too deep
     (target,) = verify_run(run)["targets"]
     assert target["application_error_mm"] == pytest.approx(1.3)
     assert target["lateral_mm"] == pytest.approx(0.5)
@@ -94,46 +91,37 @@ def test_the_error_at_a_target_is_split_along_and_across_the_trajectory(run: Pat
     assert target["guide_mounted"]
 
 
-def test_the_last_sample_at_a_target_counts(run: Path) -> None:
-    sample(run / THEATRE_FOLDER, (15.0, 20.0, 30.0))
-    sample(run / THEATRE_FOLDER, (10.0, 20.0, 30.1))
+def test_the_last_sample_at_a_target_counts(run: Path, at_target: Callable[..., None]) -> None:
+    at_target((15.0, 20.0, 30.0))
+    at_target((10.0, 20.0, 30.1))
     assert [target["axial_mm"] for target in verify_run(run)["targets"]] == pytest.approx([-0.1])
 
 
-def test_a_target_reached_with_the_stereo_head_is_marked(run: Path) -> None:
-    sample(run / THEATRE_FOLDER, TARGET_MM, tool=SCENE.mount.tool_number_stereo)
+def test_a_target_reached_with_the_stereo_head_is_marked(run: Path, at_target: Callable[..., None]) -> None:
+    at_target(TARGET_MM, mounted_tool=SCENE.mount.tool_number_stereo)
     assert not verify_run(run)["targets"][0]["guide_mounted"]
 
 
-def test_spheres_are_counted_as_found_missed_and_false(run: Path, localize: Localize) -> None:
-    found = [np.add(centre, (0.0, 0.03, 0.04)).tolist() for centre in FIDUCIALS_MM[1:]]
-    localize([*found, (500.0, 0.0, 0.0)])
-    assert verify_run(run)["ct"] == {
-        "found": len(FIDUCIALS_MM) - 1,
-        "missed": 1,
-        "false": 1,
-        "rms_error_mm": pytest.approx(0.05),
-    }
+OFF_MM = [np.add(centre, (0.0, 0.03, 0.04)).tolist() for centre in FIDUCIALS_MM[1:]]
+COUNT = len(FIDUCIALS_MM)
 
 
-def test_a_localization_without_spheres_counts_all_of_them_as_missed(run: Path, localize: Localize) -> None:
-    localize([])
-    assert verify_run(run)["ct"] == {
-        "found": 0,
-        "missed": len(FIDUCIALS_MM),
-        "false": 0,
-        "rms_error_mm": None,
-    }
+@pytest.mark.parametrize(
+    ("centres_mm", "counts"),
+    [([*OFF_MM, (500.0, 0.0, 0.0)], (COUNT - 1, 1, 1, pytest.approx(0.05))), ([], (0, COUNT, 0, None))],
+)
+def test_spheres_are_counted_as_found_missed_and_false(
+    run: Path, localize: Callable[..., None], centres_mm: list[Sequence[float]], counts: tuple[object, ...]
+) -> None:
+    localize(centres_mm)
+    names = ("found", "missed", "false", "rms_error_mm")
+    assert verify_run(run)["ct"] == dict(zip(names, counts, strict=True))
 
 
 @pytest.mark.parametrize("centre_mm", [["x", 0.0, 0.0], [1.0], None])
 def test_a_record_that_no_run_writes_is_refused(run: Path, centre_mm: list[object] | None) -> None:
-    leave(
-        run,
-        Record(
-            "02-fiducial_localization", "fiducial_localization", {}, {"markers": [{"centre_mm": centre_mm}]}
-        ),
-    )
+    payload = {"markers": [{"centre_mm": centre_mm}]}
+    leave(run, Record("02-fiducial_localization", "fiducial_localization", {}, payload))
     with pytest.raises(NothingToVerify, match="is not what a run writes"):
         verify_run(run)
 
@@ -162,11 +150,11 @@ def test_a_folder_of_runs_is_refused_with_their_names(tmp_path: Path) -> None:
 @pytest.mark.parametrize("as_json", [True, False])
 @pytest.mark.parametrize(("inserted_at", "said"), [(None, "of its plan"), ("left-SNT", ", but at left-SNT")])
 def test_a_run_that_reached_no_target_is_no_success(
-    run: Path, localize: Localize, inserted_at: str | None, said: str, as_json: bool
+    run: Path, localize: Callable[..., None], inserted_at: str | None, said: str, as_json: bool
 ) -> None:
     localize(FIDUCIALS_MM)
     if inserted_at is not None:
-        sample(run / THEATRE_FOLDER, TARGET_MM, 0.0, inserted_at)
+        sample(run / THEATRE_FOLDER, TARGET_MM, target=inserted_at)
     done = in_this_process(ronna_sim, "verify", run, *(["--json"] if as_json else []))
     assert done.returncode == EXIT_FAILED
     shown = " ".join(one_error(done.stderr))
@@ -176,7 +164,9 @@ def test_a_run_that_reached_no_target_is_no_success(
     assert bool(done.stdout) == as_json
 
 
-def test_a_case_may_ask_for_the_truth_of_a_run_that_reached_no_target(run: Path, localize: Localize) -> None:
+def test_a_case_may_ask_for_the_truth_of_a_run_that_reached_no_target(
+    run: Path, localize: Callable[..., None]
+) -> None:
     localize(FIDUCIALS_MM)
     truth = truth_of(run)
     assert truth.ct is not None
@@ -193,15 +183,15 @@ def theatre(run: Path) -> Path:
 def test_a_manual_run_is_compared_with_the_samples_its_theatre_took_during_it(
     run: Path, theatre: Path
 ) -> None:
-    sample(theatre, (10.0, 20.0, 30.1), 0.0)
-    sample(theatre, (15.0, 20.0, 30.0), 3600.0)  # by a later run
+    sample(theatre, (10.0, 20.0, 30.1), theatre_time_s=0.0)
+    sample(theatre, (15.0, 20.0, 30.0), theatre_time_s=3600.0)  # by a later run
     with pytest.raises(NothingToVerify, match=r"no simulated theatre.*--theatre"):
         verify_run(run)
     assert [target["axial_mm"] for target in verify_run(run, theatre)["targets"]] == pytest.approx([-0.1])
 
 
 def test_a_manual_run_is_not_compared_with_a_theatre_of_another_patient(
-    run: Path, theatre: Path, localize: Localize
+    run: Path, theatre: Path, localize: Callable[[Sequence[Sequence[float]]], None]
 ) -> None:
     localize([(500.0, 0.0, 0.0)])
     with pytest.raises(NothingToVerify, match="another patient"):
@@ -212,9 +202,9 @@ def test_a_manual_run_is_not_compared_with_a_theatre_of_another_patient(
 @pytest.mark.parametrize("closed", [True, False])
 @pytest.mark.parametrize("name", [SCENE_FILE, TRUTH_FILE])
 def test_truth_that_changes_after_the_check_is_not_compared(
-    run: Path, monkeypatch: pytest.MonkeyPatch, name: str, closed: bool
+    run: Path, at_target: Callable[..., None], monkeypatch: pytest.MonkeyPatch, name: str, closed: bool
 ) -> None:
-    sample(run / THEATRE_FOLDER, TARGET_MM)
+    at_target(TARGET_MM)
     journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.FOUND, 1.0, **truth_so_far(run))
     if closed:
@@ -235,7 +225,9 @@ def test_truth_that_changes_after_the_check_is_not_compared(
 
 
 @pytest.mark.hazard(39)
-def test_a_record_altered_after_the_run_is_not_compared_with_the_truth(run: Path, localize: Localize) -> None:
+def test_a_record_altered_after_the_run_is_not_compared_with_the_truth(
+    run: Path, localize: Callable[[Sequence[Sequence[float]]], None]
+) -> None:
     localize(FIDUCIALS_MM)
     (run / RECORDS_FOLDER / "99-fiducial_localization.json").write_text("{}")  # nobody asks for it
     assert verify_run(run)["ct"]["found"] == len(FIDUCIALS_MM)

@@ -10,8 +10,7 @@ from typing import Any
 import pytest
 from user_commands import in_this_process, one_error
 
-from ronna_hw.endpoints import BadEndpoint
-from ronna_hw.host.control_port import (
+from ronna_hw.control_port import (
     LONGEST_LINE,
     ControlAddress,
     ControlPortClient,
@@ -19,6 +18,7 @@ from ronna_hw.host.control_port import (
     ControlRequestRefused,
     ask_control_port,
 )
+from ronna_hw.endpoints import BadEndpoint
 from sim.cli import app as ronna_sim
 from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
 from sim.world.faults import parse_faults
@@ -250,7 +250,7 @@ def test_an_impossible_live_fault_is_refused_with_its_code(room: Room, line: str
 def test_an_answer_sent_in_drips_is_given_up_after_the_time_of_one_answer(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    monkeypatch.setattr("ronna_hw.host.control_port.ANSWER_LIMIT_S", 3 * SOON_S)
+    monkeypatch.setattr("ronna_hw.control_port.ANSWER_LIMIT_S", 3 * SOON_S)
     with socket.create_server(("127.0.0.1", 0)) as server, ThreadPoolExecutor() as another:
 
         def drip() -> int:

@@ -8,7 +8,7 @@ import pytest
 from kuka_clients import Cell
 from shared_controller import SharedController, on_a1
 
-from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.control_port import ask_control_port
 
 STOPS = [
     ("emergency stop for 0.2 s", {"EStop": "1", "Drives": "0", "Err": "1"}, {"EStop": "0"}),

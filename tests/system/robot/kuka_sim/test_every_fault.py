@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from kuka_clients import Cell, RsiClient
 
-from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.control_port import ask_control_port
 from sim.world.faults import FaultKind
 from sim.world.faults.robot import CELL_FAULTS, EKI_FAULTS, LINK_FAULTS
 from sim.world.world import World

@@ -9,6 +9,7 @@ from dataclasses import replace
 from math import inf
 
 import pytest
+from monitored_motion import drive_monitored
 
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Corridor, Obstacle, Part, SpeedZone, Surroundings
 from ronna_hw.arm.clearance.live_watch import LiveWatch
@@ -21,7 +22,7 @@ from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import MOST_STEPS
 from ronna_hw.arm.motion.set_points import PathMotion
 from ronna_hw.arm.pose import Pose, radians6
-from ronna_hw.arm.preview import preview, with_speed_steps
+from ronna_hw.preview import preview, with_speed_steps
 
 MODEL = kr6_r900(ArmVariant.SIXX)
 LIMITS = working_limits(MODEL)
@@ -122,15 +123,8 @@ def _drive(plan: MotionPlan, around: Surroundings) -> str:
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
     monitor.watch(LiveWatch(Bodies(MODEL, around), CYCLE_S, START))
     motion = PathMotion(plan.path(MODEL), START, plan.limits, CYCLE_S, plan.speed_steps)
-    while not motion.finished:
-        prepared = motion.prepare()
-        violation = monitor.check(prepared.go_rad)
-        if violation is not None:
-            return str(violation)
-        assert monitor.check(prepared.stop_rad) is None
-        motion.take_go()
-        monitor.sent(prepared.go_rad)
-    return ""
+    outcome = drive_monitored(motion, monitor)
+    return "" if isinstance(outcome, int) else str(outcome)
 
 
 @pytest.mark.hazard(24)

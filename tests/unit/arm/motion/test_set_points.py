@@ -9,6 +9,7 @@ from itertools import pairwise
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from monitored_motion import drive_monitored
 
 from ronna_hw.arm.errors import MotionInvalid
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -112,16 +113,9 @@ def test_reducing_the_speed_during_a_motion_keeps_the_path_and_the_end() -> None
     plan = plan_joint_move(MODEL, START, target, LIMITS)
     motion = _motion(plan)
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
-    cycles = 0
-    while not motion.finished:
-        prepared = motion.prepare()
-        assert monitor.check(prepared.go_rad) is None
-        motion.take_go()
-        monitor.sent(prepared.go_rad)
-        cycles += 1
-        if cycles == 100:
-            motion.limit_speed(0.25)
+    cycles = drive_monitored(motion, monitor, slower_after=100)
     assert monitor.last_rad == target
+    assert isinstance(cycles, int)
     assert cycles > 2 * len(_run(_motion(plan), START))
 
 
@@ -142,11 +136,7 @@ def test_after_an_interruption_the_motion_continues_from_rest(stopping: bool, on
     monitor = Monitor(monitor_limits(MODEL, LIMITS, CYCLE_S, START), START)
     for _ in range(3):
         monitor.sent(here)
-    while not motion.finished:
-        prepared = motion.prepare()
-        assert monitor.check(prepared.go_rad) is None
-        motion.take_go()
-        monitor.sent(prepared.go_rad)
+    assert isinstance(drive_monitored(motion, monitor), int)
     assert monitor.last_rad == (here if stopping else target)
     assert motion.stopped_early is stopping
 

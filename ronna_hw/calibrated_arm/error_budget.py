@@ -18,8 +18,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from ronna_hw.arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
 from ronna_hw.arm.kinematics import Chain
+from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations, gravity_levers
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import replace
 from math import isinf
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -88,6 +87,7 @@ def preview(
     moved_mm = motion_mm(path.swept).max(axis=1, initial=0.0) / ARC_FACTOR  # expected, not an upper bound
     body = moved_mm / np.diff(path.fractions) * speeds
     nearest = float(path.swept.to_head_mm.min())
+    measures = [kinematics.singular_measure(tuple(row)) for row in joints.tolist()]
     return PathPreview(
         duration_s=len(states) * limits.cycle_s,
         joint_ranges_rad=tuple(
@@ -95,25 +95,19 @@ def preview(
         ),
         closest=path.closest,
         refused=path.refused,
-        singularity=_least_singular_measure(kinematics, path),
+        singularity=SingularMeasure(*(min(kind) for kind in zip(*measures, strict=True))),
         largest_joint_speed_share=float(shares.max()),
         largest_speed_mm_s=float(body.max()),
         nearest_to_head_mm=None if isinf(nearest) else nearest,
     )
 
 
-def _least_singular_measure(kinematics: Kinematics, path: SweptPath) -> SingularMeasure:
-    """Least of each measure over a swept path."""
-    measures = [kinematics.singular_measure(tuple(row)) for row in path.joints_rad.tolist()]
-    return SingularMeasure(*(min(kind) for kind in zip(*measures, strict=True)))
-
-
-def _speeds(path: SweptPath, states: Sequence[State]) -> np.ndarray[Any, np.dtype[np.float64]]:
+def _speeds(path: SweptPath, states: Sequence[State]) -> Array:
     """Largest speed of the path parameter in each interval, as driven: a short path stays slow."""
     positions = np.array([0.0, *(state.position[0] for state in states)])
     velocities = np.array([0.0, *(state.velocity[0] for state in states)])
     at_ends = np.interp(path.fractions, positions, velocities)
-    speeds: np.ndarray[Any, np.dtype[np.float64]] = np.maximum(at_ends[:-1], at_ends[1:])
+    speeds: Array = np.maximum(at_ends[:-1], at_ends[1:])
     intervals = np.searchsorted(path.fractions, positions, side="right") - 1
     np.maximum.at(speeds, np.clip(intervals, 0, len(speeds) - 1), velocities)
     return speeds
