@@ -226,4 +226,4 @@ class StepContext:
 
     def choose(self, question: Question) -> str:
         """Have the operator choose one of a question's answers, and record it."""
-        return self._questions.ask(question)
+        return self._questions.ask(question).word

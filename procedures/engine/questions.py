@@ -121,7 +121,7 @@ class Questions:
             trajectory,
             timeout_s=None,
         )
-        if self.ask(question) != IS_OUT:
+        if self.ask(question).word != IS_OUT:
             raise NotConfirmed(
                 f"an instrument is still in {place}: nothing moves",
                 action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",

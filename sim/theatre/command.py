@@ -11,7 +11,7 @@ import typer
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, print_table, say, tell
-from ronna_hw.host.control_port import ask_control_port
+from ronna_hw.control_port import ask_control_port
 from sim.world.options import Carrier, OnStand
 
 if TYPE_CHECKING:
@@ -202,7 +202,6 @@ def mount(
     control: ControlOption,
 ) -> None:
     """Mount another tool in a running theatre, as the staff would."""
-    from ronna_hw.control_port import ask_control_port
     ask_control_port(control, "mount", number=number)
     tell(f"tool {number} is mounted" if number else "no tool is mounted")
 
@@ -212,7 +211,6 @@ def stand(
     control: ControlOption,
 ) -> None:
     """Put ball or divot on the calibration stand of a running theatre, or remove both."""
-    from ronna_hw.control_port import ask_control_port
     ask_control_port(control, "stand", holds=holds.value)
     tell(f"on the stand: {holds.value}")
 
@@ -226,7 +224,6 @@ def work(
     trajectory: Annotated[str, typer.Option(help="Trajectory of the plan, for a task that needs one.")] = "",
 ) -> None:
     """Work with guide and instrument in a running theatre, as the staff would; prints the readings."""
-    from ronna_hw.control_port import ask_control_port
     answer = ask_control_port(control, "work", task=task, trajectory=trajectory, numbers=list(numbers or ()))
     tell(f"done: {task}{f' at {trajectory}' if trajectory else ''}")
     for reading in answer.get("readings", ()):
@@ -246,7 +243,6 @@ def fault(
     clear: Annotated[bool, typer.Option("--clear", help="End this fault; without one, all.")] = False,
 ) -> None:
     """Inject a fault into a running theatre or simulator, or clear it; without one, list all faults."""
-    from ronna_hw.control_port import ask_control_port
     from sim.world.faults import FAULT_KINDS
 
     if line is None and not clear:

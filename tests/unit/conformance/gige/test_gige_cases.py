@@ -67,7 +67,10 @@ MISTAKES: dict[str, tuple[str, Mistake]] = {
         "G13",
         spoil.member("privilege.may_read", lambda *_: lambda peer: True),
     ),
-    "commands are no sign of life": ("G14", spoil.member("port._refreshes_heartbeat", lambda *_: lambda: False)),
+    "commands are no sign of life": (
+        "G14",
+        spoil.member("port._refreshes_heartbeat", lambda *_: lambda: False),
+    ),
     "control for ever": ("G15", spoil.member("privilege.seconds_left", lambda *_: lambda: spoil.LONG_S)),
     "streams without a controller": (
         "G15",
