@@ -5,16 +5,21 @@ from __future__ import annotations
 import json
 import re
 import struct
-from collections.abc import Sequence
+import sys
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from datetime import UTC, datetime
 from itertools import groupby
 from pathlib import Path
 from traceback import walk_stack
+from types import FrameType
 from typing import Any
 
 import numpy as np
 import pytest
 from clinical_case import CENTRES_CT_MM, FIRST, SCENE, SPHERES_MM, ClinicalCell
 from numpy.typing import NDArray
+from painted_ct import FRAME_UID, SERIES_UID, Scan, write_series
 from passing_clock import PassingClock
 from polaris_unit_in_process import UnitInProcess, tracker_on
 from prepared_results import (
@@ -25,15 +30,22 @@ from prepared_results import (
     localized_fiducials,
     relocalization,
 )
+from pydantic import TypeAdapter
+from pydicom import dcmread
 from recording_cell import mini_theatre_file
 
+from procedures.exchange.dicom_objects import Origin, sphere_fiducials, write
+from procedures.imaging import localize, read_series
 from procedures.reporting.report import write_report
 from procedures.runs.engine_setup import add_guards
 from procedures.steps.clinical import correspondence, global_localization, registration
 from procedures.steps.clinical.correspondence import Correspondence
+from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.relocalization import STEP as RELOCALIZATION
 from procedures.workcell import MountedTool
+from procedures.workcell.motions import PlannedMotion
+from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
 from ronna_hw.devices.capabilities import Direction, Passed
@@ -48,6 +60,8 @@ TRACKER = SCENE.tracker.robot_from_tracker.transform(Frame.ROBOT, Frame.TRACKER)
 SPHERE = 1  # whose number is followed
 LAYER = re.compile(rf"{ROOT}/(drivers|ronna_hw|procedures/\w+)/")
 BX_BEGINS = b"\xc4\xa5"
+# Of these links of the page nothing runs here: the unit is in this process, and an interface has no code.
+NOT_RUN = {"drivers/ndi_polaris/transport.py", "ronna_hw/devices/sensors.py"}
 
 Array = NDArray[np.float64]
 
@@ -90,6 +104,43 @@ def strays_in(reply: bytes) -> Array:
     return np.array(numbers).reshape(-1, 3)
 
 
+@contextmanager
+def modules_run() -> Iterator[set[str]]:
+    """Files of the project of which code runs within the block."""
+    found: set[str] = set()
+
+    def note(frame: FrameType, _event: str, _argument: object) -> None:
+        found.add(frame.f_code.co_filename)
+
+    sys.setprofile(note)
+    try:
+        yield found
+    finally:
+        sys.setprofile(None)
+        inside = {Path(name) for name in found if name.startswith(str(ROOT))}
+        found |= {str(path.relative_to(ROOT)) for path in inside}
+
+
+def modules_of(walk: str) -> list[str]:
+    """Modules that the page names on a walk, in order; an interface is no hop."""
+    text = PAGE.read_text(encoding="utf-8").split(f"## {walk}")[1].split("\n## ")[0]
+    links = re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", text)
+    if walk == "A pose of the tracker":  # its end is that of an image
+        image = modules_of("An image")
+        links += image[image.index("procedures/engine/engine.py") :]
+    return [path for path in dict.fromkeys(links) if not path.startswith(("ronna_hw/devices/", "tests/"))]
+
+
+def links() -> set[str]:
+    """Modules on the tracker's way, and from the registration on those on the image's, which it joins."""
+    text = PAGE.read_text(encoding="utf-8")
+    of_image, of_tracker = (
+        text.split(f"## {title}")[1].split("\n## ")[0] for title in ("An image", "A pose")
+    )
+    shared = of_image[of_image.index("| [registration]") :]
+    return {str(path) for path in re.findall(r"\(\.\./\.\./([\w/]+\.py)\)", of_tracker + shared)}
+
+
 def layers_on_stack() -> tuple[str, ...]:
     """Of the code that led here, the nearest first."""
     files = (LAYER.match(frame.f_code.co_filename) for frame, _ in walk_stack(None))
@@ -105,7 +156,16 @@ def layers_of(walk: str) -> tuple[str, ...]:
     return layers
 
 
-def test_a_motion_goes_down_by_the_layers_of_the_page(
+def above_workcell(files: set[str]) -> set[str]:
+    """Their rooms that no module of the workcell imports."""
+    own = ROOT / "procedures" / "workcell"
+    imports = re.compile(r"^ *from procedures\.(\w+)", re.MULTILINE)
+    known = {room for path in own.glob("*.py") for room in imports.findall(path.read_text(encoding="utf-8"))}
+    rooms = {file.split("/")[1] for file in files if file.startswith("procedures/")}
+    return rooms - known - {own.name}
+
+
+def test_a_motion_goes_down_by_the_layers_of_the_page_and_asks_upwards_only_where_it_says(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     cell = ClinicalCell(tmp_path).carrying(MountedTool.STEREO_HEAD)
@@ -117,17 +177,29 @@ def test_a_motion_goes_down_by_the_layers_of_the_page(
     file = mini_theatre_file(tmp_path, simulated=True)
     add_guards(engine, file, read_theatre_file(file))
     led_here: set[tuple[str, ...]] = set()
-    move = cell.arm.move_joints
+    ran: set[str] = set()
+    move, carry_out = cell.arm.move_joints, SupervisedMotion.carry_out
 
     def moved(target_rad: JointVector, **more: Any) -> ArmReading:
         led_here.add(layers_on_stack())
         return move(target_rad, **more)
 
+    def carried_out(self: SupervisedMotion, motion: PlannedMotion) -> ArmReading:
+        with modules_run() as run:
+            reading = carry_out(self, motion)
+        ran.update(run)
+        return reading
+
     monkeypatch.setattr(cell.arm, "move_joints", moved)
+    monkeypatch.setattr(SupervisedMotion, "carry_out", carried_out)
     engine.run_to()
     *_, below = down = layers_of("A motion")
     assert below == "drivers"  # which are not in this process
     assert led_here == {(*reversed(down[:-1]), "procedures/engine")}
+    asked = PAGE.read_text(encoding="utf-8").split("asks upwards")[1].split("\n\n")[0]
+    linked = set(re.findall(r"\(\.\./\.\./(procedures/[\w/]+\.py)\)", asked))
+    assert linked <= ran
+    assert above_workcell(linked) == above_workcell(ran)
 
 
 def numbers_of(report: str, sphere: int) -> str:
@@ -160,12 +232,14 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
     looked = (relocalization(), checked_paths(cell))
     engine = cell.begin(*before, global_localization.STEP, correspondence.STEP, *looked, registration.STEP)
-    driver.connect()
-    driver.configure()
-    engine.run_to(engine.order.find(f"registration:{FIRST}"))
-    engine.close("left")
-    report = write_report(tmp_path).read_text(encoding="utf-8")
+    with modules_run() as run:
+        driver.connect()
+        driver.configure()
+        engine.run_to(engine.order.find(f"registration:{FIRST}"))
+        engine.close("left")
+        report = write_report(tmp_path).read_text(encoding="utf-8")
     tape.close()
+    assert links() - NOT_RUN <= run
     assert unit.asked_by == {(*layers_of("A pose"), "procedures/engine")}
 
     on_wire_mm = strays_in(wire.replies[-1])[SPHERE]
@@ -186,3 +260,37 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     from_ct_mm = matched.robot_from_ct.transform.apply(CENTRES_CT_MM[SPHERE])
     assert numbers_of(report, SPHERE) == f"{np.linalg.norm(from_ct_mm - in_room_mm):.3f}"
     assert (float(numbers_of(report, SPHERE)) > 0.05) is (aside_mm > 0.0)
+
+
+@pytest.mark.parametrize(
+    ("walk", "most"), [("A motion", 18), ("A pose of the tracker", 14), ("A marker of the CT", 12)]
+)
+def test_a_walk_has_few_modules_and_each_of_them_exists(walk: str, most: int) -> None:
+    modules = modules_of(walk)
+    assert 5 < len(modules) <= most, modules
+    assert [path for path in modules if not (ROOT / path).is_file()] == []
+
+
+# These run on a whole run, in tests/unit/exchange/test_run_export.py; a model has no code.
+OF_A_RUN = {
+    "procedures/steps/clinical/fiducial_localization.py",
+    "procedures/exchange/run_export.py",
+    "procedures/exchange/allowed_fields.py",
+}
+
+
+def test_a_sphere_of_the_slices_is_that_of_the_dicom_item(tmp_path: Path) -> None:
+    scan = Scan()
+    scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 0.0, 1.0]), skin=False)
+    slices = write_series(tmp_path / "ct", scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
+    with modules_run() as run:
+        (marker,) = localize(read_series(slices), expected=1).markers
+        kept = LocalizedFiducials.model_fields["markers"].annotation
+        (read_back,) = TypeAdapter(kept).validate_json(TypeAdapter(kept).dump_json((marker,)))
+        origin = Origin(SERIES_UID, FRAME_UID, datetime(2026, 11, 25, tzinfo=UTC), "a hash")
+        file = write(sphere_fiducials((read_back,), origin), tmp_path / "spheres.dcm")
+    assert set(modules_of("A marker of the CT")) - OF_A_RUN <= run
+    (item,) = dcmread(file).FiducialSetSequence[0].FiducialSequence
+    centre_mm = [float(value) for value in item.ContourData]
+    assert centre_mm == pytest.approx(marker.centre_mm, abs=1e-9)
+    assert centre_mm == pytest.approx((0.0, -10.0, 60.0), abs=0.2)
