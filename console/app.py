@@ -29,7 +29,7 @@ from console.listening import HOST, listen, server_of
 from console.web.page import add_page
 from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun
-from procedures.engine.events.event_types import shown_digest
+from procedures.engine.events.event_types import digest_of_question
 from procedures.runs.orders import LONGEST_BYTES, Reply, SentOrder
 from ronna_hw.bounded_input import parse_json
 from ronna_hw.command_line.messages import tell_address
@@ -226,7 +226,7 @@ def _state(hub: Hub) -> dict[str, Any]:
             "answers": question.answers,
             "read_back": question.read_back,
             "reads": question.reads,
-            "shown": shown_digest(question),
+            "shown": digest_of_question(question),
         },
         "frozen": hub.frozen,
         "outcome": view.outcome,

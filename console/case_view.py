@@ -17,8 +17,8 @@ from procedures.engine.events import (
     DeviceAge,
     DeviceState,
     Event,
+    EventContent,
     Fault,
-    Happening,
     JournalLine,
     LinkHealth,
     MeasuringVolume,
@@ -167,7 +167,7 @@ def fold(view: CaseView, event: Event) -> CaseView:
     return changed
 
 
-def _changes(view: CaseView, what: Happening) -> dict[str, Any]:
+def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
     match what:
         case CaseState(state=state, reason=reason):
             return {"state": state, "reason": reason}

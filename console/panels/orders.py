@@ -20,7 +20,7 @@ from console.case_view import CaseView
 from console.panels.case_state import seat_line
 from console.panels.html import evidence_table, tag, text
 from procedures.engine.events import Questioned
-from procedures.engine.events.event_types import shown_digest
+from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Topic
 from procedures.runs.orders import (
     PAUSED,
@@ -173,7 +173,9 @@ class QuestionPanel:
     def show(self, view: CaseView, *, is_mine: bool, has_seat: bool) -> None:
         """Show the open question, if any."""
         question = view.question
-        key = None if question is None else (question.question, shown_digest(question), is_mine, has_seat)
+        key = (
+            None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
+        )
         if key != self._shown:
             self._shown, self._left = key, None
             self._place.clear()
@@ -185,7 +187,7 @@ class QuestionPanel:
             self._left.set_content(_left(question, view))
 
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
-        digest = shown_digest(question)
+        digest = digest_of_question(question)
         ui.html(
             tag("h2", text(question.subject), data_question=str(question.question))
             + tag("p", text(question.value), class_="value")

@@ -23,7 +23,7 @@ from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan
 from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
 from procedures.planning.structures import StructureDistance, structure_distances
-from procedures.planning.target_error import predicted_by_markers, predicted_with_arm
+from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck
 from procedures.registration.points import FEWEST_PAIRS
@@ -134,10 +134,10 @@ def _expected(
     for one in plan.trajectories:
         try:
             if theatre is not None and paths is not None and paths.passed:
-                predicted = predicted_with_arm(theatre, plan, covariances_mm2, paths, one.id)
+                predicted = predict_with_arm(theatre, plan, covariances_mm2, paths, one.id)
                 found[one.id] = _expected_of(predicted, with_arm=True)
             else:
-                predicted = predicted_by_markers(markers_mm, covariances_mm2, one.target_mm)
+                predicted = predict_by_markers(markers_mm, covariances_mm2, one.target_mm)
                 found[one.id] = _expected_of(predicted, with_arm=False)
         except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue

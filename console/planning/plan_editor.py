@@ -19,7 +19,7 @@ from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
 from procedures.imaging.markers import Marker
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
-from procedures.planning.head_in_ct import sampled_hu
+from procedures.planning.head_in_ct import sample_hu
 from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
 from procedures.planning.plan_lock import PlannerLock, plan_in_use, plan_replacement
 from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
@@ -100,7 +100,7 @@ class PlanEditor(ChangeNotifier):
 
     def hu_at(self, place_mm: Point) -> str:
         """Word the CT's value at a position."""
-        hu = sampled_hu(self.volume, [place_mm])
+        hu = sample_hu(self.volume, [place_mm])
         return f"{hu[0]:.0f} HU" if len(hu) else "outside the scan"
 
     # The file

@@ -156,7 +156,7 @@ def localize(
     if refused is not None:
         likely = imaging.likeliest_first(refused.candidates)
         if show_candidates and as_json:
-            terminal.print_json({"candidates": _listed(likely)})
+            terminal.print_json({"candidates": _list_candidates(likely)})
         elif show_candidates:
             _print_candidates(likely)
         if pictures is not None:
@@ -190,7 +190,7 @@ def localize(
         if patient is not None:
             document["patient"] = patient.as_dict()
         if candidates is not None:
-            document["candidates"] = _listed(candidates)
+            document["candidates"] = _list_candidates(candidates)
         if found is not None:
             document["layout"] = {"residual_rms_mm": found.residual_rms_mm, "others": len(found.others)}
         terminal.print_json(document)
@@ -263,7 +263,7 @@ def _layout_mm(layout: str) -> Any:
     return spheres_mm
 
 
-def _listed(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
+def _list_candidates(candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     return [
         {"centre_mm": list(one.centre_mm), "accepted": one.accepted, "odds": one.odds, "reason": one.reason}
         for one in candidates

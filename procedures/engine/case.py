@@ -196,7 +196,7 @@ class Case:
             for trajectory, reason in stored.result.leaves_out().items()
         )
 
-    def left_out_besides(self, key: StepKey) -> dict[str, str]:
+    def exclusions_before(self, key: StepKey) -> dict[str, str]:
         """Return the trajectories that stay left out, and why, whatever a new result of that step says."""
         gone = {(record.kind, record.trajectory) for record in self.superseded_by(key)}
         return {

@@ -20,7 +20,7 @@ class CaseProgress:
 
     def left_out(self, key: StepKey) -> str | None:
         """Return why the trajectory of a step was left out before it; None if it was not."""
-        return self.order.left_out_at(key, self.case.left_out).get(key.trajectory or "")
+        return self.order.exclusions_at(key, self.case.left_out).get(key.trajectory or "")
 
     def settled(self, key: StepKey) -> bool:
         """Whether a step's result is valid, or its trajectory is left out, or was finished before a move."""
@@ -123,7 +123,7 @@ class CaseProgress:
         """Accept a new result in place of what it supersedes."""
         self.case.accept(key, stored, self._outlasting_again(key))
 
-    def voided_with(self, key: StepKey) -> tuple[Record, ...]:
+    def records_voided_by(self, key: StepKey) -> tuple[Record, ...]:
         """Return the records that fall with that step's result; none of finished targets."""
         return self.case.superseded_by(key, self._outlasting(key))
 

@@ -55,9 +55,9 @@ class StepContext:
         Raises PRO-001 without one, PRO-016 if this step does not declare that it reads it, REC-001 if its
         file was changed.
         """
-        return self._asked_for(model).result
+        return self._read_result(model).result
 
-    def _asked_for(self, model: type[R]) -> Stored[R]:
+    def _read_result(self, model: type[R]) -> Stored[R]:
         if model not in self.reads:
             raise WrongResult(f"{self.key} asks for {model.kind}, which it does not declare in its reads")
         return self._read_from_case(model, self.key.trajectory)
@@ -68,7 +68,9 @@ class StepContext:
         self._read[stored.record.identifier] = stored.record
         return stored
 
-    def done_for(self, model: type[R], accept: Callable[[R], bool] = lambda _result: True) -> tuple[str, ...]:
+    def trajectories_done(
+        self, model: type[R], accept: Callable[[R], bool] = lambda _result: True
+    ) -> tuple[str, ...]:
         """Return the trajectories with an accepted result of a step; reads none."""
         found = ((name, self._case.find(model, name)) for name in self.trajectories)
         return tuple(name for name, one in found if one is not None and accept(one.result))
@@ -85,11 +87,11 @@ class StepContext:
 
     def doubt(self, model: type[R]) -> str | None:
         """Return the fault that has the operator asked whether a result is kept, or None; see `result`."""
-        return self._case.doubt_of(self._asked_for(model).record)
+        return self._case.doubt_of(self._read_result(model).record)
 
     def keep(self, model: type[R]) -> None:
         """Keep a result in spite of the fault; see `result`."""
-        self._case.trust(self._asked_for(model).record)
+        self._case.trust(self._read_result(model).record)
 
     @property
     def trajectory(self) -> str:
@@ -164,7 +166,7 @@ class StepContext:
 
     def identifier(self, model: type[R]) -> str:
         """Return the identifier of a valid result; see `result`."""
-        return self._asked_for(model).record.identifier
+        return self._read_result(model).record.identifier
 
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
         """Return the one that `pick` chooses of a step's valid results, of any trajectory, the last one last.

@@ -180,7 +180,7 @@ class Engine:
             key=key,
             reads=self.order.spec(key).reads,
             trajectories=self.order.trajectories,
-            left_out=self.case.left_out_besides(key),
+            left_out=self.case.exclusions_before(key),
             setting=self.setting,
             _case=self.case,
             _questions=self.questions,
@@ -204,7 +204,7 @@ class Engine:
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
         """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
-        gone = [record.identifier for record in self.course.voided_with(key)]
+        gone = [record.identifier for record in self.course.records_voided_by(key)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
         self.course.void(key)
         self._tell_gone(key, gone, reason.summary)
@@ -380,12 +380,12 @@ class Engine:
             self.faults.doubt_results()
             if isinstance(problem, WrongTool):
                 self.faults.doubt_tool(problem.summary)
-        kept = self._kept_attachments(problem) if isinstance(problem, RonnaError) else []
+        kept = self._write_attachments(problem) if isinstance(problem, RonnaError) else []
         files: dict[str, JournalValue] = {"files": kept} if kept else {}
         with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
-    def _kept_attachments(self, problem: RonnaError) -> list[JournalValue]:
+    def _write_attachments(self, problem: RonnaError) -> list[JournalValue]:
         """Write the attachments of an error; return the names of files that the disk accepted."""
         kept: list[JournalValue] = []
         for name, text in sorted(problem.attachments.items()):

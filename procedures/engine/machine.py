@@ -154,7 +154,7 @@ def _arrows(order: CaseOrder) -> Iterator[str]:
     for _, sources, destination in _transitions(order):
         ways.setdefault(tuple(sources), []).append(destination)
     for number, (sources, destinations) in enumerate(ways.items(), start=1):
-        before, after = _drawn(sources, order.steps), _drawn(destinations, order.steps)
+        before, after = _fold_phases(sources, order.steps), _fold_phases(destinations, order.steps)
         if min(len(before), len(after)) > 1:
             junction = f"junction{number}"
             yield f"  state {junction} <<choice>>"
@@ -163,7 +163,7 @@ def _arrows(order: CaseOrder) -> Iterator[str]:
         yield from (f"  {one} --> {other}" for one in before for other in after)
 
 
-def _drawn(states: Sequence[str], steps: Steps) -> list[str]:
+def _fold_phases(states: Sequence[str], steps: Steps) -> list[str]:
     """Return names in the chart; a phase stands for its steps if all are there."""
     names = list(states)
     for phase, inside in _phases(steps).items():

@@ -139,7 +139,7 @@ class CaseOrder:
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
-    def left_out_at(self, key: StepKey, decisions: Iterable[LeftOut]) -> dict[str, str]:
+    def exclusions_at(self, key: StepKey, decisions: Iterable[LeftOut]) -> dict[str, str]:
         """Return the trajectories that were left out before that step, and why."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}

@@ -110,7 +110,7 @@ class Questions:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
         self.have_done(Task(OUT, taking_out(place), trajectory))
-        done = f"the {_what(place)} is out of {place} and out of the guide"
+        done = f"the {_instrument_at(place)} is out of {place} and out of the guide"
         if place == IN_DIVOT:
             done = f"{place} is lowered, and hands are clear of it and of the guide"
         question = Question(
@@ -133,8 +133,8 @@ def taking_out(place: str) -> str:
     """Return the words for the work by hand before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
-    return f"remove the {_what(place)} from {place} and from the guide"
+    return f"remove the {_instrument_at(place)} from {place} and from the guide"
 
 
-def _what(place: str) -> str:
+def _instrument_at(place: str) -> str:
     return "mandrel" if place == IN_GAUGE else "instrument"

@@ -53,22 +53,22 @@ class RunFolder:
         return tuple(line for line in self.journal if line["entry"] == entry)
 
     @property
-    def what_stands(self) -> tuple[Record, ...]:
+    def valid_records(self) -> tuple[Record, ...]:
         """The records that nothing superseded, in order."""
         return tuple(record for record in self.records if record.identifier not in self.superseded)
 
     @property
     def past(self) -> frozenset[str]:
         """Identifiers of results of finished trajectories that were made before something moved."""
-        return without_ancestors(self.what_stands)
+        return without_ancestors(self.valid_records)
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The valid results of a step, in order. Raises REC-001, REC-003."""
-        return _as(model, self.what_stands)
+        return _results_of(model, self.valid_records)
 
     def made(self, model: type[R]) -> tuple[Stored[R], ...]:
         """All results of a step, in order. Raises REC-001, REC-003."""
-        return _as(model, self.records)
+        return _results_of(model, self.records)
 
 
 def read_run(folder: Path) -> RunFolder:
@@ -114,7 +114,7 @@ def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
     return doubts
 
 
-def _as(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
+def _results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
     return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
 
 

@@ -31,7 +31,7 @@ from procedures.exchange.dicom_objects import (
 from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.exchange.sphere_files import document, slicer_markups, table
 from procedures.journal.results import StepResult
-from procedures.reporting.run_reading import UsedRegistration, used_registrations
+from procedures.reporting.run_reading import UsedRegistration, find_used_registrations
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
@@ -58,7 +58,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
         datetime.fromisoformat(found.record.created),
         found.record.sha256,
     )
-    fits = _labelled(used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
+    fits = _labelled(find_used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
     markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in spheres]

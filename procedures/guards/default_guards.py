@@ -29,7 +29,7 @@ Void = Callable[[RonnaError], None]
 Stamp = tuple[int, int, int]  # inode, bytes, time of the last change
 
 
-def standing_guards(
+def case_guards(
     workcell: Workcell,
     folder: Path,
     clock: Clock,

@@ -90,7 +90,11 @@ class GuideAtRest:
         """Measure the displacement now. Raises the tracker's errors."""
         known = self.seen_mm is not None
         for count in (FRAMES_AT_FIRST, FRAMES):
-            seen_mm = _seen(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1] if known else None
+            seen_mm = (
+                _measure_frame(workcell, clock, self.end_in_frame_mm, self.on_guide, count)[1]
+                if known
+                else None
+            )
             self._compare(seen_mm, workcell.tool_pose().translation_mm)
             self.looked_s, self.unseen = clock.now_s(), seen_mm is None
             if self.now_mm <= PUSHED_MM or not known:
@@ -144,7 +148,7 @@ def guide_at_rest(
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
     by_arm = robot_from_marker(workcell, workcell.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
-    on_mount, seen_mm = _seen(workcell, clock, end_in_frame_mm, on_guide)
+    on_mount, seen_mm = _measure_frame(workcell, clock, end_in_frame_mm, on_guide)
     if on_mount is not None and room is not None:
         _require_unturned(by_arm, room.robot_from_tracker @ on_mount)
     return GuideAtRest(
@@ -166,7 +170,7 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
         )
 
 
-def _seen(
+def _measure_frame(
     workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
 ) -> tuple[Transform | None, Array | None]:
     """Mean pose of the frame on the mount, and `seen_mm`; None if too few frames show it."""

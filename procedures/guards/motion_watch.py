@@ -21,7 +21,7 @@ from procedures.guards.room_reading import PATIENT_LIMIT_MM, read_room
 from procedures.guards.room_watch import RoomWatch
 from procedures.guards.tracker_guards import late_s
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.tracker_look import FRAME_S, with_its_spheres
+from procedures.workcell.tracker_look import FRAME_S, add_frame_spheres
 from ronna_hw.clock import Clock
 from ronna_hw.config import WatchPatient
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -108,7 +108,7 @@ class MotionWatch:
 
     def _conclude(self, seen: _WatchThread, what: str) -> None:
         if seen.moved_mm is not None:
-            moved = self._named(seen.room, seen.moved_mm, what)
+            moved = self._identify_cause(seen.room, seen.moved_mm, what)
             self.void(moved)  # first: the watch goes on until this is written
             self.memory.drop(RoomWatch)  # the same move must not stop the way out
             raise moved
@@ -123,7 +123,7 @@ class MotionWatch:
         if self._unseen_s > LONGEST_UNSEEN_S and not already_noted:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
-    def _named(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
+    def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
         """Name what has moved, by one more reading at rest, which includes the frame on the arm."""
         found: RonnaError | None
         try:
@@ -226,7 +226,7 @@ class _WatchThread:
                     self._report_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
-            self.head.take(with_its_spheres(tracker, frame))
+            self.head.take(add_frame_spheres(tracker, frame))
             self._check_push(frame)
             self._check_late()
             new_s = self.clock.now_s()

@@ -113,14 +113,14 @@ def ghosts_of(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np
     """
     markers, head = np.vstack([spheres_mm, others_mm]), len(spheres_mm)
     limits = np.repeat([LINE_MM, OTHER_LINE_MM], [head, len(others_mm)])
-    left, right = (_beside_lines_mm(np.array(eye), markers, seen_mm) for eye in SENSORS_MM)
+    left, right = (_distance_from_lines_mm(np.array(eye), markers, seen_mm) for eye in SENSORS_MM)
     pairs = (left < limits)[:, :, None] & (right < limits)[:, None, :]  # (m, n + k, n + k)
     pairs[:, head:, head:] = (left[:, head:, None] < LINE_MM) & (right[:, None, head:] < LINE_MM)
     pairs &= ~np.eye(len(markers), dtype=bool)  # both lines to one marker: that is the marker itself
     return np.asarray(pairs.any(axis=(1, 2)))
 
 
-def _beside_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
+def _distance_from_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
     """Distance of each point (m, 3) from a sensor's line to each marker (n, 3), before or behind it.
 
     Less the uncertainty of the sensor's position.

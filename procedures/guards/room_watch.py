@@ -160,7 +160,7 @@ class RoomWatch:
         base, head = self.base_shift(reading), shift_of(self.spheres_mm, reading.spheres_mm)
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         agree = _agree(head, head_mm, base, reading.head_limit_mm)
-        moved = self._moved(reading, base, head, head_mm, agree=agree)
+        moved = self._find_motion(reading, base, head, head_mm, agree=agree)
         findings: tuple[str, ...] = ()
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
@@ -173,7 +173,7 @@ class RoomWatch:
                 self.seen_s = now_s
         return RoomLook(reading, None if head is None else head.rms_mm, base, findings, moved)
 
-    def _moved(
+    def _find_motion(
         self,
         reading: RoomReading,
         base: BaseShift | None,
@@ -190,7 +190,7 @@ class RoomWatch:
         if base is not None and base.moved_mm >= (BASE_LIMIT_MM if agree else base.limit_mm):
             return _base_shifted(base, head_mm)
         if head is None or head_mm is None:
-            return self._moved_few(reading, tracker_excluded=base is not None)
+            return self._find_motion_by_few(reading, tracker_excluded=base is not None)
         limit_mm = reading.head_limit_mm
         if head.rms_mm < limit_mm or (base is not None and base.exact and agree):
             return None
@@ -200,7 +200,7 @@ class RoomWatch:
         apart = base is not None and (base.exact or float(np.linalg.norm(head_mm)) >= base.limit_mm)
         return _patient_moved(head, head_mm, limit_mm, tracker_excluded=apart)
 
-    def _moved_few(
+    def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
         """Error from fewer than three known spheres in view; None if none of them has moved."""
@@ -247,7 +247,7 @@ class RoomWatch:
         alike = [
             (apart_mm, -number, one)
             for number, one in enumerate(self.references)
-            if _turned_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
+            if _angle_between_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
             and (apart_mm := _apart_mm(one.robot_from_flange, here)) <= FARTHEST_MM
         ]
         exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
@@ -275,14 +275,14 @@ def check_now(
 
 
 def _same_pose(one: Transform, other: Transform) -> bool:
-    return _turned_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
+    return _angle_between_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
 
 
 def _apart_mm(one: Transform, other: Transform) -> float:
     return math.dist(one.translation_mm, other.translation_mm)
 
 
-def _turned_rad(one: Transform, other: Transform) -> float:
+def _angle_between_rad(one: Transform, other: Transform) -> float:
     between = one.rotation_matrix.T @ other.rotation_matrix
     return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
 

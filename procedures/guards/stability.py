@@ -152,7 +152,7 @@ class SeenUnchanged(Values):
         return f"{self.subject} within {self.moved_mm:.2f} mm"
 
 
-def unnoticed_mm() -> dict[str, float]:
+def undetected_changes_mm() -> dict[str, float]:
     """Rms error by source of changes that no look would notice, for the prediction at a target."""
     return {
         f"unnoticed change: {one.subject}": one.unnoticed_rms_mm

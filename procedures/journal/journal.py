@@ -69,11 +69,11 @@ class Journal:
     def __init__(self, folder: Path, on_line: Callable[[bytes], None] = lambda _line: None) -> None:
         """`on_line` is called with every line once it is written."""
         self._open(folder, on_line, os.O_CREAT | os.O_EXCL, _Chain(0, 0, FIRST))
-        with self._closed_on_error():
+        with self._close_on_error():
             _sync_folder(folder)
 
     @classmethod
-    def taken_up(
+    def reopen_run(
         cls, folder: Path, chain: Chain, on_line: Callable[[bytes], None] = lambda _line: None
     ) -> Journal:
         """Open the journal of an interrupted run for continuation; a torn end is cut off and kept.
@@ -82,21 +82,21 @@ class Journal:
         """
         journal = cls.__new__(cls)
         journal._open(folder, on_line, 0, _Chain(chain.size, len(chain.lines), chain.last))
-        with journal._closed_on_error():
+        with journal._close_on_error():
             if chain.torn:
-                journal._cut(chain.torn)
+                journal._cut_off(chain.torn)
             journal._hold_room()  # what is taken up can be closed again
         return journal
 
     @contextlib.contextmanager
-    def _closed_on_error(self) -> Iterator[None]:
+    def _close_on_error(self) -> Iterator[None]:
         try:
             yield
         except JournalNotWritable:
             self.close()
             raise
 
-    def _cut(self, torn: bytes) -> None:
+    def _cut_off(self, torn: bytes) -> None:
         """Cut off a torn end, and keep it beside the journal."""
         folder = self.path.parent
         try:

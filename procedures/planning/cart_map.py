@@ -166,19 +166,19 @@ def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
     """
     count = workers or len(os.sched_getaffinity(0))
     if count == 1:
-        yield lambda asked: _judged(case, asked)
+        yield lambda asked: _judge(case, asked)
         return
     with fresh_processes(count) as pool:
 
         def in_processes(asked: Sequence[Request]) -> Sequence[Verdict]:
             parts = [asked[begin : begin + CHUNK] for begin in range(0, len(asked), CHUNK)]
-            judged = results([pool.submit(_judged, case, part) for part in parts])
+            judged = results([pool.submit(_judge, case, part) for part in parts])
             return [verdict for part in judged for verdict in part]
 
         yield in_processes
 
 
-def _judged(case: CartCase, asked: Sequence[Request]) -> list[Verdict]:
+def _judge(case: CartCase, asked: Sequence[Request]) -> list[Verdict]:
     return [case.judge(move, known, search=search) for move, known, search in asked]
 
 
@@ -240,7 +240,9 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     free_deg = {-1.0: 0.0, 1.0: 0.0}  # by direction of rotation
     going = list(free_deg)
     for turn in TURNS_DEG:
-        moves = [_beside(best, free_mm * TURNED_SHARE, way, side * turn) for side in going for way in SIDES]
+        moves = [
+            _neighbours(best, free_mm * TURNED_SHARE, way, side * turn) for side in going for way in SIDES
+        ]
         serving = [one.serves for one in judge([(move, (verdict.found,), True) for move in moves])]
         of_sides = [serving[first : first + len(SIDES)] for first in range(0, len(serving), len(SIDES))]
         going = [side for side, each in zip(going, of_sides, strict=True) if all(each)]
@@ -248,7 +250,7 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     return PlaceProposal(best, free_mm, (free_deg[-1.0], free_deg[1.0]), places)
 
 
-def _beside(best: CartMove, way_mm: float, way: tuple[float, float], turn_deg: float) -> CartMove:
+def _neighbours(best: CartMove, way_mm: float, way: tuple[float, float], turn_deg: float) -> CartMove:
     x, y = way
     turn_rad = best.turn_rad + math.radians(turn_deg)
     return CartMove(best.x_mm + x * way_mm, best.y_mm + y * way_mm, turn_rad)

@@ -127,7 +127,7 @@ class _Search:
         """The turns that serve in this branch, then smaller steps next to those that nearly do."""
         nearly = yield from self._ranked(axis, turns, branch)
         between = (
-            turn for turn in intermediate_turns_rad(nearly) if not self.hidden(_turned(axis, turn), branch)
+            turn for turn in intermediate_turns_rad(nearly) if not self.hidden(_turn(axis, turn), branch)
         )
         yield from self._ranked(axis, between, branch)
 
@@ -141,7 +141,7 @@ class _Search:
         others: list[tuple[float, float]] = []
         nearly: list[float] = []
         for turn in turns:
-            check = drive(self.setting, _turned(axis, turn), self.fiducials_mm, branch, first_only=True)
+            check = drive(self.setting, _turn(axis, turn), self.fiducials_mm, branch, first_only=True)
             if not check.passed:
                 if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
                     nearly.append(turn)
@@ -165,7 +165,7 @@ class _Search:
         def along(one: Trajectory) -> Iterator[float]:
             axis = axes.only(one.identifier)
             for turn in setting.strategy.turns_rad(one, self.fiducials_mm, setting.robot_from_ct, arm):
-                if not self.hidden(_turned(axis, turn), branch):
+                if not self.hidden(_turn(axis, turn), branch):
                     yield turn
 
         return {one.identifier: along(one) for one in axes.each}
@@ -182,7 +182,7 @@ class _Search:
         return tuple(unmet)
 
 
-def _turned(axis: Axes, turn_rad: float) -> Axes:
+def _turn(axis: Axes, turn_rad: float) -> Axes:
     return axis.turned({one.identifier: turn_rad for one in axis.each})
 
 

@@ -154,16 +154,16 @@ def _entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[s
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
     wrong = []
-    around = float(sampled_hu(volume, target + _ball()).mean())
+    around = float(sample_hu(volume, target + _ball()).mean())
     if around < AIR_BELOW_HU:
         wrong.append(f"the target is in air ({around:.0f} HU)")
-    before = sampled_hu(volume, entry - np.outer(_steps(*BEFORE_ENTRY_MM), direction))
+    before = sample_hu(volume, entry - np.outer(_steps(*BEFORE_ENTRY_MM), direction))
     if len(before) and float(np.mean(before < AIR_BELOW_HU)) < LEAST_SHARE:
         wrong.append(
             f"the path {BEFORE_ENTRY_MM[0]:g} to {BEFORE_ENTRY_MM[1]:g} mm in front of the entry is not in "
             f"air ({np.median(before):.0f} HU)"
         )
-    inside = sampled_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
+    inside = sample_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
     in_air = float(np.mean(inside < AIR_BELOW_HU))
     if in_air > 1.0 - LEAST_SHARE:
         wrong.append(f"{in_air:.0%} of the path from entry to target is in air")
@@ -174,7 +174,7 @@ def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
     """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
-    off_mm = _first_run_mm(steps, sampled_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
+    off_mm = _first_run_mm(steps, sample_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
     if off_mm is None or off_mm <= OFF_SKIN_MM:
         return ""
     return (
@@ -193,7 +193,7 @@ def standoff_in_skin(
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
     outwards = (entry - target) / np.linalg.norm(entry - target)
     steps = _steps(0.0, SKIN_WITHIN_MM)
-    in_air = sampled_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
+    in_air = sample_hu(volume, entry + np.outer(steps, outwards)) < AIR_BELOW_HU
     skin_mm = max(0.0, (_first_run_mm(steps, in_air, AIR_RUN_MM) or 0.0) - SAMPLING_MM)
     if standoff_mm > skin_mm:
         return None
@@ -204,7 +204,7 @@ def standoff_in_skin(
     )
 
 
-def sampled_hu(volume: Volume, points_mm: ArrayLike) -> Array:
+def sample_hu(volume: Volume, points_mm: ArrayLike) -> Array:
     """HU of the voxels that contain these points (n, 3), LPS mm; points outside the CT are dropped."""
     index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
     held = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
@@ -255,6 +255,6 @@ def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
     last = np.array(volume.geometry.shape) - 0.5
     index = volume.geometry.to_index(places_mm)
     held = np.all((index > -0.5) & (index < last), axis=1)
-    hu = sampled_hu(volume, places_mm[held])
+    hu = sample_hu(volume, places_mm[held])
     bone = np.flatnonzero(hu > BONE_HU)
     return float(steps_mm[held][bone[0]]) if len(bone) and len(hu) == held.sum() else float("nan")

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pydantic import ConfigDict, Field, ValidationError
 
 from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate, WrongSeries
-from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sampled_hu
+from procedures.planning.head_in_ct import AIR_BELOW_HU, HeadEllipsoid, sample_hu
 from procedures.planning.plan_model import Plan
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.strategies.trajectory import Trajectory
@@ -297,7 +297,7 @@ def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
 def _first_solid_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
     """Distance outwards from a point to the first object that is not a sheet; NaN without one."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
-    hu = sampled_hu(volume, at_mm + steps_mm[:, None] * outward)
+    hu = sample_hu(volume, at_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):
         return float("nan")  # beyond the CT
     solid = np.convolve(hu > AIR_BELOW_HU, np.ones(round(SKIN_THICK_MM / SKIN_STEP_MM)), "valid")

@@ -130,10 +130,10 @@ def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
     """Motions of the procedure in order, with previews."""
-    return tuple(_previewed(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
+    return tuple(_preview(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
 
 
-def _previewed(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
+def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
     limits, plan = setting.limits.slowed(motion.speed_fraction), motion.plan
     if motion.speed_fraction < 1.0 and plan.target is not None:
         plan = plan_line(setting.kinematics, plan.start_rad, plan.target, limits, plan.tool_in_flange_mm)
@@ -189,10 +189,10 @@ def _to(
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    yield Motion(name, name, _reversed(setting, reached.line), around, clear=True, back=True)
+    yield Motion(name, name, _reverse(setting, reached.line), around, clear=True, back=True)
 
 
-def _reversed(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
+def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
     """The line in reverse, with the same poses and speed limits."""
     began = setting.kinematics.forward(line.start_rad)
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)

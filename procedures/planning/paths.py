@@ -66,7 +66,7 @@ def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tu
     except LimitError:  # poses depend on the branch: the start's own has none
         visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
     flanges = [visit.pose @ _tool(setting, visit).inverse() for visit in visits]
-    return ranked_branches(setting.kinematics, flanges, setting.start_rad)
+    return rank_branches(setting.kinematics, flanges, setting.start_rad)
 
 
 def drive(
@@ -121,7 +121,7 @@ def _tool(setting: ArmSetting, visit: Visit) -> Transform:
     return setting.flange_from_tool
 
 
-def ranked_branches(
+def rank_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
     """Branches ordered by how many of the flange poses they reach; the start's own wins a tie.

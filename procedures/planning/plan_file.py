@@ -101,7 +101,7 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         lines = describe_mistakes(error, Plan)
         for mistake, line in zip(mistakes_in(error), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            message = _named(line, mistake["loc"], content) + _to_add(mistake)
+            message = _name_of(line, mistake["loc"], content) + _to_add(mistake)
             found.append(kind(message))
     found += [
         DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
@@ -131,7 +131,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
         raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
 
 
-def _named(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
+def _name_of(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
     """Name the trajectory or structure in the line, or else give its number."""
     match place:
         case ("trajectories" | "structures" as table, int(index), *_):

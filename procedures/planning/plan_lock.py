@@ -34,7 +34,7 @@ def lock_plan(path: Path) -> Iterator[HeldPlan]:
     """
     with ExitStack() as stack:
         try:
-            file = _locked(path, fcntl.LOCK_SH)
+            file = _lock(path, fcntl.LOCK_SH)
             stack.callback(os.close, file)
             content = os.pread(file, LARGEST_TOML_BYTES + 1, 0)
         except OSError as error:
@@ -49,7 +49,7 @@ def plan_replacement(path: Path) -> Iterator[None]:
     A file that does not exist yet is held by no one.
     """
     try:
-        file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file = _lock(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         raise PlanInUse(f"a case is running on {path.name}: it can only be viewed") from None
     except FileNotFoundError:
@@ -66,7 +66,7 @@ def plan_replacement(path: Path) -> Iterator[None]:
 def plan_in_use(path: Path) -> bool:
     """Whether a running case holds this plan file."""
     try:
-        file = _locked(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        file = _lock(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
         return True
     except OSError:  # no plan, or one that cannot be saved: saving reports that
@@ -93,7 +93,7 @@ class PlannerLock:
             except OSError:
                 return True
             try:
-                self._file = _locked(self._path, fcntl.LOCK_EX | fcntl.LOCK_NB)
+                self._file = _lock(self._path, fcntl.LOCK_EX | fcntl.LOCK_NB)
             except (BlockingIOError, FileNotFoundError):  # held, or its holder is just leaving
                 return False
             except OSError:  # a file system without locks
@@ -110,10 +110,10 @@ class PlannerLock:
         self._file = None
 
 
-def _locked(path: Path, kind: int) -> int:
+def _lock(path: Path, kind: int) -> int:
     """Open and lock the file at this path, again if it was replaced meanwhile."""
     while True:
-        file = _opened(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
+        file = _open(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
             fcntl.flock(file, kind)
             if os.path.samestat(os.fstat(file), os.stat(path)):
@@ -124,7 +124,7 @@ def _locked(path: Path, kind: int) -> int:
         os.close(file)
 
 
-def _opened(path: Path) -> int:
+def _open(path: Path) -> int:
     """Open writable if possible, as exclusive locks on a network file system require."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)

@@ -43,7 +43,7 @@ SEATING = "seating of the spheres"
 USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 
 
-def predicted_by_markers(
+def predict_by_markers(
     markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
 ) -> TargetPrediction:
     """Error at a target from CT and seating of the markers (n, 3), with covariances (n, 3, 3); CT frame."""
@@ -52,7 +52,7 @@ def predicted_by_markers(
     )
 
 
-def predicted_with_arm(
+def predict_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
     """Error at a target including arm, tool frame, calibrations and instrument, for a passed check."""
@@ -139,13 +139,13 @@ def choose_best_strategies(
             alone = replace(setting, strategy=candidate)
             turned = choose_free_angles(alone, (one,), fiducials_mm, sight)
             if turned.check.passed:
-                predicted_mm[candidate] = predicted_arm_error_mm(alone, turned.check, one)
+                predicted_mm[candidate] = predict_arm_error_mm(alone, turned.check, one)
         if predicted_mm:
             chosen[one.identifier] = min(predicted_mm, key=lambda name: predicted_mm[name])
     return replace(setting, strategy=replace(setting.strategy, others=chosen))
 
 
-def predicted_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
+def predict_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Trajectory) -> float:
     """Rms of the arm's own errors at a trajectory's target, from a check of that trajectory alone.
 
     Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do

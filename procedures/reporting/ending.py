@@ -36,7 +36,7 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
     closed = ended if ended is not None and ended["entry"] == Entry.CLOSED else None
     last = next((line for line in reversed(journal) if line["entry"] in ENDS_A_STEP), None)
     if opened is None:
-        return Ending("not begun", *_with_error("The run ended before its theatre was open.", error))
+        return Ending("not begun", *_append_error("The run ended before its theatre was open.", error))
     if closed is None:
         running = next((line for line in reversed(journal) if line["entry"] == Entry.INTENT), None)
         where = (
@@ -44,11 +44,11 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
         )
         return Ending("killed", f"The program ended{where} without closing the run, or is still running.")
     inside = closed.get("instrument_in")
-    word, sentence, code = _closed_ending(journal, closed, last, error)
+    word, sentence, code = _describe_closed_run(journal, closed, last, error)
     return Ending(word, sentence, code, inside if isinstance(inside, str) else None)
 
 
-def _closed_ending(
+def _describe_closed_run(
     journal: Sequence[Line], closed: Line, last: Line | None, error: RunError | None
 ) -> tuple[str, str, str]:
     """Return word, sentence and code of a closed run whose last step ended with the line `last`."""
@@ -75,16 +75,16 @@ def _closed_ending(
     if last is not None and last["entry"] == Entry.REFUSED:
         unmet = last.get("unmet")
         reasons = "; ".join(map(str, unmet)) if isinstance(unmet, list) else ""
-        return "refused", f"{step} was refused: {reasons}.{_acknowledged_since(journal, last)}", ""
+        return "refused", f"{step} was refused: {reasons}.{_describe_acknowledgement(journal, last)}", ""
     if last is not None and last["entry"] == Entry.FAILED:
-        over = _acknowledged_since(journal, last)
+        over = _describe_acknowledgement(journal, last)
         return "failed", f"{step} failed. {last.get('what', '')}{over}", str(last.get("code", ""))
     if error is None and closed.get("what"):
         error = RunError(code=str(closed.get("code")), what=str(closed["what"]))
-    return "failed", *_with_error(f"It failed after {step}." if step else "It failed.", error)
+    return "failed", *_append_error(f"It failed after {step}." if step else "It failed.", error)
 
 
-def _acknowledged_since(journal: Sequence[Line], last: Line) -> str:
+def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
     """Word who has acknowledged the fault named by a line since; empty while it stands."""
     place = next(number for number, line in enumerate(journal) if line is last)
     said = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
@@ -143,5 +143,5 @@ def _is_stop(line: Line) -> bool:
     return any("emergency stop" in str(line.get(field, "")) for field in ("what", "fault", "unmet"))
 
 
-def _with_error(sentence: str, error: RunError | None) -> tuple[str, str]:
+def _append_error(sentence: str, error: RunError | None) -> tuple[str, str]:
     return (sentence, "") if error is None else (f"{sentence} {error.what}", error.code)

@@ -198,7 +198,7 @@ def _ticks(length_s: float) -> list[float]:
     return [number * step for number in range(int(length_s / step) + 1)]
 
 
-def summed_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
+def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
     """Sum the bins (from us, to us, turnaround, jitter) of all streams, without empty ends."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]

@@ -36,7 +36,7 @@ from procedures.reporting.pictures import (
     clearance_figure,
     link_figure,
     looks_figure,
-    summed_histograms,
+    sum_histograms,
     target_figure,
     timeline_figure,
 )
@@ -156,7 +156,7 @@ def write_report(
         **_second_reading(reading, files, rows, out),
         "files": files.written,
         "findings": _findings(reading),
-        "left_out": _left_out(reading),
+        "left_out": _describe_exclusions(reading),
         "changes": reading.changes,
         "problems": reading.problems,
     }
@@ -191,7 +191,7 @@ def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
     return {"plan_rows": rows, "clearance_pictures": pictures}
 
 
-def _left_out(reading: RunReading) -> list[str]:
+def _describe_exclusions(reading: RunReading) -> list[str]:
     sentences = []
     models: tuple[type[StepResult], ...] = (Correspondence, CheckedPaths, Relocalization, RegisteredRobot)
     for stored in (stored for model in models for stored in reading.standing(model)):
@@ -225,7 +225,7 @@ def _figures(
         made["timeline_picture"] = timeline_figure(spans)
         files.text("timeline.svg", made["timeline_picture"])
         files.timeline(spans)
-    if links and (bins := summed_histograms(links)):
+    if links and (bins := sum_histograms(links)):
         made["link_picture"] = link_figure(bins)
         files.text("robot_link.svg", made["link_picture"])
         files.link(bins)

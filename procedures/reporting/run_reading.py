@@ -44,13 +44,13 @@ class RunReading:
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
         """The valid and readable results of a step, in order."""
-        return self._readable(model, self.run.what_stands)
+        return self._readable(model, self.run.valid_records)
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
         """Return the readable registrations by which the targets were or will be reached."""
         made = self._readable(RegisteredRobot, self.run.records)
-        return used_registrations(made, self.run.records, self.run.superseded)
+        return find_used_registrations(made, self.run.records, self.run.superseded)
 
     def _readable(self, model: type[R], records: Sequence[Record]) -> tuple[Stored[R], ...]:
         found = []
@@ -128,7 +128,7 @@ class UsedRegistration:
         return self.stored.result.model_copy(update={"predictions": self.predictions})
 
 
-def used_registrations(
+def find_used_registrations(
     registrations: Sequence[Stored[RegisteredRobot]], records: Sequence[Record], gone: Collection[str]
 ) -> tuple[UsedRegistration, ...]:
     """Find the registrations used in a run, in order; `gone` are identifiers of superseded records.
@@ -160,4 +160,4 @@ def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
     """Find the registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.standing}
     made = [Stored(one, typed(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind]
-    return used_registrations(made, records, {one.identifier for one in records} - stands)
+    return find_used_registrations(made, records, {one.identifier for one in records} - stands)

@@ -68,7 +68,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
     """
     former = read_toml(source, BadTheatreFile).get("calibration", {})
     dated = {
-        name: record if record["created"] == measured else _dated_as(former.get(name, {}), record)
+        name: record if record["created"] == measured else _keep_former_date(former.get(name, {}), record)
         for name, record in records.items()
     }
     write_theatre_tables(source, target, {"calibration": dated})
@@ -101,7 +101,7 @@ def require_same_folder(source: Path, target: Path) -> None:
         )
 
 
-def _dated_as(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
+def _keep_former_date(former: dict[str, Any], record: dict[str, Any]) -> dict[str, Any]:
     if former.get("identifier") != record["identifier"]:
         return record
     return {**record, "created": former["created"], "expires": former["expires"]}
@@ -120,7 +120,7 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
     for name, entries in tables.items():
         meant[name] = {**meant.get(name, {}), **entries}
         new |= {(name, key): tomli_w.dumps({name: {key: entry}}) for key, entry in entries.items()}
-    replaced = "".join(_replaced(text, new))
+    replaced = "".join(_remove_tables(text, new))
     try:
         kept = tomllib.loads(replaced) == meant
     except tomllib.TOMLDecodeError:
@@ -128,7 +128,7 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
     return replaced if kept else tomli_w.dumps(meant)
 
 
-def _replaced(text: str, new: dict[Place, str]) -> Iterator[str]:
+def _remove_tables(text: str, new: dict[Place, str]) -> Iterator[str]:
     """Yield the lines without replaced tables, but with comments in front of the next header."""
     to_write = dict(new)
     leaving_out, remarks = False, list[str]()

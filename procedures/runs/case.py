@@ -48,7 +48,7 @@ def order_of_case(case: CaseProcedure, folder: Path, held: HeldPlan | None = Non
     return _order(case, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
 
 
-def recorded_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
+def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
     """Return the steps of an interrupted run by the plan that it checked, whatever became of the file since.
 
     Raises REC-001, REC-003.
@@ -88,9 +88,7 @@ def prepare_case(
 
     case = request.case
     if resumption is not None and resumption.only_leaving:
-        return EngineInput(
-            recorded_order(case, resumption.interrupted), clinical=clinical_input(case, folder)
-        )
+        return EngineInput(restore_order(case, resumption.interrupted), clinical=clinical_input(case, folder))
     if resumption is None:  # before anybody is asked anything; set_up looks again
         now, choice = this_second(), request.choice
         simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}"

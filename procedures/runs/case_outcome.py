@@ -148,7 +148,7 @@ def finished(
         ),
     ]
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
-    measured_mm = {name: _measured_error_mm(case, name) for name in names}
+    measured_mm = {name: _read_measured_error_mm(case, name) for name in names}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
     in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
     return FinishedRun(
@@ -181,7 +181,7 @@ def finished(
     )
 
 
-def _measured_error_mm(case: Case, trajectory: str) -> float | None:
+def _read_measured_error_mm(case: Case, trajectory: str) -> float | None:
     from procedures.steps.clinical.target_measurement import MeasuredTarget
 
     measured = case.find(MeasuredTarget, trajectory)

@@ -29,7 +29,12 @@ from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.inputs import note_same_content
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
-from procedures.steps.clinical.room import build_watch, followed_registration, followed_spheres, frame_at_home
+from procedures.steps.clinical.room import (
+    build_watch,
+    find_followed_registration,
+    followed_spheres,
+    frame_at_home,
+)
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.workcell import MountedTool
@@ -142,20 +147,20 @@ def compare_devices(
         if (then := recorded.identities.get(role)) == found:
             comparison.same(f"{role} {found.model}")
         elif role != ARM and only_leaving:
-            comparison.note(f"{role}: a different one; not needed on the way home: {_named(found)}")
+            comparison.note(f"{role}: a different one; not needed on the way home: {_describe_device(found)}")
         else:
-            comparison.differs(role, _named(then) if then else "none", _named(found))
+            comparison.differs(role, _describe_device(then) if then else "none", _describe_device(found))
     if not only_leaving:
         _compare_cameras(engine, comparison)
     workcell.compare_place()  # it may have been jogged meanwhile
     _compare_tool(engine, comparison, exchange_begun=exchange_begun)
 
 
-def _named(identity: DeviceIdentity) -> str:
+def _describe_device(identity: DeviceIdentity) -> str:
     return f"{identity.model} {identity.serial} with firmware {identity.firmware}"
 
 
-def _dated(record: DatedRecord) -> str:
+def _describe_record(record: DatedRecord) -> str:
     return f"{record.identifier} of {record.created:%Y-%m-%d}"
 
 
@@ -168,16 +173,16 @@ def _compare_calibrations(
         if only_leaving and name not in FOR_MOTION:
             comparison.note(f"calibration {name}: not needed on the way home, and there is none")
             continue
-        comparison.differs(f"calibration {name}", _dated(then[name]), "none")
+        comparison.differs(f"calibration {name}", _describe_record(then[name]), "none")
     for name, record in now.records.items():
         if record != then.get(name) and only_leaving and name not in FOR_MOTION:
             comparison.note(
-                f"calibration {name}: a different one; not needed on the way home: {_dated(record)}"
+                f"calibration {name}: a different one; not needed on the way home: {_describe_record(record)}"
             )
             continue
         if record != then.get(name):
-            before = _dated(then[name]) if name in then else "none"
-            comparison.differs(f"calibration {name}", before, _dated(record))
+            before = _describe_record(then[name]) if name in then else "none"
+            comparison.differs(f"calibration {name}", before, _describe_record(record))
             continue
         try:
             record.check_valid_at(engine.setting.today())
@@ -196,7 +201,7 @@ def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Co
     """Compare the devices, and the sources of depths, clearances and predictions in the theatre file."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in recorded.identities.keys() - setting.workcell.devices.keys():
-        comparison.differs(role, _named(recorded.identities[role]), "none")
+        comparison.differs(role, _describe_device(recorded.identities[role]), "none")
     for name in sorted({*recorded.tools, *tools.records}):
         comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
     if tools.flange != recorded.flange:
@@ -291,7 +296,7 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     pairs = None if matched is None else matched.result.pairs
     watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
     context = engine.context(engine.order.sequence[0])
-    followed = context.result_among(RegisteredRobot, partial(followed_registration, trajectory=None))
+    followed = context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
     watch.follow(followed_spheres(followed))
     watch.refer(frame_at_home(context))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)

@@ -123,7 +123,7 @@ class ConsoleLink:
         except (RonnaError, ValueError) as error:
             if not self._ending:
                 self._say(f"no console: {error}")
-            self._gone()
+            self._on_console_gone()
             self._answered.set()
             return
         tell_address(ready, self._say)
@@ -139,7 +139,7 @@ class ConsoleLink:
                 except ValueError:
                     continue  # the console's own side has refused it
                 self._send(Reply(nonce=sent.nonce, refused=self._station.take(sent)).model_dump_json())
-        self._gone()
+        self._on_console_gone()
 
     def _beat_until_followed(self) -> None:
         """Heartbeats keep the console alive while the theatre opens and there are no events yet."""
@@ -169,7 +169,7 @@ class ConsoleLink:
             return False
         return True
 
-    def _gone(self) -> None:
+    def _on_console_gone(self) -> None:
         if not self._station.gone:
             self._station.leave()
             if not self._ending:

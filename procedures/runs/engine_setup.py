@@ -19,9 +19,9 @@ from procedures.guards import (
     GuideDisplacement,
     TrackerLink,
     UnchangedRecords,
+    case_guards,
     patient_watch,
     sight_guard,
-    standing_guards,
 )
 from procedures.guards.errors import BaseShifted
 from procedures.journal.journal import ONLY_LEAVING, Entry, Journal, JournalValue
@@ -125,7 +125,7 @@ def build_engine(
     if left is None or not left.has_journal:
         journal = Journal(folder, written)
     else:
-        journal = Journal.taken_up(folder, left.chain, written)
+        journal = Journal.reopen_run(folder, left.chain, written)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
@@ -197,7 +197,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     workcell = setting.workcell
     workcell.on_stop_failed = lambda failure: engine.events.publish(Advisory(text=failure))
     folder = engine.case.folder
-    guards.extend(standing_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
+    guards.extend(case_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
             UnchangedRecords(file, theatre, lambda: engine.running is not None and not workcell.place.on_axis)
@@ -206,7 +206,7 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     if setting.clinical is None:
         guards.append(link)
         return
-    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    engine.goes_on = MovedCart(engine).continues_by_consent
     if not only_leaving:
         inputs = UnchangedInputs(engine, setting.clinical)
         guards.append(inputs)
@@ -227,7 +227,7 @@ class MovedCart:
         self._engine = engine
         self._moves = 0
 
-    def agreed_to_go_on(self, problem: RonnaError) -> bool:
+    def continues_by_consent(self, problem: RonnaError) -> bool:
         """Whether a case stopped by this problem continues by itself. Raises the errors of the way home."""
         engine = self._engine
         if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:

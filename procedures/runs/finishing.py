@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.folders import forget_if_empty, forget_if_refused, held_run
+from procedures.runs.folders import forget_if_empty, forget_if_refused, hold_run
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import read_request
 from procedures.runs.simulated_theatre import truth_if_any
@@ -82,7 +82,7 @@ def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
 
 
 @contextlib.contextmanager
-def sealed_again(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
+def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
     """Leave report and seal of a finished run that was killed before its seal, after the block."""
     from procedures.runs.reopening import close_again, make_ready
 
@@ -135,7 +135,7 @@ def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResul
     from procedures.reporting.files import drop_unconfirmed_truth
     from procedures.reporting.report import write_report
 
-    with contextlib.nullcontext() if out else held_run(run):
+    with contextlib.nullcontext() if out else hold_run(run):
         found = inspected(run)
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
@@ -241,7 +241,7 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
         history = history_left_by(read_chain(folder / JOURNAL_FILE))
-        if _left_by_another(folder):  # what ends this run names the commands of that one
+        if _another_left_arm_away(folder):  # what ends this run names the commands of that one
             return
         if history.place.is_out or (interrupted and history.motions):
             first = _theatre_again(folder) if isinstance(problem, ClockUnavailable) else ""
@@ -262,7 +262,7 @@ def _theatre_again(folder: Path) -> str:
     return f"its theatre has ended: start it again with ronna-sim theatre --out {out} --continue, then"
 
 
-def _left_by_another(folder: Path) -> bool:
+def _another_left_arm_away(folder: Path) -> bool:
     """Whether another run on the same theatre left the arm away from home."""
     from procedures.runs.theatre_lock import last_moved
     from procedures.runs.theatre_note import arm_not_home

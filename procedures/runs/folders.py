@@ -63,7 +63,7 @@ def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def held_run(folder: Path) -> Iterator[None]:
+def hold_run(folder: Path) -> Iterator[None]:
     """Hold a run's folder for this program; raises PRO-030 while another one does."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:

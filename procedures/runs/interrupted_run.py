@@ -120,7 +120,7 @@ class InterruptedRun:
                 course.accept(key, Stored(record, typed(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
                 key = step_key(line)
-                _require_superseded(course.voided_with(key), key, line)
+                _require_superseded(course.records_voided_by(key), key, line)
                 course.void(key)
             elif line["entry"] == Entry.DOUBTED:  # whether they are kept is asked again
                 for name in _names(line, "steps"):

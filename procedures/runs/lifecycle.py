@@ -169,13 +169,13 @@ def _hold_configured(
     stack: contextlib.ExitStack,
 ) -> tuple[str | None, Room]:
     """Hold the devices of a theatre file; return which run left the arm away from home, and the staff."""
-    from procedures.runs.theatre_lock import held_theatre
+    from procedures.runs.theatre_lock import hold_theatre
     from procedures.runs.theatre_note import arm_not_home
     from ronna_hw.config import read_theatre_file
     from ronna_hw.theatre_kind import is_simulated
 
     only_leaving = resumption is not None and resumption.only_leaving
-    note = stack.enter_context(held_theatre(file, folder, only_leaving=only_leaving))
+    note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
     away = arm_not_home(note, folder)
     room = observers.staff(is_simulated(read_theatre_file(file)))
     return away, room if observers.executor is None else observers.executor.staff(room)

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING
 
 from procedures.engine.events import Seat as SeatEvent
-from procedures.engine.events.event_types import shown_digest
+from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.operator.checkpoint import ABORT
 from procedures.operator.question import Answer, Question, Signature, Topic
@@ -348,7 +348,7 @@ class OperatorStation:
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
             self._question = asked = _OpenQuestion(
-                question, shown_digest(as_shown(question, question.number))
+                question, digest_of_question(as_shown(question, question.number))
             )
             try:
                 while asked.answer is None and not self._gone:
@@ -401,7 +401,7 @@ class OperatorStation:
         with self._changed:
             return self._pending is not None and self._pending.aborts
 
-    def occupied_since(self, vacated: int) -> bool:
+    def is_occupied_since(self, vacated: int) -> bool:
         """Whether somebody is in the seat, and it has become free no more often than `vacated` times."""
         with self._changed:
             self._notice_lapse()

@@ -25,7 +25,7 @@ HELD = "the case is held, the arm is at rest; the operator at the console decide
 LOOK_AGAIN_S = 0.1  # host time between two looks at the standard input
 
 
-def _typed(timeout_s: float) -> bool:
+def _input_is_ready(timeout_s: float) -> bool:
     return bool(select.select([sys.stdin], [], [], timeout_s)[0])
 
 
@@ -61,13 +61,13 @@ class OrderExecutor:
     """Carries out orders between steps, on the engine's own thread."""
 
     def __init__(
-        self, station: OperatorStation, *, runs: bool, typed: Callable[[float], bool] = _typed
+        self, station: OperatorStation, *, runs: bool, typed: Callable[[float], bool] = _input_is_ready
     ) -> None:
         """With `runs` the case goes on by itself until the operator says otherwise.
 
         `typed` says whether something can be read from the standard input within that host time.
         """
-        self._typed = typed
+        self._input_is_ready = typed
         self.station = station
         self.has_led_home = False  # the case was aborted, and led out and home as far as that was confirmed
         self._runs = runs
@@ -161,11 +161,11 @@ class OrderExecutor:
     def follow_until_typed(self, engine: Engine) -> None:
         """Carry out orders until something is typed on the standard input, or that ends."""
         self._wait(engine)
-        while not self._typed(0.0):
+        while not self._input_is_ready(0.0):
             self.note_seat()
             in_charge = self.in_charge
             if self.station.gone or engine.machine.ended or (name := comes_next(engine)) is None:
-                self._typed(LOOK_AGAIN_S)
+                self._input_is_ready(LOOK_AGAIN_S)
             elif self._going and not self._must_wait(in_charge=in_charge):
                 self._run_step(engine, name)
             else:
@@ -179,7 +179,7 @@ class OrderExecutor:
         if not in_charge:
             self._going = self._going or self._runs  # the console is gone, and the case goes on
             return not self._going
-        return not self._going or not self.station.occupied_since(self._vacated)
+        return not self._going or not self.station.is_occupied_since(self._vacated)
 
     def _wait(self, engine: Engine) -> str:
         publish_waiting(engine)
@@ -196,7 +196,7 @@ class OrderExecutor:
                 self._leave(engine)
             raise
         except RonnaError as error:
-            error, agreed = self._agreed(engine, error)
+            error, agreed = self._continue_by_consent(engine, error)
             if agreed and self._until is None:
                 return
             self._going, self._until = False, None
@@ -219,7 +219,7 @@ class OrderExecutor:
         if not self._going:
             self._wait(engine)
 
-    def _agreed(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
+    def _continue_by_consent(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
         """Return whether the case continues by consent, and else the error of the step or of the way on."""
         try:
             return error, engine.goes_on(error)

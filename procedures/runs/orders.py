@@ -34,14 +34,16 @@ Finite = Annotated[float, Field(allow_inf_nan=False)]
 Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_-]+$")]
 
 
-def _shown_as_written(name: str) -> str:
+def _require_visible_name(name: str) -> str:
     """Refuse control and format characters: they can make a name read as another person's."""
     if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
         raise ValueError("a name has only characters that are shown")
     return name
 
 
-Name = Annotated[str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_shown_as_written)]
+Name = Annotated[
+    str, Field(min_length=1, max_length=60, pattern=r"\S"), AfterValidator(_require_visible_name)
+]
 
 
 class Order(BaseModel):
@@ -282,7 +284,7 @@ class SentOrder(BaseModel):
         return self
 
     @model_serializer(mode="wrap")
-    def _beside_each_other(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
+    def _flatten_order(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
         fields = plain(self)
         return {**fields.pop("order"), **fields}
 

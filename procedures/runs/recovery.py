@@ -113,7 +113,7 @@ def _take_up_arm(
 ) -> None:
     """Restore the arm's history, compare every device, and look for an instrument at the guide's position."""
     workcell = engine.setting.workcell
-    workcell.take_up(left.arm, set_up.home_rad)
+    workcell.restore_history(left.arm, set_up.home_rad)
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -126,7 +126,7 @@ def _take_up_arm(
     _compare_last_to_move(engine, comparison)
     if not workcell.place.on_axis and (found := guide_on_an_axis(engine)) is not None:
         axis, beyond_mm = found
-        workcell.found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
+        workcell.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
         comparison.warn(
             f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
@@ -230,7 +230,7 @@ def _first(engine: Engine) -> tuple[str, ...]:
 
 def _then(engine: Engine) -> str:
     course, order = engine.course, engine.order
-    again = {_step_of(gone) for key in course.checks_in_doubt for gone in course.voided_with(key)}
+    again = {_step_of(gone) for key in course.checks_in_doubt for gone in course.records_voided_by(key)}
     steps = (
         [] if course.over else [str(key) for key in order.sequence if key in again or not course.settled(key)]
     )

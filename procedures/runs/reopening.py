@@ -13,7 +13,7 @@ from procedures.engine.setting import ClinicalInput
 from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import OF_EVERY_LINE, Entry, Journal, JournalValue, theatre_time_s
 from procedures.reporting.files import KEPT_TRUTH, drop_unconfirmed_truth
-from procedures.runs.folders import held_run
+from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 from procedures.runs.request import RunRequest
 from procedures.runs.request_file import read_request
@@ -28,7 +28,7 @@ PROBE_FILE = ".writable"
 PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
-def reopened_request(
+def read_reopened_request(
     folder: Path, *, accept: bool = False, answers: Path | None = None, as_before: bool = False
 ) -> RunRequest:
     """Read the request of a run, with that file of answers; without one with the run's own, if `as_before`.
@@ -57,14 +57,14 @@ def reopened_request(
 
 
 @contextmanager
-def held_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterator[InterruptedRun]:
+def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterator[InterruptedRun]:
     """Hold the folder of an interrupted run for this program, and read it.
 
     With `only_leaving` a change of files on which the way home does not depend is only reported. Raises
     PRO-030 while another program has the run open, PRO-033 if it was changed.
     """
     folder = folder.resolve()
-    with held_run(folder):
+    with hold_run(folder):
         interrupted = read_interrupted_run(folder, only_leaving=only_leaving)
         for change in interrupted.changes:
             tell(f"warning: not as the run left it: {change}")
@@ -83,7 +83,7 @@ def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
         if last == run:
             return None
         try:
-            reopened_request(last)
+            read_reopened_request(last)
             found = read_interrupted_run(last, only_leaving=True)
             if not (found.parked or found.untouched):
                 return last
@@ -136,7 +136,7 @@ def close_complete(
     """Write the end of a run whose every step is valid; moves nothing and asks no device."""
     moment_s = theatre_time_s(interrupted.run.journal[-1])
     folder = interrupted.folder
-    journal = Journal.taken_up(folder, interrupted.chain)
+    journal = Journal.reopen_run(folder, interrupted.chain)
     journal.write(Entry.RESTARTED, moment_s, **interrupted.as_plain())
     close_run(folder, journal, moment_s, outcome, clinical, **more)
     return read_interrupted_run(folder)
@@ -145,7 +145,7 @@ def close_complete(
 def close_again(interrupted: InterruptedRun) -> InterruptedRun:
     """Write the end of a closed but unsealed run again, naming the files that lie there unconfirmed."""
     last = interrupted.run.journal[-1]
-    journal = Journal.taken_up(interrupted.folder, interrupted.chain)
+    journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())
     said = {field: value for field, value in last.items() if field not in OF_EVERY_LINE}
     journal.write(Entry.CLOSED, theatre_time_s(last), **said)

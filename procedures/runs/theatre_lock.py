@@ -50,18 +50,18 @@ class TheatreUser:
 
 
 @contextmanager
-def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
+def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
     """Hold the devices of a theatre file for a run; yield how the runs before it left the arm.
 
     Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
     With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
     """
     if user := _user_of_own_run(theatre):
-        raise _in_use(user)
+        raise _is_in_use(user)
     path = note_file(theatre)
     with ExitStack() as stack:
-        noted = _opened_note(path)
-        for file in (_opened(path, NOTE) if noted is None else noted, _opened(theatre)):
+        noted = _open_note(path)
+        for file in (_open_own(path, NOTE) if noted is None else noted, _open_own(theatre)):
             if file is not None:
                 stack.callback(os.close, file)
                 _lock(file, path, needed=noted in (None, file))
@@ -73,26 +73,26 @@ def held_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
         note = before.model_copy(
             update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
         )
-        if not (_written(noted, note) or only_leaving):
+        if not (_write_note(noted, note) or only_leaving):
             raise TheatreNotNoted(
                 f"cannot write {path}: a later run would not know that this one left the arm away from home"
             )
         try:
             yield before
         finally:  # from here on its folder may be moved
-            _written(noted, note.settled())
+            _write_note(noted, note.settled())
 
 
-def _opened_note(path: Path) -> int | None:
+def _open_note(path: Path) -> int | None:
     with suppress(OSError):  # it is there, or nothing can be made there
         path.parent.mkdir()
         path.parent.chmod(WRITABLE_BY_ALL)
     # Where everyone may write, a file of another user can be opened only without making it.
-    made = _opened(path, NOTE | os.O_RDWR | os.O_CREAT)
-    return _opened(path, NOTE | os.O_RDWR) if made is None else made
+    made = _open_own(path, NOTE | os.O_RDWR | os.O_CREAT)
+    return _open_own(path, NOTE | os.O_RDWR) if made is None else made
 
 
-def _opened(path: Path, how: int = os.O_RDONLY) -> int | None:
+def _open_own(path: Path, how: int = os.O_RDONLY) -> int | None:
     """Open a file or folder; None if it is another user's or does not exist."""
     try:
         return os.open(path, how | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
@@ -105,13 +105,13 @@ def _lock(file: int, path: Path, *, needed: bool) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise _in_use(_user(path, file)) from None
+        raise _is_in_use(_user(path, file)) from None
     except OSError:  # a network file system may lock only what is open for writing
         if needed:
             raise
 
 
-def _written(file: int | None, note: TheatreNote) -> bool:
+def _write_note(file: int | None, note: TheatreNote) -> bool:
     if file is None:
         return False
     try:
@@ -127,7 +127,7 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
     if user := _user_of_own_run(theatre):
         return user
     path = note_file(theatre)
-    for file in (_opened(path, NOTE), _opened(theatre)):
+    for file in (_open_own(path, NOTE), _open_own(theatre)):
         if file is None:
             continue
         try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
@@ -144,7 +144,7 @@ def last_moved(theatre: Path) -> TheatreNote:
 
 
 def unwritable_note(theatre: Path) -> Path | None:
-    """Return the note that `held_theatre` needs and this user may not write; None if it may."""
+    """Return the note that `hold_theatre` needs and this user may not write; None if it may."""
     path = note_file(theatre)
     there = next(place for place in (path, *path.parents) if place.exists())
     return None if os.access(there, os.W_OK) else path
@@ -159,10 +159,10 @@ def last_runs(theatre: Path) -> tuple[Path, ...]:
 def require_free_theatre(theatre: Path) -> None:
     """Raise PRO-043 while another program has the devices, before anyone prepares anything."""
     if user := theatre_user(theatre):
-        raise _in_use(user)
+        raise _is_in_use(user)
 
 
-def _in_use(user: TheatreUser) -> TheatreInUse:
+def _is_in_use(user: TheatreUser) -> TheatreInUse:
     return TheatreInUse(user.seen, action=user.advice("start again"))
 
 

@@ -45,13 +45,15 @@ class TheatreNote(BaseModel):
 
     def settled(self) -> TheatreNote:
         """Return the note with the end of `run`, by its journal; one that is gone may have done anything."""
-        home = None if self.pid is None or self.run is None else _left_home(self.run, self.lines_before)
+        home = (
+            None if self.pid is None or self.run is None else _brought_arm_home(self.run, self.lines_before)
+        )
         if home is None:
             return self.model_copy(update={"pid": None})
         return TheatreNote(run=self.run, moved_before=self.run, at_home=home)
 
 
-def _left_home(run: Path, lines_before: int) -> bool | None:
+def _brought_arm_home(run: Path, lines_before: int) -> bool | None:
     """Whether a run brought the arm home; None if it certainly moved nothing.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.

@@ -48,7 +48,7 @@ def surround(engine: Engine) -> None:
     elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
         over = next(key for key in keys if key.name == Relocalization.kind)
         surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
-    elif (led := _led(engine)) is not None:
+    elif (led := _registration_of_guide(engine)) is not None:
         surround_guide(engine.context(led.key), led.robot_from_ct, workcell.joints_rad())
     elif not workcell.place.is_home:
         raise RecoveryRefused(
@@ -59,7 +59,7 @@ def surround(engine: Engine) -> None:
 
 def head_moved_since(engine: Engine) -> bool:
     """Whether the guide must leave by a registration that is no longer valid."""
-    return (led := _led(engine)) is not None and not led.holds
+    return (led := _registration_of_guide(engine)) is not None and not led.holds
 
 
 def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
@@ -131,7 +131,7 @@ class _Led:
     holds: bool
 
 
-def _led(engine: Engine) -> _Led | None:
+def _registration_of_guide(engine: Engine) -> _Led | None:
     """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:

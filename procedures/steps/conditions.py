@@ -66,7 +66,7 @@ def inserted(context: StepContext) -> tuple[str, ...]:
     return (f"the guide is {where}, not in front of that of {context.trajectory}",)
 
 
-def inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
+def is_inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
     """The guide is held before this step's entry, or came back from it and went nowhere else."""
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()

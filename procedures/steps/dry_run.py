@@ -44,7 +44,7 @@ def planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str
         return None
     workcell = setting.workcell
     if key.name in (CheckedTool.kind, ConfirmedTarget.kind):
-        lines = _over_the_gauge(case, setting)
+        lines = _preview_over_gauge(case, setting)
         return lines if workcell.place.is_home else ("the arm is not home; from home it would", *lines)
     paths = stored.result
     if key.name == Relocalization.kind:
@@ -72,7 +72,7 @@ class _PlannedArm:
         return preview_motion(self.kinematics, start_rad, motion, self.around, self.limits)
 
 
-def _over_the_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
+def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     """Preview the motions over the gauge from home; no path is recorded for them."""
     workcell = setting.workcell
     scene = planning_scene(
@@ -105,7 +105,7 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
 
 
 def _in_words(motions: Sequence[MotionPreview]) -> tuple[str, ...]:
-    return tuple(_described(one) for one in motions)
+    return tuple(_describe_motion(one) for one in motions)
 
 
 def _belongs(motion: MotionPreview, key: StepKey) -> bool:
@@ -119,7 +119,7 @@ def _belongs(motion: MotionPreview, key: StepKey) -> bool:
     return False
 
 
-def _described(motion: MotionPreview) -> str:
+def _describe_motion(motion: MotionPreview) -> str:
     near = motion.closest
     passing = "" if near is None else f"; {near.first} clears {near.second} by {near.distance_mm:.0f} mm"
     start, end = _place(motion.start), _place(motion.end)

@@ -309,7 +309,7 @@ UNMOVED = ArmHistory()
 
 def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
     """Fold a journal into the history of one arm. Raises PRO-011 for a line that this version cannot read."""
-    return reduce(_followed_by, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
+    return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
 def history_left_by(chain: Chain, arm: str = MASTER) -> ArmHistory:
@@ -321,7 +321,7 @@ def _joints_rad(line: Line) -> JointVector:
     return cast("JointVector", tuple(cast("list[float]", line["joints_rad"])))
 
 
-def _followed_by(history: ArmHistory, line: Line) -> ArmHistory:
+def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:
     try:
         return history.after(line)
     except (LookupError, TypeError, ValueError) as error:

@@ -73,12 +73,12 @@ class BallWatcher:
         if (refused := refusal(settle, self.workcell.arm)) is not None:
             self.rejected[refused.code] += 1
             return None
-        return self._looked(planned.ball_in_tool_mm)
+        return self._look_or_none(planned.ball_in_tool_mm)
 
     def observe_at(self, joints: JointVector, orientation: int | None) -> Observation | None:
         """Look from given joint angles. Raises the errors of the motion."""
         self._settle(joints)
-        seen = self._looked(None)
+        seen = self._look_or_none(None)
         return None if seen is None else self._observation(seen, orientation)
 
     def observe_all(
@@ -107,7 +107,7 @@ class BallWatcher:
         """Reasons of rejection, the most frequent first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
-    def _looked(self, expected_in_tool_mm: Vector3 | None) -> Look | None:
+    def _look_or_none(self, expected_in_tool_mm: Vector3 | None) -> Look | None:
         try:
             seen = self.last = self.workcell.look()
         except PairNotUsable as error:  # the next pose may have more luck

@@ -74,11 +74,11 @@ class Centring:
 
     def back_off(self) -> None:
         """Back off along the tool axis from the last look."""
-        self.workcell.line_to(self._before(self.workcell.tool_pose()))
+        self.workcell.line_to(self._approach_pose(self.workcell.tool_pose()))
 
     def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         workcell = self.workcell
-        workcell.go(workcell.joints_at(self._before(expected), near))
+        workcell.go(workcell.joints_at(self._approach_pose(expected), near))
         workcell.line_to(expected)
         self._settle(expected)
         seen, looks = self._first_look(fiducial, expected)
@@ -96,7 +96,7 @@ class Centring:
             if seen.point is None:  # noise may cost one look; a sphere that is hidden or gone stays so
                 workcell.sensors.read_whole()
                 seen, looks = workcell.look(), looks + 1
-        workcell.line_to(self._before(pose))
+        workcell.line_to(self._approach_pose(pose))
         rotation = pose.rotation_matrix
         return CentredSphere(
             fiducial=fiducial,
@@ -161,7 +161,7 @@ class Centring:
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 
-    def _before(self, pose: Transform) -> Transform:
+    def _approach_pose(self, pose: Transform) -> Transform:
         return back_along_axis(pose, self.approach_mm)
 
 

@@ -77,7 +77,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
     Raises STE-012 if none is usable: a search elsewhere would not help.
     """
     for _ in range(1 + FURTHER_TRIES):
-        reading = _grabbed(stereo, clock)
+        reading = _grab(stereo, clock)
         if reading.validity is Validity.OK:
             break
     if reading.validity is not Validity.OK or reading.left is None or reading.right is None:
@@ -86,7 +86,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
             got=f"the pair is {reading.validity}: {_sides(reading)}",
         )
-    images = (_placed(reading.left), _placed(reading.right))
+    images = (_as_area_image(reading.left), _as_area_image(reading.right))
     try:
         seen = locate_sphere(*images, calibration)
     except NOT_SEEN as error:
@@ -98,7 +98,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
     return Look(reading, seen.left, seen.right, seen.point, problem)
 
 
-def _grabbed(stereo: StereoPair, clock: Clock) -> StereoReading:
+def _grab(stereo: StereoPair, clock: Clock) -> StereoReading:
     """Grab a pair; STALE if it was exposed before the request, when the arm was elsewhere."""
     asked_s = clock.now_s()
     reading = stereo.grab_pair()
@@ -113,7 +113,7 @@ def _sides(reading: StereoReading) -> str:
     return ", ".join(f"{name} {image.validity if image else 'no image'}" for name, image in sides)
 
 
-def _placed(image: CameraImage) -> AreaImage:
+def _as_area_image(image: CameraImage) -> AreaImage:
     return AreaImage(image.pixels, image.area.offset_x, image.area.offset_y)
 
 

@@ -129,7 +129,7 @@ class SupervisedMotion:
             arm.activate()
             return self._arm().read_state()
 
-        self._journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
+        self._drive_journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
 
     def _require_yes(self, question: Question) -> bool:
         """Ask; False without anybody to ask. Raises PRO-002 unless the answer is yes."""
@@ -194,7 +194,7 @@ class SupervisedMotion:
                 self._confirmed = False
                 continue
             try:
-                reached = self._journalled(motion.as_intent(), drive)
+                reached = self._drive_journalled(motion.as_intent(), drive)
             except (MotionInterrupted, WrongState) as error:
                 # A stop right before the motion, or between its legs, puts the arm into HOLD: it refuses.
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
@@ -206,7 +206,9 @@ class SupervisedMotion:
                 self.settled_home = True
             return reached
 
-    def _journalled(self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]) -> ArmReading:
+    def _drive_journalled(
+        self, intent: dict[str, JournalValue], drive: Callable[[], ArmReading]
+    ) -> ArmReading:
         """Drive a motion between its two lines in the journal; return its last reading."""
         number = self._log.history.motions + 1
         self._log.write(Entry.MOTION, number=number, **intent)

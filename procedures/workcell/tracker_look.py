@@ -74,7 +74,7 @@ def fresh_frames(
             limit_s += READING_LIMIT_S / count
             continue
         if frame.validity is not Validity.STALE:
-            frames.append(with_its_spheres(tracker, frame))
+            frames.append(add_frame_spheres(tracker, frame))
             progress(len(frames) / count)
         elif clock.now_s() > limit_s:
             raise GateFailed(
@@ -87,7 +87,7 @@ def fresh_frames(
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Mean pose TRACKER <- MARKER of a tool over the frames that show it. Raises PRO-007 for too few."""
-    shown = _shown(frames, tool)
+    shown = _poses_of(frames, tool)
     if len(shown) < LEAST_FRAMES_WITH_TOOL:
         why, action = _why_unseen(frames, tool)
         raise GateFailed(
@@ -100,7 +100,7 @@ def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
     """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
-    shown = _shown(frames, tool)
+    shown = _poses_of(frames, tool)
     return _mean_of(shown) if len(shown) >= least else None
 
 
@@ -119,7 +119,7 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     return "", "Clear the line of sight between tracker and tool"
 
 
-def _shown(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
+def _poses_of(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
     """Rotations and positions of a tool in the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [
@@ -141,7 +141,7 @@ def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
     return Transform(Frame.TRACKER, Frame.MARKER, mean)
 
 
-def with_its_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
+def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
     """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
     name = name_of_frame(tracker.markers_mm)
     if name is None or (reading := frame.tool(name)).validity is not Validity.OK:

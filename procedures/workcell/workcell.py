@@ -181,7 +181,7 @@ class Workcell:
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
 
-    def take_up(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
+    def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
         """Restore the arm's history, and its home if given, in a resumed run. Moves nothing."""
         if home_rad is not None:
             self._log.home_rad = home_rad
@@ -201,7 +201,7 @@ class Workcell:
             self.supervised.settled_home = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
-    def found_on_axis(self, axis: Insertion) -> None:
+    def record_found_on_axis(self, axis: Insertion) -> None:
         """Journal that the guide is on an axis of which the journal has no line: it may have been lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(

@@ -148,7 +148,7 @@ class Monitor:
         if self._watch is not None:
             self._watch.sent(joints_rad)
 
-    def not_taken(self) -> Violation | None:
+    def mark_not_accepted(self) -> Violation | None:
         """Record that the last set-point was not accepted: the one before is held; recheck the step."""
         held = self._held = self._last[1]
         for i in range(len(held)):
@@ -161,7 +161,7 @@ class Monitor:
         most = self.limits.limits.speed_rad_s[index]
         return Violation(ViolationKind.SPEED, index + 1, step_rad / self.limits.cycle_s, most)
 
-    def sent_again(self) -> None:
+    def mark_sent_again(self) -> None:
         """Record that the last set-point was sent again. The next is checked as if there was no pause."""
         self._held = self._last[0]
         self._recent.append(self._held)

@@ -26,8 +26,8 @@ from procedures.engine.events import (
     CaseState,
     DeviceFact,
     DeviceState,
+    EventContent,
     Fault,
-    Happening,
     JournalLine,
     LinkHealth,
     Questioned,
@@ -110,7 +110,7 @@ def test_a_question_that_follows_a_longer_one_is_brought_into_view_and_no_focus_
     shorter = QUESTION.model_copy(update={"question": 2, "subject": "park the arm", "evidence": ()})
     answered = Event()
 
-    def content() -> Iterator[Happening]:
+    def content() -> Iterator[EventContent]:
         yield from (OPENED, longer)
         while not answered.wait(0.1):
             yield LINK  # an engine that waits is not silent

@@ -10,7 +10,7 @@ from room_trials import STILL, TrackedCase
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, moved_against_head
+from procedures.steps.clinical.cart_lock import LOCKED_LIMIT_MM, displacement_against_head
 from procedures.steps.errors import CartNotLocked
 
 SCENES, TRIALS_PER_SCENE = 10, 20
@@ -31,7 +31,7 @@ def test_a_cart_at_rest_is_never_refused() -> None:
     moved_mm = []
     for case, watch, first in looks():
         second = case.reading(watch, case.home_rad)
-        way_mm, _ = moved_against_head(watch.robot_from_tracker, first, second)
+        way_mm, _ = displacement_against_head(watch.robot_from_tracker, first, second)
         moved_mm.append(float(np.linalg.norm(way_mm)))
     assert max(moved_mm) < 0.8 * LOCKED_LIMIT_MM
 
@@ -40,4 +40,4 @@ def test_a_cart_that_rolls_by_a_millimetre_is_always_detected() -> None:
     for case, watch, first in looks():
         second = case.reading(watch, case.home_rad, STILL, ROLLED_MM * case.direction())
         with pytest.raises(CartNotLocked, match="PRO-041"):
-            moved_against_head(watch.robot_from_tracker, first, second)
+            displacement_against_head(watch.robot_from_tracker, first, second)

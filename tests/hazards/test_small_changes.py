@@ -18,7 +18,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.guards.room_reading import RoomReading
 from procedures.guards.room_watch import RoomLook, RoomWatch
-from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM, unnoticed_mm
+from procedures.guards.stability import CAREFUL_FRAMES, GUIDE_NOTICEABLE_MM, undetected_changes_mm
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, error_limit_mm
 from procedures.steps.clinical.tool_check import APPROACHES
 from procedures.strategies.strategy import ONE_SIDE
@@ -147,7 +147,7 @@ class Trial:
 
 def limit_mm() -> float:
     """Radius that holds the error at the stated confidence, with what no look would notice."""
-    rms_mm2 = HONEST_MM**2 + sum(share_mm**2 for share_mm in unnoticed_mm().values())
+    rms_mm2 = HONEST_MM**2 + sum(share_mm**2 for share_mm in undetected_changes_mm().values())
     return float(error_limit_mm(np.eye(3) * rms_mm2 / 3.0, DEFAULT_CONFIDENCE))
 
 

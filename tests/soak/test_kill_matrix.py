@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from kills import LARGEST_CHANGE_MM, taken_up
+from kills import LARGEST_CHANGE_MM, reopen_run
 from run_folders import run_folder
 from shared_by_workers import made_once
 from snapshots import snapshot_at, take_snapshots
@@ -94,7 +94,7 @@ def test_a_case_killed_at_any_journal_line_reaches_its_target(
 ) -> None:
     folder, uninterrupted_mm = mini
     snapshot = snapshot_at(folder, line, tmp_path)
-    assert_same_targets(taken_up(commands, snapshot.killed()), uninterrupted_mm)
+    assert_same_targets(reopen_run(commands, snapshot.killed()), uninterrupted_mm)
     replayed = in_this_process(ronna_procedure, "replay", snapshot.folder, "--json")
     assert replayed.returncode == 0, replayed.stdout
 
@@ -108,7 +108,7 @@ def test_a_case_reaches_its_target_after_a_power_cut_tore_its_open_files(
     folder, uninterrupted_mm = mini
     snapshot = snapshot_at(folder, line_of(folder, *moment), tmp_path)
     snapshot.cut_power(zeroed=zeroed)
-    assert_same_targets(taken_up(commands, snapshot.killed()), uninterrupted_mm)
+    assert_same_targets(reopen_run(commands, snapshot.killed()), uninterrupted_mm)
 
 
 @pytest.mark.hazard(2)
@@ -117,4 +117,4 @@ def test_a_full_case_killed_at_any_of_ten_journal_lines_reaches_its_targets(
     commands: Commands, full: Case, tmp_path: Path, line: int
 ) -> None:
     folder, uninterrupted_mm = full
-    assert_same_targets(taken_up(commands, snapshot_at(folder, line, tmp_path).killed()), uninterrupted_mm)
+    assert_same_targets(reopen_run(commands, snapshot_at(folder, line, tmp_path).killed()), uninterrupted_mm)

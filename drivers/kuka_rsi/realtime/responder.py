@@ -268,7 +268,7 @@ class Responder:
 
     def _answer_loss(self, points: SetPoints) -> bytes:
         """Return the reply while the arm waits at a point because replies or telegrams were lost."""
-        violation = points.monitor.not_taken() if self._losses.reply_lost else None
+        violation = points.monitor.mark_not_accepted() if self._losses.reply_lost else None
         if violation is not None:
             self._trip(violation)
         if violation is not None or self._losses.held_cycles > HELD_AFTER_CYCLES:

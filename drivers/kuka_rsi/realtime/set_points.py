@@ -120,7 +120,7 @@ class SetPoints:
                 self._motion.take_stop()
             self.monitor.sent(self.stop_rad)
         elif choice is Choice.REPEAT:
-            self.monitor.sent_again()
+            self.monitor.mark_sent_again()
         else:
             self._rest_here()
         if self._motion is not None and self._motion.finished:

@@ -24,8 +24,8 @@ from procedures.runs.calibrations import (
     finish_calibration,
     leave_files,
 )
-from procedures.runs.finishing import finalize_run, sealed_again
-from procedures.runs.folders import held_run, new_run_folder
+from procedures.runs.finishing import complete_seal, finalize_run
+from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
@@ -70,7 +70,7 @@ def calibrate(
             terminal.tell(NOT_COMPARED)
     else:
         folder = new_run_folder(request, asked.out, kind.name)
-        with held_run(folder), finalize_run(folder, with_truth=False):
+        with hold_run(folder), finalize_run(folder, with_truth=False):
             _measure(kind, request, folder)
     show(finished_figures(folder), folder, written=asked.write, as_json=asked.as_json)
 
@@ -85,7 +85,7 @@ def resume_calibration(
     folder = interrupted.folder
     kind = KINDS[Recipe.read(request.calibration.recipe).of]
     if interrupted.finished:
-        with sealed_again(interrupted):
+        with complete_seal(interrupted):
             pass
         terminal.tell(f"{interrupted.run.name} is finished: nothing remains to be done")
     else:

@@ -55,7 +55,7 @@ class CalibrationOptions(MeasuringOptions):
             raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
         if self.write is not None and self.config is None:
             raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
-        if self.recorded is not None and (idle := _typed_except(context, USED_TO_RECOMPUTE)):
+        if self.recorded is not None and (idle := _options_given_besides(context, USED_TO_RECOMPUTE)):
             raise UsageMistake(
                 f"{idle} and --from cannot be combined",
                 action="Omit it: nothing is measured, the measurements in the folder are used.",
@@ -63,7 +63,7 @@ class CalibrationOptions(MeasuringOptions):
         return self.theatre() if self.recorded is None else RunRequest(config=self.config)
 
 
-def _typed_except(context: typer.Context, names: Set[str]) -> str:
+def _options_given_besides(context: typer.Context, names: Set[str]) -> str:
     return ", ".join(
         one.opts[0]
         for one in context.command.params

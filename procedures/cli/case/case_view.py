@@ -88,7 +88,7 @@ def in_words(case: CaseState) -> str:
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
-def lost_in_words(lost: SignalsLost) -> str:
+def describe_loss(lost: SignalsLost) -> str:
     """Return how many signals a follower missed."""
     return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
@@ -134,7 +134,7 @@ class CaseView:
             case Questioned(subject=subject):
                 self.state = f"{self.state.partition(' (')[0]} (asks: {subject})"
             case SignalsLost() as lost:
-                self._lost = lost_in_words(lost)
+                self._lost = describe_loss(lost)
             case Answered():
                 self.state = self.state.partition(" (asks: ")[0]
             case _:

@@ -72,7 +72,7 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
             else:
                 _why(engine, key, say)
         case DryRun(step=step):
-            _dry_run(engine, _named(engine, step), say)
+            _dry_run(engine, _step_named_or_next(engine, step), say)
         case Pause():
             engine.checkpoint.pause()
             say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
@@ -116,7 +116,7 @@ def _repeat(engine: Engine, key: StepKey, say: Say) -> None:
 
 def why_not_skipped(engine: Engine, step: str) -> str:
     """Return why no step can be skipped, in the words for this one. Raises PRO-005 for an unknown step."""
-    key = _named(engine, step or None)
+    key = _step_named_or_next(engine, step or None)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]
     needed = "needs" if len(readers) == 1 else "need"
@@ -177,7 +177,7 @@ def _acknowledge(engine: Engine, by: str, say: Say) -> None:
     say(f"acknowledged by {by}: {'; '.join(done)}" if done else "no device is in fault")
 
 
-def _named(engine: Engine, step: str | None) -> StepKey:
+def _step_named_or_next(engine: Engine, step: str | None) -> StepKey:
     if step is not None:
         return engine.order.find(step)
     if engine.upcoming is None:

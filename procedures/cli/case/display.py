@@ -25,7 +25,7 @@ from procedures.cli.case.prompt import Prompt
 from procedures.engine.events import Event
 from procedures.runs.case_outcome import run_case, unfinished
 from procedures.runs.finishing import Finalized, finalize_run
-from procedures.runs.folders import held_run, run_folder
+from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
@@ -213,7 +213,7 @@ def follow_case(
 ) -> None:
     """Run a case in a new folder in `out` and show it; with JSON one object, however it ended."""
     check_case(request)
-    with run_folder(request, out) as folder, held_run(folder):
+    with run_folder(request, out) as folder, hold_run(folder):
         waits = request.config is not None
         follow(request, folder, partial(run_case, request, folder), console, as_json=as_json, waits=waits)
 
@@ -236,7 +236,7 @@ def follow(
         with (
             finalize_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
             following(quiet=as_json) as shown,
-            _operated(shown, folder, console, waits=waits) as observers,
+            _add_console(shown, folder, console, waits=waits) as observers,
         ):
             outcome = run(observers)
     except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
@@ -248,7 +248,7 @@ def follow(
     show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=as_json)
 
 
-def _operated(
+def _add_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest | None, *, waits: bool
 ) -> contextlib.AbstractContextManager[RunObservers]:
     """Add the console that was requested, if any."""

@@ -141,16 +141,16 @@ class TerminalOperator:
         ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking() as write:
-            sys.stderr.write(f"{printable(question.subject)}\n  {_emphasized(question)}\n")
+            sys.stderr.write(f"{printable(question.subject)}\n  {_emphasize_read_back(question)}\n")
             self._alarms.begin()
             misread_before = 0
-            while typed := _typed(write, words(question.answers), ends_s, self._alarms):
+            while typed := _read_typed(write, words(question.answers), ends_s, self._alarms):
                 if (word := typed.lower().strip("'")) not in question.answers:
                     _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
                     continue
                 if word != question.answers[0] or read_back is None:
                     return Answer(word)
-                if not (typed := _typed(write, read_back.what, ends_s, self._alarms)):
+                if not (typed := _read_typed(write, read_back.what, ends_s, self._alarms)):
                     break
                 if read_back.fits(typed):
                     return Answer(word, typed)
@@ -220,14 +220,16 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
     while True:
         readings: list[float] = []
         for what in task.reads:
-            if (number := _typed_number(write, what, task.plausible_mm, alarms, bool(readings))) is None:
+            if (
+                number := _read_plausible_number(write, what, task.plausible_mm, alarms, bool(readings))
+            ) is None:
                 return ()
             readings.append(number)
         if len(readings) == 1:
             return tuple(readings)
         for what, number in zip(task.reads, readings, strict=True):
             _say(f"  {what}: {number:g}")
-        while (typed := _typed(write, words((YES, AGAIN)), None, alarms).lower()) != AGAIN:
+        while (typed := _read_typed(write, words((YES, AGAIN)), None, alarms).lower()) != AGAIN:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
             _say(
@@ -236,14 +238,14 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
             )
 
 
-def _typed_number(
+def _read_plausible_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
     """Return a plausible number; others are asked again. None if nobody reads it or the terminal ends.
 
     `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
-    while (typed := _typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
+    while (typed := _read_typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
         ahead = False
         with suppress(ValueError):
             number = typed_number(typed, UNIT)
@@ -266,14 +268,16 @@ def _say(line: str) -> None:
     sys.stderr.write(f"{printable(line)}\n")
 
 
-def _emphasized(question: Question) -> str:
+def _emphasize_read_back(question: Question) -> str:
     """Return the value; on a terminal, the part to be read back is in bold."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value
 
 
-def _typed(write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False) -> str:
+def _read_typed(
+    write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False
+) -> str:
     """Return typed input without surrounding space; a blank line is asked again.
 
     Empty if time is out or the terminal is gone. Input typed before the question, or before a device was

@@ -86,7 +86,7 @@ class TheatreOptions:
             records=tuple(self.calibration or ()),
         )
 
-    def scripted_operator(self) -> Answers | None:
+    def read_answer_file(self) -> Answers | None:
         """Read the file of answers, if any. Raises PRO-026, CFG-001."""
         if self.answers is None:
             return None
@@ -102,7 +102,7 @@ class TheatreOptions:
         from procedures.runs.request_checks import check_theatre
 
         self.check()
-        request = RunRequest(config=self.config, choice=self.choice, answers=self.scripted_operator())
+        request = RunRequest(config=self.config, choice=self.choice, answers=self.read_answer_file())
         check_theatre(request)
         return request
 
@@ -112,19 +112,19 @@ class TheatreOptions:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
             raise UsageMistake("choose one: --sim, or --config FILE")
-        if self.config is not None and (given := self._given(SIMULATED)):
+        if self.config is not None and (given := self._changed_options(SIMULATED)):
             raise UsageMistake(
                 f"{given} and --config cannot be combined",
                 action="Omit it: the theatre file names the devices of the theatre.",
             )
-        if Path(self.scene).suffix and (given := self._given(DRAWN)):
+        if Path(self.scene).suffix and (given := self._changed_options(DRAWN)):
             raise UsageMistake(
                 f"{given} and a scene file cannot be combined", action="The scene file defines its own."
             )
         if self.sim:
             self.choice.check()
 
-    def _given(self, names: Sequence[str]) -> str:
+    def _changed_options(self, names: Sequence[str]) -> str:
         """Return the options that differ from the default, as they are typed."""
         changed = (
             one.name for one in fields(self) if one.name in names and getattr(self, one.name) != one.default
@@ -204,7 +204,7 @@ class CaseOptions(TheatreOptions):
             choice=self.choice,
             speed=self.speed.value,
             faults=self.faults,
-            answers=self.scripted_operator(),
+            answers=self.read_answer_file(),
         )
 
 

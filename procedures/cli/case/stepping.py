@@ -15,7 +15,7 @@ from procedures.cli.case.operators import terminal_observers
 from procedures.cli.case.piped_lines import PipedLines
 from procedures.cli.case.prompt import Prompt
 from procedures.runs.finishing import finalize_run
-from procedures.runs.folders import held_run, run_folder
+from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.lifecycle import open_run
 from procedures.runs.orders import COMMANDS
 from procedures.runs.request import RunRequest
@@ -36,7 +36,7 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
     check_case(request)
     with (
         run_folder(request, out) as folder,
-        held_run(folder),
+        hold_run(folder),
         finalize_run(folder),
         pause_on_interrupt() as interrupts,
     ):

@@ -100,7 +100,7 @@ def new_theatre(
 
     copied = writing.CopiedRecords() if records is None else writing.read_records(records)
     search = Search(
-        interfaces=searching.named_interfaces(_ask_interfaces() if interface is None else interface),
+        interfaces=searching.find_interfaces(_ask_interfaces() if interface is None else interface),
         lines=searching.lines(serial),
         controllers=tuple(searching.endpoint_of("--controller", text) for text in controller or ()),
         stream=None if stream is None else searching.endpoint_of("--stream", stream),
@@ -156,7 +156,7 @@ def _parse_cards(answer: str) -> list[str]:
 
     names = [] if answer == NO_CARD else answer.replace(",", " ").split()
     try:
-        searching.named_interfaces(names)
+        searching.find_interfaces(names)
     except UsageMistake as mistake:
         raise typer.BadParameter(f"{mistake.what}; expected {mistake.expected}") from mistake
     return names

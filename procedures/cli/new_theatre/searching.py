@@ -24,7 +24,7 @@ class Found:
     there: bool
 
 
-def named_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
+def find_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
     """Return the network interfaces of these names or addresses. Raises CLI-001 with those that exist."""
     every = interfaces()
     chosen: list[Interface] = []
@@ -103,7 +103,7 @@ def search_all(
 
         proposals = finder.find(search, advance)
         if finder.table == "stereo":
-            proposals = _with_cameras(proposals, cameras)
+            proposals = _select_pairs(proposals, cameras)
         connected = [one for one in proposals if not one.absent]
         chosen = _choose_proposal(finder.table, connected, choose)
         instead = proposals[0] if proposals else finder.example(search)
@@ -112,7 +112,7 @@ def search_all(
     return tuple(found)
 
 
-def _with_cameras(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
+def _select_pairs(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
     """Return pairs with these cameras by serial number or address. Raises CLI-001 for others."""
     every = pairs
     for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):

@@ -196,7 +196,7 @@ def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tu
     """Return the tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
-    return tuple(_with_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
+    return tuple(_apply_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
@@ -215,7 +215,7 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
             raise UsageMistake(
                 f"--option: {table} has no option {key!r}", expected=f"one of {', '.join(known)}"
             )
-        changed[number] = _with_values(changed[number], {key: _parse_value(value)})
+        changed[number] = _apply_values(changed[number], {key: _parse_value(value)})
         _require_fitting(text, changed[number])
     return tuple(changed)
 
@@ -234,7 +234,7 @@ def _require_fitting(text: str, found: Found) -> None:
             ) from error
 
 
-def _with_values(found: Found, values: Mapping[str, Any]) -> Found:
+def _apply_values(found: Found, values: Mapping[str, Any]) -> Found:
     options = tuple(
         replace(one, value=values[one.key], chosen=True) if one.key in values else one
         for one in found.proposal.options

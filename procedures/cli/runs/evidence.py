@@ -97,7 +97,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     # Of readings that were edited a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
-    given = _with_recorded_set_up(run, _replay_input(run_folder, answers))
+    given = _default_to_recorded_set_up(run, _replay_input(run_folder, answers))
     with progress_bar(f"recomputing {len(run.records)} results") as show:
         results = replay(run, given, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
@@ -133,7 +133,7 @@ def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     return ReplayInput(order, clinical, read_theatre_file(placed(opening.theatre_file)))
 
 
-def _with_recorded_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
+def _default_to_recorded_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
         return given

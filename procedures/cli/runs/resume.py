@@ -15,14 +15,14 @@ from procedures.cli.case.display import follow, following, show_outcome
 from procedures.engine.device_faults import acknowledged
 from procedures.engine.errors import FaultOfRun, RecoveryRefused
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
-from procedures.runs.finishing import finalize_run, sealed_again
+from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import open_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import (
-    held_interrupted_run,
+    hold_interrupted_run,
     make_ready,
-    reopened_request,
+    read_reopened_request,
     require_free_devices,
     resumable_run,
 )
@@ -52,8 +52,8 @@ def resume(
     With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
     PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
     """
-    request = reopened_request(folder, accept=accept, answers=answers, as_before=True)
-    with held_interrupted_run(folder) as interrupted:
+    request = read_reopened_request(folder, accept=accept, answers=answers, as_before=True)
+    with hold_interrupted_run(folder) as interrupted:
         if isinstance(request.procedure, CalibrationProcedure):
             if console is not None:
                 raise UsageMistake(
@@ -63,7 +63,7 @@ def resume(
 
             resume_calibration(request, interrupted, accepted=accept, as_json=as_json)
         elif interrupted.finished:
-            with sealed_again(interrupted) as closed:
+            with complete_seal(interrupted) as closed:
                 outcome = outcome_as_recorded(request, closed)
             tell(f"{interrupted.run.name} is finished: nothing remains to be done")
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
@@ -79,8 +79,8 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
     Raises the errors of `resume`; the run is unchanged and can be resumed.
     """
-    request = reopened_request(folder, accept=accept, answers=answers)
-    with held_interrupted_run(folder, only_leaving=True) as interrupted:
+    request = read_reopened_request(folder, accept=accept, answers=answers)
+    with hold_interrupted_run(folder, only_leaving=True) as interrupted:
         if (nothing := interrupted.nothing_to_bring_home) is not None:
             _require_not_left_by_another(interrupted, request)
             _print_outcome(
@@ -122,8 +122,8 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises the errors of `home` and of `acknowledge_theatre`.
     """
-    request = reopened_request(folder)
-    with held_interrupted_run(folder, only_leaving=True) as interrupted:
+    request = read_reopened_request(folder)
+    with hold_interrupted_run(folder, only_leaving=True) as interrupted:
         by = _acknowledging_person(by)
         path = interrupted.folder
         if interrupted.parked:
@@ -149,13 +149,13 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
     Raises DEV-006, PRO-043, PRO-044, and the error of a driver that cannot be recovered yet.
     """
-    from procedures.runs.theatre_lock import held_theatre, require_free_theatre
+    from procedures.runs.theatre_lock import hold_theatre, require_free_theatre
     from ronna_hw.theatre import Theatre
 
     by = _acknowledging_person(by)
     require_free_theatre(file)
     _require_own_fault(file, None)
-    with Theatre.from_file(file) as theatre, held_theatre(file, None, only_leaving=True):
+    with Theatre.from_file(file) as theatre, hold_theatre(file, None, only_leaving=True):
         devices = theatre.devices
         _recover_all(
             devices,

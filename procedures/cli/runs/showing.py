@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.case.case_view import entry_of, in_words, lost_in_words
+from procedures.cli.case.case_view import describe_loss, entry_of, in_words
 from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
@@ -127,7 +127,7 @@ def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
         "restarts": len(restarts := run.lines(Entry.RESTARTED)),
         "resumes": resumes(run.journal),
         "only_leaving": sum(ONLY_LEAVING in line for line in restarts),
-        "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.what_stands],
+        "done": [f"{one.kind}:{one.trajectory}" if one.trajectory else one.kind for one in run.valid_records],
         "superseded": sorted(run.superseded),
         "targets": [
             {
@@ -189,7 +189,7 @@ def _line(event: Event) -> str | None:
         case CaseState() as case:
             return in_words(case)
         case SignalsLost() as lost:
-            return lost_in_words(lost)
+            return describe_loss(lost)
         case Questioned(subject=subject, value=value):
             return f"? {subject}: {value}"
         case Refusal(step=step, unmet=unmet):

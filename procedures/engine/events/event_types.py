@@ -295,7 +295,7 @@ class JournalLine(_Happening):
     line: dict[str, JsonValue]
 
 
-Happening = Annotated[
+EventContent = Annotated[
     CaseState
     | StepState
     | Progress
@@ -326,7 +326,7 @@ class Event(_Plain):
     number: int = Field(description="Counts all events of a run from 1.")
     host_time: AwareDatetime
     theatre_time_s: float
-    what: Happening
+    what: EventContent
 
     @property
     def subject(self) -> str:
@@ -334,7 +334,7 @@ class Event(_Plain):
         return f"{self.what.kind} {self.what.about}"
 
 
-def shown_digest(question: Questioned) -> str:
+def digest_of_question(question: Questioned) -> str:
     """Return the SHA-256, in hexadecimal, of everything of a question that is decided on.
 
     An answer quotes it, so that nobody confirms what was not shown.

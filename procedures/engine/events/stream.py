@@ -19,8 +19,8 @@ from procedures.engine.events.event_types import (
     CaseState,
     DeviceState,
     Event,
+    EventContent,
     Fault,
-    Happening,
     JournalLine,
     MeasuringVolume,
     Order,
@@ -149,7 +149,7 @@ class EventStream:
         self._current = CurrentState()
         self._ended = False
 
-    def publish(self, what: Happening) -> Event:
+    def publish(self, what: EventContent) -> Event:
         """Number an event and hand it to every reader; returns at once, whatever they do."""
         with self._lock:
             self._count += 1

@@ -37,7 +37,7 @@ class RecordedOperator:
             if line["entry"] == Entry.CONFIRMATION:
                 self._confirmations.append((motions, line))
 
-    def asked_first_motion_after(self, motions: int) -> bool:
+    def was_first_motion_asked(self, motions: int) -> bool:
         """Whether the run's next question was for a first motion, after that many motions of the section."""
         for asked_after, line in self._confirmations:
             topic = str(line["topic"]).partition(":")[0]

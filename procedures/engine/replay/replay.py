@@ -151,7 +151,7 @@ class _RecordedStops:
         self._before = self._workcell.history.motions
 
     def unmet(self) -> None:
-        if self._operator.asked_first_motion_after(self._workcell.history.motions - self._before):
+        if self._operator.was_first_motion_asked(self._workcell.history.motions - self._before):
             self._workcell.supervised.begin_anew()
 
 
@@ -186,7 +186,7 @@ class _Replay:
             today=lambda: began,
             began=answers.opening.began or began,
         )
-        steps = tuple(_begun(step, answers) for step in given.order.steps)
+        steps = tuple(_without_preconditions(step, answers) for step in given.order.steps)
         self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)
         self._stops = _RecordedStops(self._operator, setting.workcell)
         self._engine.checkpoint.guards.append(self._stops)
@@ -198,7 +198,7 @@ class _Replay:
         for begin, line, following in self._sections():
             self._answers.begin(begin)
             # A step that was killed is not run here, and one that a guard ended may go farther than it did.
-            self._engine.setting.workcell.take_up(arm_history(self._run.journal[:begin]))
+            self._engine.setting.workcell.restore_history(arm_history(self._run.journal[:begin]))
             self._operator.begin(following)
             self._stops.begin()
             self._room.begin([one for one in following if one["entry"] == Entry.WORK])
@@ -207,7 +207,7 @@ class _Replay:
                 with suppress(RonnaError):
                     self._engine.retreat_home()
             elif end is not None and end["entry"] == Entry.RESULT:
-                yield self._computed(str(line["step"]), records[str(end["record"])])
+                yield self._recompute(str(line["step"]), records[str(end["record"])])
             elif end is not None and end["entry"] == Entry.FAILED:
                 with suppress(RonnaError):
                     self._engine.run_step(self._engine.order.find(str(line["step"])))
@@ -224,7 +224,7 @@ class _Replay:
                     self._rest()
         self._engine.close("replayed")
 
-    def _computed(self, step: str, recorded: Record) -> ReplayedRecord:
+    def _recompute(self, step: str, recorded: Record) -> ReplayedRecord:
         try:
             again = self._engine.run_step(self._engine.order.find(step))
         except StepRefused as error:  # what it needs was not computed either
@@ -253,7 +253,7 @@ class _Replay:
             yield begin, lines[begin], list(lines[begin + 1 : end])
 
 
-def _begun(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
+def _without_preconditions(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
     """Return the step with preconditions that use up no answers; what they cannot read was met then."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:

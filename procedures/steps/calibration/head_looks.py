@@ -53,7 +53,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
     stereo.configure()
     workcell.sensors.read_whole()
     stereo.activate()
-    return _kept(context, workcell.look())
+    return _keep_look(context, workcell.look())
 
 
 def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
@@ -62,10 +62,10 @@ def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
     bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
     seen = context.workcell.look()
     context.workcell.go_home()
-    return _kept(context, seen)
+    return _keep_look(context, seen)
 
 
-def _kept(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
+def _keep_look(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
     context.setting.memory.keep(seen)  # for a display of the pictures
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     point = seen.point

@@ -24,7 +24,7 @@ MOST_LOOKS = 1000  # no command takes half of it
 
 def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
     """Set up, find the ball, look at it from all sides."""
-    return (*_to_ball(ball_mm), observation_step(poses, visits))
+    return (*_steps_to_ball(ball_mm), observation_step(poses, visits))
 
 
 def head_check(baseline: Baseline, visits: int) -> Steps:
@@ -34,7 +34,7 @@ def head_check(baseline: Baseline, visits: int) -> Steps:
 
 def head_look(ball_mm: Numbers3 | None) -> Steps:
     """Set up, find the ball, look at it once."""
-    return (*_to_ball(ball_mm), look_step(over_ball=True))
+    return (*_steps_to_ball(ball_mm), look_step(over_ball=True))
 
 
 def look_where_it_stands() -> Steps:
@@ -58,7 +58,7 @@ def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps
     return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
 
 
-def _to_ball(ball_mm: Numbers3 | None) -> Steps:
+def _steps_to_ball(ball_mm: Numbers3 | None) -> Steps:
     by_tracker: Steps = () if ball_mm is not None else (global_localization.STEP,)
     return (set_up.STEP, *by_tracker, place_step(ball_mm))
 

@@ -82,7 +82,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     plan = _plan_looks(model, places, workcell, count, validation)
     planned = {one.look.sphere for one in plan}
     remarks += [
-        f"{_named(place)} was left out: none of the planned poses is around it"
+        f"{_describe_place(place)} was left out: none of the planned poses is around it"
         for number, place in enumerate(places)
         if number not in planned
     ]
@@ -160,7 +160,7 @@ def _look_at_sphere(
     except (LimitError, SphereNotInView) as error:
         if workcell.arm.observe().state is not Lifecycle.ACTIVE:
             raise  # tripped, not refused before it began
-        remarks.append(f"{_named(place)} was left out: {error.what}")
+        remarks.append(f"{_describe_place(place)} was left out: {error.what}")
         return []
     seen: list[SphereLook] = []
     by_pose = {id(one.pose): one.look for one in plan}
@@ -180,7 +180,8 @@ def _look_at_sphere(
         context.progress(min(1.0, done + (step + 1) / total), "measuring spheres")
     if watcher.rejected:
         remarks.append(
-            f"{watcher.rejected.total()} measurements of {_named(place)} failed: {watcher.why_rejected()}"
+            f"{watcher.rejected.total()} measurements of {_describe_place(place)} failed: "
+            f"{watcher.why_rejected()}"
         )
     return seen
 
@@ -215,13 +216,15 @@ def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[st
     near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
     reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
-    remarks += [f"{_named(one)} was left out: it is out of reach" for one in places if one not in reached]
+    remarks += [
+        f"{_describe_place(one)} was left out: it is out of reach" for one in places if one not in reached
+    ]
     if not reached:
-        raise NoBall("no isolated sphere is within reach", got=", ".join(map(_named, places)))
+        raise NoBall("no isolated sphere is within reach", got=", ".join(map(_describe_place, places)))
     return tuple(reached[:MOST_SPHERES])
 
 
-def _named(place: BallPlace) -> str:
+def _describe_place(place: BallPlace) -> str:
     x, y, z = place.ball_mm
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 

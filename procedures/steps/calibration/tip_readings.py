@@ -122,7 +122,7 @@ def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[
     return [*order_by_orientation(reached[:count]), *reached[count:]]
 
 
-def _stated(context: StepContext) -> Outcome[BallPlace]:
+def _read_stand_position(context: StepContext) -> Outcome[BallPlace]:
     """Take the stand's position from the theatre file. Raises CAL-009."""
     stand_mm = context.setting.settings.stand_mm
     if stand_mm is None:
@@ -135,7 +135,7 @@ def _stated(context: StepContext) -> Outcome[BallPlace]:
 
 def stand_place_step() -> StepSpec[BallPlace]:
     """Build the step that takes the stand's position from the theatre file."""
-    return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _stated)
+    return StepSpec(BallPlace, "Use the stand's position", Phase.PREPARATION, _read_stand_position)
 
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
@@ -174,7 +174,7 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
     surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
     workcell.surround(in_free_room(surroundings, guide, surroundings.guide, stand_under(place.ball_mm)))
     workcell.start()
-    reading = _Reading(context, _before_readings(context, stand, validation))
+    reading = _Reading(context, _prepare_looks(context, stand, validation))
     for look in range(len(stand.looks)):
         reading.take(look)
         context.progress((look + 1) / len(stand.looks), "reading the dials")
@@ -182,7 +182,7 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
     return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
 
-def _before_readings(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
+def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
     workcell = context.workcell
     calibrations = workcell.calibrations
     return TipLooks(

@@ -28,7 +28,7 @@ from procedures.steps.clinical.work_progress import (
     DepthStop,
     WorkProgress,
     WorkStage,
-    done_in_words,
+    describe_work,
     work_progress,
 )
 from procedures.steps.conditions import inserted
@@ -85,7 +85,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
         )
     _check_room_again(context)
     workcell.hold()
-    with head_must_show(context), _watched_guide(context) as rest:
+    with head_must_show(context), _watch_guide(context) as rest:
         begun = work_progress(context)
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
@@ -136,7 +136,7 @@ def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed as done, TOOL-007."""
     trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
     known = stages.at(trajectory)
-    before = f"; earlier: {done_in_words(known)}" if known else ""
+    before = f"; earlier: {describe_work(known)}" if known else ""
     if stage is STAGES[-1]:
         begun.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
@@ -178,7 +178,7 @@ def _check_room_again(context: StepContext) -> None:
 
 
 @contextmanager
-def _watched_guide(context: StepContext) -> Iterator[GuideAtRest]:
+def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     """Compare the guide, within the block, with its position as it came to rest untouched.
 
     Raises PRO-019 or PRO-020 if the step is left because of a push that is a move of cart or head.

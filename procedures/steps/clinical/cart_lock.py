@@ -86,15 +86,17 @@ def run(context: StepContext) -> Outcome[LockedCart]:
         context.have_done(Task(CART_LOCK, "lock the brakes of the cart"))
         _confirm(context, "the cart is locked", "the brakes of all wheels are locked; nobody is pushing it")
         robot_from_tracker, first = _first_look(context)
-        beside = None if proposal is None else _beside(context, proposal, robot_from_tracker, first)
-        if proposal is None or beside is None or _agreed(context, proposal, beside, placing):
+        beside = (
+            None if proposal is None else _offset_from_proposal(context, proposal, robot_from_tracker, first)
+        )
+        if proposal is None or beside is None or _accept_position(context, proposal, beside, placing):
             break
     context.have_done(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
     _confirm(context, "someone leaned on the cart", "from each side; everyone stands clear")
     frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
-        moved_mm, spheres = moved_against_head(robot_from_tracker, first, second)
+        moved_mm, spheres = displacement_against_head(robot_from_tracker, first, second)
     except PatientMoved as moved:
         context.void(ClampedHead, moved)
         raise
@@ -139,7 +141,7 @@ def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
     return robot_from_tracker, room_reading(workcell, frames, robot_from_tracker)
 
 
-def _beside(
+def _offset_from_proposal(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> BesideProposal | None:
     """Position of the cart relative to the proposal; None, with a finding, without a unique match."""
@@ -158,7 +160,9 @@ def _beside(
     return beside
 
 
-def _agreed(context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int) -> bool:
+def _accept_position(
+    context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int
+) -> bool:
     """Whether the cart may stay there; False to place it again. Raises PRO-042."""
     if proposal.allows(beside):
         return True
@@ -182,7 +186,7 @@ def _confirm(context: StepContext, subject: str, value: str) -> None:
         raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
 
-def moved_against_head(
+def displacement_against_head(
     robot_from_tracker: Transform, first: RoomReading, second: RoomReading
 ) -> tuple[Array, int]:
     """Displacement (3,) mm of the frame on the arm against the spheres, and the number of spheres used.

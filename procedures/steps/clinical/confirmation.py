@@ -35,7 +35,7 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     for model in context.reads:
         context.result(model)
     context.workcell.mount.check(MountedTool.GUIDE)
-    remain = bool(set(context.remaining) - set(context.done_for(ReachedTarget)))
+    remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
     guide = _guide(context, remain)
     link = link_health(context) if context.workcell.streaming else None
     context.workcell.rest()  # it may have been the last target
@@ -91,7 +91,7 @@ def _room(context: StepContext, remain: bool) -> RoomLook:
     return look
 
 
-def _at_home(context: StepContext) -> tuple[str, ...]:
+def _is_parked_with_guide(context: StepContext) -> tuple[str, ...]:
     return (*carries(MountedTool.GUIDE)(context), *away_from_head(context))
 
 
@@ -104,5 +104,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(ReachedTarget, Retreated, MountedGuide, *ROOM_READS, *READS),
     moves=True,
-    preconditions=_at_home,
+    preconditions=_is_parked_with_guide,
 )

@@ -68,7 +68,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
     image, physical = localization.centres_mm, room.points_mm
     prior = room_prior(plan, context.setting.settings, room.robot_from_tracker.transform)
     found = coarse_match(plan, image, physical, prior)
-    found, left_out = _agreed_rest(context, found, image, physical, prior)
+    found, left_out = _match_fewer_if_agreed(context, found, image, physical, prior)
     transform = found.require_unique()
     pairs = np.asarray(found.pairs)
     mirrored = mirror_images(image[pairs[:, 0]], physical[pairs[:, 1]], prior)
@@ -137,7 +137,7 @@ def _place(point_mm: ArrayLike) -> str:
     return "({:.0f}, {:.0f}, {:.0f}) mm".format(*np.asarray(point_mm))
 
 
-def _agreed_rest(
+def _match_fewer_if_agreed(
     context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
     """The match or, if the operator agrees, a unique match of fewer spheres than were implanted."""

@@ -66,7 +66,7 @@ def residual_gate(
     axis, `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
     REG-006.
     """
-    allowed = _allowed_mm2(measured_mm2, arm_mm)
+    allowed = _allowed_covariance_mm2(measured_mm2, arm_mm)
     fit = register(image_mm, physical_mm, covariance_mm2=allowed)
     if float(np.ptp(shared_mm, axis=0).max()) < ALIKE_MM:  # the pose takes all of it
         return fit.gate(confidence=GATE_CONFIDENCE)
@@ -76,7 +76,7 @@ def residual_gate(
     return FreGate(fit.fre_mm, chi_square, limit, GATE_CONFIDENCE)
 
 
-def moved_spheres(
+def find_moved_spheres(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> tuple[int, ...]:
     """Pairs whose omission lets the others pass the gate, the likeliest first; see `residual_gate`."""
@@ -94,7 +94,7 @@ def moved_spheres(
     return tuple(index for _, index in sorted(found))
 
 
-def unnoticed_sphere(
+def find_undetected_sphere(
     fit: Registration,
     target_mm: Array,
     gate: FreGate,
@@ -109,7 +109,7 @@ def unnoticed_sphere(
     return unnoticed_point(
         np.asarray(fit.transform.apply(fit.image_mm), dtype=float),
         target_mm,
-        _allowed_mm2(measured_mm2, arm_mm),
+        _allowed_covariance_mm2(measured_mm2, arm_mm),
         shared_mm,
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
         gate,
@@ -117,7 +117,7 @@ def unnoticed_sphere(
     )
 
 
-def _allowed_mm2(measured_mm2: Array, arm_mm: float) -> Array:
+def _allowed_covariance_mm2(measured_mm2: Array, arm_mm: float) -> Array:
     return measured_mm2 + arm_covariance_mm2(GATE_ARM_RESERVE * arm_mm)
 
 
@@ -143,7 +143,7 @@ class HeldGuide:
         return replace(source, at_target_mm2=back @ source.at_target_mm2 @ back.T)
 
 
-def held_guide(
+def predict_held_guide(
     context: StepContext, planned: PlannedTrajectory, robot_from_ct: Transform, moved: Transform | None
 ) -> HeldGuide:
     """Predict how the guide is held if the head `moved` after the registration. Raises ARM-001 to ARM-003."""
@@ -163,7 +163,7 @@ def arm_errors(
 ) -> tuple[SharedErrors | OwnErrors, ...]:
     """Errors of the arm at planned localizations of spheres (n, 3) mm, robot frame, and at a target's tip."""
     paths = context.result(CheckedPaths)
-    joints_rad = _planned_rad(context, fiducials)
+    joints_rad = _planned_joints_rad(context, fiducials)
     signs = arriving(context, paths)
     sides = None if signs is None else np.array([signs] * len(joints_rad), dtype=float)
     return arm_sources(
@@ -189,17 +189,17 @@ def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm
         return np.zeros((len(fiducials), 3, 3))
     sizes = ErrorSizes.stated(context.setting.settings, arm)
     chain = context.workcell.arm.kinematics.chain
-    return backlash_mm2(chain, _planned_rad(context, fiducials), spheres_mm, sizes)
+    return backlash_mm2(chain, _planned_joints_rad(context, fiducials), spheres_mm, sizes)
 
 
-def _planned_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
+def _planned_joints_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
     """Joints (n, axes) of the planned localizations."""
     localizations = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     planned = {one.fiducial: one.joints_rad for one in localizations}
     return np.array([planned[index] for index in fiducials])
 
 
-def displaced_spheres_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
+def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
     """Displacement of the spheres by each standard deviation of the tool frame, (n, 3, 3) mm, robot frame."""
     planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}

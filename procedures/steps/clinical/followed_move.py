@@ -61,7 +61,7 @@ def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | 
     home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.
     """
     try:
-        move = _measured(context)
+        move = _measure_move(context)
         if move is not None:
             _have_agreed(context, move, places_mm)
     except (BaseShifted, PatientMoved) as moved:
@@ -71,7 +71,7 @@ def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | 
     return move
 
 
-def _measured(context: StepContext) -> MeasuredMove | None:
+def _measure_move(context: StepContext) -> MeasuredMove | None:
     workcell = context.workcell
     if not workcell.place.is_home:
         raise StepRefused(

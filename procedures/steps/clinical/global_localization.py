@@ -67,7 +67,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     tracker_from_marker = average_pose(frames, workcell.calibrations.tracker_frame.tool)
     strays = average_strays(frames)
     _check_count(len(strays.groups), least=LEAST_POINTS if ClampedHead in context.reads else 1)
-    spread_mm = _checked_spread_mm(strays)
+    spread_mm = _require_spread_mm(strays)
     joints = workcell.joints_rad()
     robot_from_tracker = robot_from_marker(workcell, joints) @ tracker_from_marker.inverse()
     groups = strays.groups
@@ -105,7 +105,7 @@ def _check_count(seen: int, least: int) -> None:
         )
 
 
-def _checked_spread_mm(strays: StrayAverage) -> float:
+def _require_spread_mm(strays: StrayAverage) -> float:
     spread_mm = max(float(group.spread_mm) for group in strays.groups)
     if spread_mm > SPREAD_LIMIT_MM:
         raise GateFailed(

@@ -50,15 +50,15 @@ class UnchangedInputs:
             try:
                 stamps = _stamps(path)
             except OSError as error:
-                if model is LockedCart and (stored is None or not _proposed(stored.result)):
+                if model is LockedCart and (stored is None or not _has_proposal(stored.result)):
                     continue  # it need not be there
                 return f"{path.name} cannot be read ({error.strerror}): restore it"
             if stored is None or stamps == self._seen.get(path):
                 continue
             key = StepKey(model.kind)
-            if model is LockedCart and not _proposed(stored.result):
+            if model is LockedCart and not _has_proposal(stored.result):
                 self._engine.find(f"{path.name} did not exist at {key}: the cart is not compared with it")
-            elif changed := _changed(stored.result, path):
+            elif changed := _describe_change(stored.result, path):
                 problem = InputChanged(f"{path.name} has changed since {key}: {changed}")
                 self._engine.context(key).void(model, problem)
                 self._seen[path] = stamps
@@ -74,7 +74,7 @@ class UnchangedInputs:
             stored = self._engine.case.find(model, None)
             if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
                 continue
-            if not _changed(stored.result, path):
+            if not _describe_change(stored.result, path):
                 with suppress(RonnaError):  # the journal cannot be written: close all the same
                     note_same_content(self._engine, path, stored.record)
 
@@ -92,11 +92,11 @@ def note_same_content(engine: Engine, path: Path, record: Record) -> None:
         engine.find(text, record=record.identifier, inputs=now)
 
 
-def _proposed(result: StepResult) -> bool:
+def _has_proposal(result: StepResult) -> bool:
     return isinstance(result, LockedCart) and result.proposal is not None
 
 
-def _changed(result: StepResult, path: Path) -> str:
+def _describe_change(result: StepResult, path: Path) -> str:
     """Describe how an input differs, or why it cannot be read; empty if it is the same."""
     try:
         if isinstance(result, ImportedCt):

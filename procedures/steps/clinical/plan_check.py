@@ -62,7 +62,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check = check_plan(
         plan, volume, fiducials_mm=localization.centres_mm, bore=context.workcell.tools.guide.bore
     )
-    check, spheres = _counted(context, check, localization)
+    check, spheres = _accept_count(context, check, localization)
     check.require()
     _keep_cuts(context, volume, plan)
     head = head_shape(volume)
@@ -119,10 +119,12 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
         identifier,
         wrong="is not the identifier in this CT (PatientID). Answer no if that is what the wristband says.",
     )
-    context.confirm(Topic.PATIENT, subject, _shown(plan, head), read_back=wristband if identifier else None)
+    context.confirm(
+        Topic.PATIENT, subject, _describe_plan(plan, head), read_back=wristband if identifier else None
+    )
 
 
-def _shown(plan: Plan, head: HeadEllipsoid) -> str:
+def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
     """Text to confirm, without a name: a hash of its UID identifies the series."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = "; ".join(
@@ -133,7 +135,9 @@ def _shown(plan: Plan, head: HeadEllipsoid) -> str:
     return f"CT series {series}, {plan.patient_orientation.value}; tool {plan.tool}; {instrument}; {ways}"
 
 
-def _counted(context: StepContext, check: PlanCheck, localized: LocalizedFiducials) -> tuple[PlanCheck, int]:
+def _accept_count(
+    context: StepContext, check: PlanCheck, localized: LocalizedFiducials
+) -> tuple[PlanCheck, int]:
     """Remove a wrong count of spheres, if agreed, from the check; also return the number to match.
 
     If there are too many, tracker and matching show which are on the head; if too few, the case continues

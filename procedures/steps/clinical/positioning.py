@@ -60,17 +60,17 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     context.result(CheckedTool)
     mounted = workcell.mount.check(MountedTool.GUIDE)
     _require_guide_in_seat(context)
-    robot_from_ct = _kept_registration(context).robot_from_ct.transform
+    robot_from_ct = _require_registration(context).robot_from_ct.transform
     paths = context.result(CheckedPaths)
     insertion = insertion_for(context, robot_from_ct)
     standoff_mm = context.result(CheckedPlan).plan.standoff_mm
     planned = paths.targets[trajectory]
     expected = expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
-    with refused_by_name(trajectory):
+    with name_refusals(trajectory):
         approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
     hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
     by_home = not workcell.settled_home
-    with refused_by_name(trajectory):
+    with name_refusals(trajectory):
         workcell.supervised.confirm(
             Topic.APPROACH,
             f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
@@ -92,7 +92,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     workcell.start()
     with head_must_show(context):
         context.progress(0.0, f"moving over {trajectory}")
-        with refused_by_name(trajectory, workcell):
+        with name_refusals(trajectory, workcell):
             workcell.go(approach_rad)
             check_room(context, f"over {trajectory}")
             context.progress(0.5, f"moving along {trajectory}")
@@ -130,7 +130,7 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 
 
 @contextmanager
-def refused_by_name(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
+def name_refusals(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
     """Raise refusals as PLAN-007 with the trajectory's name, and whether the arm of `moving` has moved."""
     begun_rad = None if moving is None else moving.joints_rad()
     try:
@@ -149,7 +149,7 @@ def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
     return False
 
 
-def _kept_registration(context: StepContext) -> RegisteredRobot:
+def _require_registration(context: StepContext) -> RegisteredRobot:
     """The registration. Raises PRO-007 if a fault of the arm is newer and the operator does not keep it."""
     registered = context.result(RegisteredRobot)
     fault = context.doubt(RegisteredRobot)

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.stability import unnoticed_mm
+from procedures.guards.stability import undetected_changes_mm
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose
 from procedures.operator.question import Topic
@@ -33,13 +33,13 @@ from procedures.steps.clinical.error_budget import (
     arm_covariance_mm2,
     arm_errors,
     budget_table,
-    displaced_spheres_mm,
-    held_guide,
-    moved_spheres,
+    find_moved_spheres,
+    find_undetected_sphere,
+    predict_held_guide,
     residual_gate,
+    sphere_displacements_mm,
     two_way_table,
     unknown_sides_mm2,
-    unnoticed_sphere,
 )
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.followed_move import MeasuredMove, followed_move
@@ -95,7 +95,7 @@ class _Pairs:
             ),
             stereo_mm2=np.array(fine.covariances_mm2),
             sides_mm2=unknown_sides_mm2(context, fiducials, fine.points_mm),
-            tool_mm=displaced_spheres_mm(context, fine.fiducials),
+            tool_mm=sphere_displacements_mm(context, fine.fiducials),
         )
 
     def without(self, place: int) -> _Pairs:
@@ -107,7 +107,9 @@ class _Pairs:
         return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
 
     def unnoticed(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
-        return unnoticed_sphere(fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm)
+        return find_undetected_sphere(
+            fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm
+        )
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
@@ -133,7 +135,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     predictions = tuple(predict_tip_error(context, fit, pairs, one, move) for one in trajectories)
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
-    left_out = _beyond_margin(context, trajectories, predictions)
+    left_out = _exclude_beyond_margin(context, trajectories, predictions)
     two_way = _two_way(context, fit, pairs)
     for predicted in predictions:
         if predicted.target not in left_out:
@@ -173,7 +175,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
     gate = pairs.gate(arm_mm)
     if gate.passed:
         return pairs, ()
-    moved = moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
+    moved = find_moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
     names = " and ".join(context.served_trajectories)
     fre, limit = side_by_side(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
@@ -197,7 +199,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
     return rest, (LeftOutSphere(fiducial=fiducial, reason=refusal.summary),)
 
 
-def _beyond_margin(
+def _exclude_beyond_margin(
     context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
     """Trajectories to leave out, with reasons. Raises PRO-007 unless that is agreed and others remain."""
@@ -236,13 +238,13 @@ def predict_tip_error(
     target = planned.id
     tip_mm = np.asarray(fit.transform.apply(np.asarray(planned.target_mm, dtype=float)), dtype=float)
     moved = None if move is None else move.record.robot_from_robot.transform
-    held = held_guide(context, planned, fit.between(Frame.ROBOT, Frame.CT), moved)
+    held = predict_held_guide(context, planned, fit.between(Frame.ROBOT, Frame.CT), moved)
     plan, bore = context.result(CheckedPlan).plan, context.workcell.tools.guide.bore
     calibrations = context.workcell.calibrations
     at_target_mm = {
         "stereo head calibration": calibrations.stereo_head.stated_error_mm,
         "guide tip calibration": calibrations.tool_tip.stated_error_mm,
-        **unnoticed_mm(),
+        **undetected_changes_mm(),
         **({} if move is None else move.shares_mm(tip_mm)),
     }
     stated_rad = calibrations.tool_tip.stated_direction_error_rad

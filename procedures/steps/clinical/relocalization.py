@@ -48,10 +48,10 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     step_motions = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
     with context.workcell.supervised.announcing(step_motions):
-        return _localized(context, paths)
+        return _localize_spheres(context, paths)
 
 
-def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
+def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalization]:
     planned = paths.localizations_for(context.key.trajectory)
     workcell, settings = context.workcell, context.setting.settings
     workcell.mount.check(MountedTool.STEREO_HEAD)
@@ -89,7 +89,9 @@ def _localized(context: StepContext, paths: CheckedPaths) -> Outcome[Relocalizat
         try:
             sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:
-            left_out.append(_agreed(context, item.fiducial, problem, len(planned) - len(left_out) - 1))
+            left_out.append(
+                _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
+            )
             centring.back_off()
             continue
         name = f"stereo-{context.key.trajectory or 'all'}-{item.fiducial + 1}.png"
@@ -141,7 +143,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
     return paths.targets[context.trajectory].approach_signs
 
 
-def _agreed(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
+def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
     """Have the operator agree to do without a sphere. Raises `problem` if not, or if too few remain."""
     if remain < FEWEST_SPHERES:
         raise problem
@@ -164,7 +166,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
     limit_mm = context.setting.settings.coarse_fine_limit_mm
     *others, name = (f"sphere {one + 1}" for one in fiducials)
     if not before:
-        limit_mm += _shared_mm(context)
+        limit_mm += _shared_error_mm(context)
         before = [np.zeros(3)]
     elif len(before) == 1:  # it is unknown which of the two is wrong
         name = f"{others[0]} or {name}"
@@ -178,7 +180,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
         )
 
 
-def _shared_mm(context: StepContext) -> float:
+def _shared_error_mm(context: StepContext) -> float:
     """Bound on the error of coarse positions from tool frame and tracker frame, which turn with the tool.
 
     Tracker and stereo head look in different orientations, so the error counts at most twice.

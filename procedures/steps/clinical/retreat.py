@@ -11,7 +11,7 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import LinkHealth, link_health
-from procedures.steps.conditions import inserted_or_just_out
+from procedures.steps.conditions import is_inserted_or_just_out
 
 
 class Retreated(StepResult, kind="retreat", version=2):
@@ -47,5 +47,5 @@ STEP = StepSpec(
     reads=(PositionedGuide, ReachedTarget),
     moves=True,
     continues=True,
-    preconditions=inserted_or_just_out,
+    preconditions=is_inserted_or_just_out,
 )

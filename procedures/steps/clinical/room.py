@@ -120,7 +120,7 @@ def room_watch(context: StepContext) -> RoomWatch:
         watch = build_watch(context.workcell, name, localized, context.result(Correspondence).pairs)
         watch.refer(frame_at_home(context))
         context.setting.memory.keep(watch)
-    followed = partial(followed_registration, trajectory=context.key.trajectory)
+    followed = partial(find_followed_registration, trajectory=context.key.trajectory)
     watch.follow(followed_spheres(context.result_among(RegisteredRobot, followed)))
     return watch
 
@@ -137,7 +137,7 @@ def build_watch(
     return RoomWatch(name, localized.robot_from_tracker.transform, spheres, [begun])
 
 
-def followed_registration(
+def find_followed_registration(
     registrations: Sequence[RegisteredRobot], trajectory: str | None
 ) -> RegisteredRobot | None:
     """The registration of a trajectory, else the last one, if it has followed a move of the head."""
@@ -163,14 +163,14 @@ def frame_at_home(context: StepContext) -> Array | None:
 
 def unconfirmed(context: StepContext) -> tuple[str, ...]:
     """Targets with work begun or done since the last look that showed no change."""
-    confirmed = context.done_for(ConfirmedTarget, lambda look: not look.in_doubt)
+    confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
     return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
     """Record a finding on the unconfirmed targets; unless `again`, only on those without any look."""
-    looked = () if again else context.done_for(ConfirmedTarget)
+    looked = () if again else context.trajectories_done(ConfirmedTarget)
     if targets := tuple(name for name in unconfirmed(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 

@@ -17,7 +17,7 @@ from procedures.operator.question import Topic
 from procedures.relocalization.errors import Saturated
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
-from procedures.steps.clinical.positioning import refused_by_name
+from procedures.steps.clinical.positioning import name_refusals
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
@@ -52,7 +52,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     travel_mm = planned.depth_mm + context.setting.settings.approach_mm
     before = back_along_axis(target, travel_mm)
     surround_stereo_head(context, paths.targets[name].joints_rad, planned)
-    with refused_by_name(name):
+    with name_refusals(name):
         approach_rad = workcell.joints_at(before, paths.targets[name].approach_rad)
         over = workcell.going(approach_rad)
         onto = workcell.straight(target, paths.targets[name].approach_signs, approach_rad)
@@ -66,7 +66,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     check_room(context, f"before the ball at {name} is measured")
     workcell.start(cameras=True)
     context.progress(0.0, f"moving over {name}")
-    with refused_by_name(name, workcell):
+    with name_refusals(name, workcell):
         workcell.go(approach_rad)
         workcell.line_to(target, paths.targets[name].approach_signs)
     context.progress(0.5, f"measuring the ball at {name}")

@@ -66,7 +66,7 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
     Raises TOOL-005 to TOOL-007, PRO-002, PRO-009.
     """
     try:
-        return _checked(context)
+        return _check_tool(context)
     except ToolBesideGauge as problem:
         context.find(problem.summary)
         doubt(context, problem.summary, again=False)  # targets that it served before a restart or a fault
@@ -79,10 +79,10 @@ def run(context: StepContext) -> Outcome[CheckedTool]:
         context.setting.room.change_tool(tip.tool_number, "the surgical guide")
         if context.choose(question) != YES:
             raise
-    return _checked(context)
+    return _check_tool(context)
 
 
-def _checked(context: StepContext) -> Outcome[CheckedTool]:
+def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
     """Look at head and base, and at the guide's own frame if it has one; then check it on the gauge.
 
     Raises TOOL-005 to TOOL-007, PRO-002.

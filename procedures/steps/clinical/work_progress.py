@@ -93,7 +93,7 @@ def work_progress(context: StepContext) -> WorkProgress:
     if begun is not None and begun.trajectory == trajectory == instrument.inside:
         return begun
     context.have_instrument_out()
-    before, set_before = _done_before(context), instrument.stages.stop_at(trajectory)
+    before, set_before = _tasks_done(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
         context.find(
             f"the work at {trajectory} was finished when the guide was there earlier; the guide "
@@ -109,7 +109,7 @@ def work_progress(context: StepContext) -> WorkProgress:
     return begun
 
 
-def done_in_words(known: Mapping[str, bool]) -> str:
+def describe_work(known: Mapping[str, bool]) -> str:
     """Describe the work done."""
     stages = [stage for stage in STAGES if stage.task in known]
     return ", ".join(
@@ -122,10 +122,10 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
     names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
-    return tuple(f"work has begun at {name}: {done_in_words(stages.at(name))}" for name in names)
+    return tuple(f"work has begun at {name}: {describe_work(stages.at(name))}" for name in names)
 
 
-def _done_before(context: StepContext) -> tuple[str, ...]:
+def _tasks_done(context: StepContext) -> tuple[str, ...]:
     """Tasks not to be repeated, as the operator chooses; all of them if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
     if not (known := stages.at(context.trajectory)):
@@ -136,7 +136,7 @@ def _done_before(context: StepContext) -> tuple[str, ...]:
     finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
     trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
     question = WORK_BEGUN.question(
-        f"work was already begun at {trajectory}: {done_in_words(known)}",
+        f"work was already begun at {trajectory}: {describe_work(known)}",
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
         (*((FINISHED,) if finished else ()), *offered, HOLD),

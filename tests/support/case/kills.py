@@ -63,7 +63,7 @@ def killed_at(
     return Killed(folder, journal, tuple(records_of(folder)))
 
 
-def taken_up(commands: Commands, killed: Killed) -> dict[str, Any]:
+def reopen_run(commands: Commands, killed: Killed) -> dict[str, Any]:
     """What `resume` printed; nothing lives after it, nothing that was recorded is lost, the run is whole."""
     done = commands.run("ronna-procedure", "resume", str(killed.folder), "--accept", "--json")
     assert done.returncode == 0, done.stderr

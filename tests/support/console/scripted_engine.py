@@ -21,7 +21,7 @@ from procedures.engine.events import (
     Bodies,
     Body,
     Event,
-    Happening,
+    EventContent,
     JournalLine,
     Order,
     OrderedStep,
@@ -43,7 +43,7 @@ def served_console(place: Path) -> Iterator[tuple[psutil.Process, str]]:
 
 @contextmanager
 def served_at(
-    place: Path, *more: str, content: Iterable[Happening] = ()
+    place: Path, *more: str, content: Iterable[EventContent] = ()
 ) -> Iterator[tuple[psutil.Process, dict[str, str]]]:
     """As `served_console`, with all addresses and `more` arguments; `content` happens first.
 
@@ -82,7 +82,7 @@ def _reply(ours: socket.socket) -> None:
             ours.sendall(Reply(nonce=sent.nonce).model_dump_json().encode() + b"\n")
 
 
-def _send(ours: socket.socket, over: threading.Event, content: Iterable[Happening]) -> None:
+def _send(ours: socket.socket, over: threading.Event, content: Iterable[EventContent]) -> None:
     """Events are numbered by the microsecond in which they are sent: a page can tell how late it is."""
     step = OrderedStep(step="relocalization:T1", title="A step", phase="operation", moves=True)
     _event(ours, Order(steps=(step,) * 13))

@@ -4,7 +4,7 @@ import json
 from pathlib import Path
 
 import pytest
-from kills import LARGEST_CHANGE_MM, assert_no_byte_before_acceptance, killed_at, taken_up
+from kills import LARGEST_CHANGE_MM, assert_no_byte_before_acceptance, killed_at, reopen_run
 from run_folders import run_folder
 from undisturbed import MINI_SEED_3, undisturbed_mini
 from user_commands import Commands
@@ -30,7 +30,7 @@ def test_a_killed_and_resumed_case_reaches_its_target(
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
     killed = killed_at(commands, MINI_SEED_3, tmp_path, place)
-    outcome = taken_up(commands, killed)
+    outcome = reopen_run(commands, killed)
     assert outcome["outcome"] == "done"
     changed_mm = outcome["mean_application_error_mm"] - undisturbed["mean_application_error_mm"]
     assert abs(changed_mm) <= LARGEST_CHANGE_MM
@@ -54,7 +54,7 @@ def test_a_case_with_one_shared_registration_or_a_measured_target_can_be_resumed
     commands: Commands, tmp_path: Path, options: tuple[str, ...], place: str
 ) -> None:
     killed = killed_at(commands, (*MINI_SEED_3, *options), tmp_path, place)
-    outcome = taken_up(commands, killed)
+    outcome = reopen_run(commands, killed)
     assert outcome["outcome"] == "done"
     assert outcome["mean_application_error_mm"] == pytest.approx(0.0, abs=LARGEST_ERROR_MM)
     measured = [name for name in (killed.folder / "records").iterdir() if "target_measurement" in name.name]
@@ -71,7 +71,7 @@ def test_resuming_without_acceptance_moves_nothing(commands: Commands, tmp_path:
     assert_no_byte_before_acceptance(killed.folder, tuple(read_journal(killed.folder / JOURNAL_FILE)))
     now = json.loads((killed.folder / "theatre" / WORLD_FILE).read_text())
     assert now["arm"] == json.loads(left)["arm"]
-    assert taken_up(commands, killed)["outcome"] == "done"
+    assert reopen_run(commands, killed)["outcome"] == "done"
 
 
 def test_a_run_killed_before_its_first_record_starts_over(
@@ -79,7 +79,7 @@ def test_a_run_killed_before_its_first_record_starts_over(
 ) -> None:
     undisturbed = undisturbed_mini(tmp_path_factory)
     killed = killed_at(commands, MINI_SEED_3, tmp_path, "")  # its folder is there, and hardly more
-    outcome = taken_up(commands, killed)
+    outcome = reopen_run(commands, killed)
     assert run_folder(tmp_path) == killed.folder
     assert outcome["targets"] == undisturbed["targets"]
 
@@ -98,7 +98,7 @@ def test_the_arm_of_a_killed_run_can_be_brought_home_and_the_run_resumed_later(
     whats = [line["what"] for line in lines if line["entry"] == Entry.MOTION]
     assert whats[-2:] == ["withdraw", "home"]
     assert commands.run("ronna-procedure", "verify", str(killed.folder)).returncode == EXIT_UNCONFIRMED
-    assert taken_up(commands, killed)["outcome"] == "done"
+    assert reopen_run(commands, killed)["outcome"] == "done"
 
 
 @pytest.mark.hazard(44)

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from kills import Killed, killed_at, taken_up
+from kills import Killed, killed_at, reopen_run
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
@@ -42,7 +42,7 @@ def test_a_killed_calibration_can_be_resumed_and_writes_its_records(
     commands: Commands, tmp_path: Path, calibration: tuple[str, tuple[str, ...]], says: str
 ) -> None:
     left = killed(commands, calibration, tmp_path, says)
-    payload = taken_up(commands, left)
+    payload = reopen_run(commands, left)
     records = tomllib.loads((left.folder / "calibration.toml").read_text())["calibration"]
     assert payload["calibration"] in [record["identifier"] for record in records.values()]
     for command, code in (("verify", EXIT_UNCONFIRMED), ("replay", EXIT_DONE)):
@@ -71,4 +71,4 @@ def test_a_guide_left_at_the_divot_is_withdrawn_only_after_acceptance(
     assert {line["what"] for line in motions} <= {MotionKind.HOME, MotionKind.BACK}
     lowered = next(line for line in lines if line.get("topic") == Topic.INSTRUMENT_OUT)
     assert lines.index(lowered) < lines.index(motions[0])
-    assert taken_up(commands, left)["calibration"]
+    assert reopen_run(commands, left)["calibration"]

@@ -141,7 +141,7 @@ def test_an_axis_that_reverses_may_still_be_on_its_way_out() -> None:
 def test_an_arm_holding_a_point_because_the_next_was_not_taken_has_no_following_error() -> None:
     monitor = _monitor()
     monitor.sent(_with(3, START[2] + 5 * FOLLOWING_RAD))
-    monitor.not_taken()
+    monitor.mark_not_accepted()
     for _ in range(2 * LIMITS.following_cycles):
         monitor.stands()
     assert monitor.check_measured(START) is None
@@ -153,21 +153,21 @@ def test_a_point_that_was_not_taken_is_judged_again_from_the_held_point() -> Non
     near, far = (_with(6, START[5] + share * LIMITS.step_rad[5]) for share in (0.9, 1.1))
     monitor.sent(near)
     assert monitor.held_rad == near
-    assert monitor.not_taken() is None
+    assert monitor.mark_not_accepted() is None
     assert monitor.held_rad == START
-    monitor.sent_again()
+    monitor.mark_sent_again()
     assert monitor.held_rad == near
     assert monitor.history_rad == (near, START, START, START)
     monitor = _monitor()
     monitor.sent(far)
-    assert _kind(monitor.not_taken()) == ("speed", 6)
+    assert _kind(monitor.mark_not_accepted()) == ("speed", 6)
 
 
 def test_a_resting_arm_is_judged_from_rest_at_the_held_point() -> None:
     monitor = _monitor()
     step = _with(6, START[5] + 0.5 * LIMITS.step_rad[5])
     monitor.sent(step)
-    monitor.not_taken()
+    monitor.mark_not_accepted()
     monitor.stands()
     assert monitor.history_rad == (START, START, START, START)
     assert _kind(monitor.check(step)) == ("acceleration", 6) or _kind(monitor.check(step)) == ("jerk", 6)

@@ -16,8 +16,8 @@ from procedures.engine.events import (
     DeviceAge,
     DeviceState,
     Event,
+    EventContent,
     Fault,
-    Happening,
     JournalLine,
     LinkHealth,
     Order,
@@ -42,14 +42,14 @@ def question(number: int) -> Questioned:
     )
 
 
-def events_of(happenings: list[Happening]) -> list[Event]:
+def events_of(happenings: list[EventContent]) -> list[Event]:
     return [
         Event(number=number, host_time=MOMENT, theatre_time_s=number / 10, what=what)
         for number, what in enumerate(happenings, start=1)
     ]
 
 
-def view_after(*happenings: Happening) -> CaseView:
+def view_after(*happenings: EventContent) -> CaseView:
     view = CaseView()
     for event in events_of(list(happenings)):
         view = fold(view, event)
@@ -77,7 +77,7 @@ HAPPENINGS = st.one_of(
 
 @given(st.lists(HAPPENINGS, max_size=40), st.data())
 def test_a_snapshot_plus_the_later_events_gives_the_later_snapshot(
-    happenings: list[Happening], data: st.DataObject
+    happenings: list[EventContent], data: st.DataObject
 ) -> None:
     events = events_of(happenings)
     at = data.draw(st.integers(0, len(events)))

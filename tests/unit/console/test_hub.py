@@ -21,7 +21,7 @@ from procedures.engine.events import (
     DeviceAge,
     DeviceState,
     Event,
-    Happening,
+    EventContent,
     JournalLine,
     Pose,
     Seat,
@@ -102,7 +102,7 @@ def test_a_case_under_review_with_open_devices_and_no_more_events_is_reported_an
     assert hub.frozen == ""
 
 
-def event(number: int, what: Happening) -> Event:
+def event(number: int, what: EventContent) -> Event:
     return Event(number=number, host_time=datetime.now(UTC), theatre_time_s=1.0, what=what)
 
 
@@ -117,7 +117,7 @@ def fed(*lines: bytes) -> Hub:
     return hub
 
 
-def line(number: int, what: Happening) -> bytes:
+def line(number: int, what: EventContent) -> bytes:
     return b'{"event":' + event(number, what).model_dump_json().encode() + b"}"
 
 

@@ -18,7 +18,7 @@ def fitted(cell: RecordingCell, *left_out: str, lasts: list[str] | None = None) 
         return Outcome(Fit(not_for=(context.trajectory,) if context.trajectory in left_out else ()))
 
     def back(context: StepContext) -> Outcome[StepResult]:
-        remain = set(context.remaining) - set(context.done_for(Back)) - {context.trajectory}
+        remain = set(context.remaining) - set(context.trajectories_done(Back)) - {context.trajectory}
         if lasts is not None and not remain:
             lasts.append(context.trajectory)
         return Outcome(Back())

@@ -179,7 +179,7 @@ def restarted(recorded: Recorded) -> None:
     recorded.engine.setting.memory.clear()
     recorded.engine.machine.hold()
     recorded.cell.journal.write(Entry.RESTARTED, 0.0)
-    recorded.cell.workcell.take_up(arm_history(read_journal(recorded.cell.journal.path)))
+    recorded.cell.workcell.restore_history(arm_history(read_journal(recorded.cell.journal.path)))
 
 
 @pytest.mark.hazard(2)

@@ -143,7 +143,7 @@ def test_a_plan_written_again_in_a_resumed_run_is_no_change_after_a_kill(run: Pa
     chain = read_chain(run / JOURNAL_FILE)
     (run / CT).write_text("the same, with a comment")
     record = next(line["record"] for line in chain.lines if line["entry"] == Entry.RESULT)
-    journal = Journal.taken_up(run, chain)
+    journal = Journal.reopen_run(run, chain)
     journal.write(Entry.RESTARTED, 0.0, inputs=dict(input_hashes(run, theatre_files(run))))
     again = dict(input_hashes(run, [run / CT]))
     journal.write(Entry.FINDING, 0.0, text="written again", record=record, inputs=again)

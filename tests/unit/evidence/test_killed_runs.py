@@ -123,7 +123,7 @@ def test_truth_replaced_in_a_killed_run_is_named(sampled: Path, name: str, conte
 
 
 def test_a_journal_that_claims_a_huge_truth_file_costs_no_memory(sampled: Path) -> None:
-    journal = Journal.taken_up(sampled, read_chain(sampled / JOURNAL_FILE))
+    journal = Journal.reopen_run(sampled, read_chain(sampled / JOURNAL_FILE))
     journal.write(Entry.FOUND, 3.0, truth={"theatre/truth.jsonl": [10**18, "0"]})
     journal.close()
     assert changed_files(sampled) == {"theatre/truth.jsonl"}

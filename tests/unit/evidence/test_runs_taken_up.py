@@ -35,7 +35,7 @@ def with_a_stray_file(run: Path) -> Path:
 
 def with_edited_readings(run: Path) -> Path:
     """A later session left them."""
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 0.0)
     (run / READINGS).write_text("as read")
     close_run(run, journal, 0.0, "done", None)
@@ -47,7 +47,7 @@ def with_edited_readings(run: Path) -> Path:
 def killed_on_its_way_home(run: Path) -> None:
     """What a `home` leaves that was killed before its end."""
     left = read_interrupted_run(run, only_leaving=True)
-    journal = Journal.taken_up(run, left.chain)
+    journal = Journal.reopen_run(run, left.chain)
     journal.write(Entry.RESTARTED, 0.0, **left.as_plain())
     journal.close()
 
@@ -124,7 +124,7 @@ def test_a_changed_journal_or_record_fails_the_check_before_homing(run: Path, na
 
 @pytest.mark.hazard(39)
 def test_a_resumed_run_is_checked_against_its_first_end(run: Path) -> None:
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
     journal.close()
     (run / "log.jsonl").write_text("goes on\n")
@@ -135,7 +135,7 @@ def test_a_resumed_run_is_checked_against_its_first_end(run: Path) -> None:
 
 def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> None:
     files = Manifest(tuple(read_journal(run / JOURNAL_FILE))).files
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.RESTARTED, 1.0)
     journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
     journal.close()
@@ -148,7 +148,7 @@ def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> N
 
 
 def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.FINDING, 1.0, text="all is well")
     journal.close()
     assert changed_files(run) == {JOURNAL_FILE}

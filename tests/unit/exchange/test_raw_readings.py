@@ -206,7 +206,7 @@ def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Pat
     seal_run(run)
     said = [in_this_process(app, command, run) for command in ("show", "verify")]
     assert not any(f"{RAW_FOLDER}/" in one.stdout for one in said)
-    journal = Journal.taken_up(run, read_chain(run / "journal.jsonl"))
+    journal = Journal.reopen_run(run, read_chain(run / "journal.jsonl"))
     journal.write(Entry.RESTARTED, 4.0)
     journal.write(Entry.INTENT, 4.0, step="relocalization:T2")
     journal.write(Entry.CLOSED, 5.0, outcome="interrupted", files=hashes_at_closing(run))

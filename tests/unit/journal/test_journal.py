@@ -178,7 +178,7 @@ def test_a_journal_is_not_taken_up_without_disk_space_for_the_end_of_the_run(
 
     let_no_room_be_held(monkeypatch)
     with pytest.raises(JournalNotWritable, match="No space left"):
-        Journal.taken_up(tmp_path, read_chain(journal.path))
+        Journal.reopen_run(tmp_path, read_chain(journal.path))
     assert os.listdir(tmp_path) == [JOURNAL_FILE]
 
 

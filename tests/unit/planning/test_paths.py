@@ -10,7 +10,7 @@ from ur5 import Ur5
 
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import WristState
-from procedures.planning.paths import check_paths, ranked_branches
+from procedures.planning.paths import check_paths, rank_branches
 from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
@@ -104,9 +104,9 @@ def test_another_starting_branch_is_kept_when_it_works(make_arm, checked):
 def test_the_branch_that_reaches_most_poses_is_tried_first(make_arm, checked):
     setting = make_arm()
     flanges = [one.visit.pose @ setting.flange_from_tool.inverse() for one in checked.reached]
-    assert ranked_branches(setting.kinematics, flanges, setting.start_rad)[0] == checked.branch
+    assert rank_branches(setting.kinematics, flanges, setting.start_rad)[0] == checked.branch
     overhead = radians6(180.0 - 15.0, -90.0, 90.0, 0.0, 90.0, 0.0)
-    assert len(set(ranked_branches(setting.kinematics, flanges, overhead))) == 8
+    assert len(set(rank_branches(setting.kinematics, flanges, overhead))) == 8
 
 
 @pytest.mark.hazard(23)

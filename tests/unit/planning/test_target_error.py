@@ -17,8 +17,8 @@ from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.target_error import (
     USUAL_SEATING_MM,
     choose_best_strategies,
-    predicted_arm_error_mm,
-    predicted_by_markers,
+    predict_arm_error_mm,
+    predict_by_markers,
 )
 from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.registration.error_theory import tre_principal_axes_mm
@@ -37,7 +37,7 @@ def test_equal_markers_give_the_error_of_fitzpatricks_formula() -> None:
     covariances = np.tile(np.eye(3) * own_mm**2 / 3.0, (4, 1, 1))
     fle_mm = float(np.sqrt(own_mm**2 + 3.0 * USUAL_SEATING_MM**2))
     (by_formula,) = tre_principal_axes_mm(np.array([TARGET_MM]), MARKERS_MM, fle_mm)
-    assert predicted_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
+    assert predict_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
         by_formula, rel=1e-6
     )
 
@@ -54,9 +54,7 @@ def test_unequal_markers_give_the_error_of_many_random_draws() -> None:
         turn, _ = Rotation.align_vectors(moved - moved.mean(axis=0), MARKERS_MM - middle)
         errors.append(turn.apply(np.array(TARGET_MM) - middle) + moved.mean(axis=0) - TARGET_MM)
     drawn_mm = float(np.sqrt(np.square(errors).sum(axis=1).mean()))
-    assert predicted_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(
-        drawn_mm, rel=0.06
-    )
+    assert predict_by_markers(MARKERS_MM, covariances, TARGET_MM).rms_mm == pytest.approx(drawn_mm, rel=0.06)
 
 
 FIDUCIALS = np.array([[60.0, -70.0, 60.0], [-50.0, -75.0, 55.0], [5.0, -40.0, 100.0], [30.0, -90.0, 20.0]])
@@ -77,7 +75,7 @@ def test_the_strategy_with_the_least_predicted_error_is_chosen(
     for one in CANDIDATES:
         alone = replace(setting, strategy=one)
         check = choose_free_angles(alone, [LEANING], FIDUCIALS, SIGHT).check
-        predicted_mm[one.name] = predicted_arm_error_mm(alone, check, LEANING)
+        predicted_mm[one.name] = predict_arm_error_mm(alone, check, LEANING)
     assert chosen.of("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
 
 
@@ -89,7 +87,7 @@ def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_not_at_the_hold
     check = choose_free_angles(setting, [held], FIDUCIALS, SIGHT).check
     errors_mm = np.array([_error_of_a_drawn_arm_mm(setting, check, held, draw) for draw in range(DRAWS)])
     rms_mm = np.sqrt(np.mean(np.sum(errors_mm**2, axis=1)))
-    assert predicted_arm_error_mm(setting, check, held) == pytest.approx(rms_mm, rel=0.1)
+    assert predict_arm_error_mm(setting, check, held) == pytest.approx(rms_mm, rel=0.1)
 
 
 def _error_of_a_drawn_arm_mm(

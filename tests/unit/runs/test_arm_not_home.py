@@ -19,7 +19,7 @@ from procedures.operator.question import Topic
 from procedures.runs import theatre_note
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
-from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_lock import hold_theatre
 from procedures.runs.theatre_note import NOT_KNOWN, TheatreNote, arm_not_home
 from procedures.steps.clinical import set_up
 from procedures.workcell import Insertion, MountedTool
@@ -36,7 +36,7 @@ def earlier(runs: Path, number: int, *whats: str, resumable: bool = True) -> Pat
     if resumable:
         write_request(RunRequest(procedure=CaseProcedure(case=runs), config=theatre), cell.folder)
     cell.journal.write(Entry.OPENED, 0.0, run=cell.folder.name)
-    with held_theatre(theatre, cell.folder):
+    with hold_theatre(theatre, cell.folder):
         for what in whats:
             cell.journal.write(Entry.MOTION, 0.0, what=what)
             cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=what == "home")
@@ -52,7 +52,7 @@ def warning(runs: Path) -> str | None:
 def warning_of(run: Path) -> str | None:
     """What a session of that run on the theatre is warned of."""
     run.mkdir(exist_ok=True)
-    with held_theatre(run.parent / "theatre.toml", run) as last:
+    with hold_theatre(run.parent / "theatre.toml", run) as last:
         return arm_not_home(last, run)
 
 
@@ -74,7 +74,7 @@ def test_a_run_whose_first_motion_was_refused_at_home_neither_warns_nor_hides_th
 ) -> None:
     def refused(number: int) -> None:
         run = earlier(tmp_path, number)
-        journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+        journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
         journal.write(Entry.MOTION, 0.0, number=1, what="go")
         journal.write(Entry.MOVED, 0.0, number=1, error="ARM-007", at_home=True)
         journal.close()
@@ -122,8 +122,8 @@ def test_a_motion_from_home_that_was_cut_short_leaves_the_arm_away(
     tmp_path: Path, before: tuple[str, ...], end: dict[str, str]
 ) -> None:
     run = earlier(tmp_path, 1, *before)
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
-    with held_theatre(tmp_path / "theatre.toml", run):
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
+    with hold_theatre(tmp_path / "theatre.toml", run):
         journal.write(Entry.MOTION, 0.0, what="go")
         if end:
             journal.write(Entry.MOVED, 0.0, **end)
@@ -199,7 +199,7 @@ def test_a_damaged_note_is_asked_about_until_a_run_moves_the_arm(tmp_path: Path)
 def test_home_of_another_run_names_the_run_that_left_the_arm_away(tmp_path: Path, ended: str) -> None:
     other = earlier(tmp_path, 1)
     if ended == "finished":
-        journal = Journal.taken_up(other, read_chain(other / JOURNAL_FILE))
+        journal = Journal.reopen_run(other, read_chain(other / JOURNAL_FILE))
         journal.write(Entry.CLOSED, 0.0, outcome="done")
         journal.close()
     away = earlier(tmp_path, 2, "go")
@@ -224,7 +224,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     cell.arm.mounted = GUIDE
     cell.workcell.mount.check(MountedTool.GUIDE)
     axis = Insertion("T1", cell.workcell.tool_pose(), travel_mm=60.0).as_plain()
-    with held_theatre(theatre, cell.folder):
+    with hold_theatre(theatre, cell.folder):
         cell.journal.write(Entry.MOTION, 0.0, what="insert", trajectory="T1", axis=axis)
         cell.journal.write(Entry.MOVED, 0.0, joints_rad=list(HOME), at_home=False)
         if goes_in:
@@ -235,7 +235,7 @@ def test_a_copy_of_the_theatre_file_keeps_the_warning_that_an_instrument_may_be_
     assert says in instrument.seen
     assert "Touch neither the tool nor the arm" in instrument.advice
     assert f"ronna-procedure home {cell.folder}" in away.seen
-    with held_theatre(copy, tmp_path / "new") as last:
+    with hold_theatre(copy, tmp_path / "new") as last:
         assert f"ronna-procedure home {cell.folder}" in str(arm_not_home(last, tmp_path / "new"))
     assert not list(use_diagnostics(simulated_theatre(tmp_path / "fresh.toml", "b" * 32)))
 

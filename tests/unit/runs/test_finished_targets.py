@@ -208,7 +208,7 @@ def rolling(cell: ClinicalCell, target: str, at: int) -> Engine:
         done_later(registered_robot(), LockedCart, scope=Scope.LOCALIZATION),
         *(positioning.STEP, at_target.STEP, retreat.STEP, confirmation.STEP),
     )
-    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    engine.goes_on = MovedCart(engine).continues_by_consent
     engine.checkpoint.guards.append(Rolls(engine, cell.arm, target, at))
     return engine
 
@@ -284,7 +284,7 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     broken_off(cell)
     again, engine, left = opened_again(cell, engine.order)
     assert not engine.over
-    again.workcell.take_up(left.arm, HOME_RAD)
+    again.workcell.restore_history(left.arm, HOME_RAD)
     again.workcell.mount.identify()
     assert head_moved_since(engine)
     engine.accept()

@@ -17,7 +17,7 @@ from procedures.engine.order import Outcome
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import JOURNAL_FILE, TORN_FILE, Entry, Journal
 from procedures.journal.results import StepResult
-from procedures.runs.folders import held_run
+from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
@@ -47,7 +47,7 @@ def test_a_torn_end_is_set_aside_and_the_chain_continues_before_it(tmp_path: Pat
         file.write(end)
     chain = read_chain(path)
     assert (len(chain.lines), chain.torn) == (3, end)
-    journal = Journal.taken_up(tmp_path, chain)
+    journal = Journal.reopen_run(tmp_path, chain)
     journal.write(Entry.RESTARTED, 9.0)
     journal.close()
     assert [line["entry"] for line in read_chain(path).lines] == ["finding"] * 3 + ["restarted"]
@@ -181,7 +181,7 @@ def test_the_step_that_had_started_is_known(cell: RecordingCell) -> None:
 
 @pytest.mark.hazard(42)
 def test_only_one_program_at_a_time_can_hold_a_run(tmp_path: Path) -> None:
-    with held_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), held_run(tmp_path):
+    with hold_run(tmp_path), pytest.raises(RunInUse, match="PRO-030"), hold_run(tmp_path):
         pass
-    with held_run(tmp_path):
+    with hold_run(tmp_path):
         pass

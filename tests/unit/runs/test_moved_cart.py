@@ -39,7 +39,7 @@ def localizing(cell: ClinicalCell) -> Engine:
     before = (imported_ct(), localized_fiducials(), checked_plan(), checked_set_up(cell), clamped_head())
     steps = (cart_lock.STEP, global_localization.IN_CASE, correspondence.STEP, checked_paths(cell))
     engine = cell.begin(*before, *steps, relocalization.STEP)
-    engine.goes_on = MovedCart(engine).agreed_to_go_on
+    engine.goes_on = MovedCart(engine).continues_by_consent
     return engine
 
 
@@ -130,7 +130,7 @@ def test_a_cart_that_keeps_moving_stops_the_case_after_the_maximum_number_of_mov
 )
 def test_the_case_continues_on_its_own_after_a_cart_move_only(tmp_path: Path, problem: RonnaError) -> None:
     cell = ClinicalCell(tmp_path)
-    assert not MovedCart(localizing(cell)).agreed_to_go_on(problem)
+    assert not MovedCart(localizing(cell)).continues_by_consent(problem)
     assert moves_asked(cell) == 0
 
 

@@ -15,7 +15,7 @@ from waiting import eventually
 
 from procedures.cli.case.commands import carry_out
 from procedures.engine.events import Seat
-from procedures.engine.events.event_types import shown_digest
+from procedures.engine.events.event_types import digest_of_question
 from procedures.engine.questions import as_shown
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.operator.question import Answer, Question, ReadBack, Signature, Topic
@@ -84,7 +84,7 @@ def question(**more: Any) -> Question:
 
 
 def shown(asked: Question) -> str:
-    return shown_digest(as_shown(asked, asked.number))
+    return digest_of_question(as_shown(asked, asked.number))
 
 
 def test_the_desk_is_in_charge_before_the_seat_is_taken_only_if_the_case_waits_for_it(tmp_path: Path) -> None:
@@ -159,7 +159,7 @@ def test_a_seat_is_kept_by_renewing_and_freed_when_its_page_is_silent(stand: Sta
         stand.give("renew")
     assert stand.give("claim", BEN, name="Ben") == "the seat is taken by Ana"
     stand.clock.now_s += LEASE_S + 1.0
-    assert not stand.station.occupied_since(0)
+    assert not stand.station.is_occupied_since(0)
     assert stand.give("renew") == ""
     assert stand.give("pause") == "you are not in the operator's seat"
     assert stand.give("claim", BEN, name="Ben") == ""

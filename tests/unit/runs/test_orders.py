@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from procedures.engine.events import Questioned
-from procedures.engine.events.event_types import shown_digest
+from procedures.engine.events.event_types import digest_of_question
 from procedures.operator.question import Evidence
 from procedures.runs.orders import COMMANDS, LONGEST_BYTES, PAUSED, SentOrder, Stop, read_order
 
@@ -80,5 +80,5 @@ def test_the_digest_covers_everything_a_decision_is_based_on_and_nothing_else() 
             {"read_back": "how many"},
         )
     ]
-    assert len({shown_digest(one) for one in (asked, *changed)}) == len(changed) + 1
-    assert shown_digest(asked.model_copy(update={"timeout_s": 1.0})) == shown_digest(asked)
+    assert len({digest_of_question(one) for one in (asked, *changed)}) == len(changed) + 1
+    assert digest_of_question(asked.model_copy(update={"timeout_s": 1.0})) == digest_of_question(asked)

@@ -11,7 +11,7 @@ from run_again import broken_off
 from procedures.engine.case import StepKey
 from procedures.engine.order import order_of
 from procedures.journal.results import StepResult
-from procedures.runs.case import recorded_order
+from procedures.runs.case import restore_order
 from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.runs.request import CaseProcedure
 
@@ -24,7 +24,7 @@ def test_the_order_comes_from_the_record_without_reading_a_plan_file(tmp_path: P
     cell = ClinicalCell(tmp_path / "run")
     cell.begin(checked_plan()).run_to()
     broken_off(cell)
-    order = recorded_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
+    order = restore_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
     assert list(order.trajectories) == [trajectory.id for trajectory in checked_plan().plan.trajectories]
     assert StepKey("retreat", order.trajectories[-1]) in order.sequence
 
@@ -33,5 +33,5 @@ def test_an_order_without_a_checked_plan_has_no_steps_at_targets(tmp_path: Path)
     cell = ClinicalCell(tmp_path / "run")
     cell.engine(order_of([done_later(Begun())], ())).run_to()
     broken_off(cell)
-    order = recorded_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
+    order = restore_order(CaseProcedure(case=tmp_path / "gone"), read_interrupted_run(cell.folder))
     assert order.trajectories == ()

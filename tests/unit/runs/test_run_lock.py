@@ -8,14 +8,14 @@ from pathlib import Path
 import pytest
 
 from procedures.engine.errors import RunInUse
-from procedures.runs.folders import held_run
+from procedures.runs.folders import hold_run
 
 
 def test_the_error_names_the_process_that_holds_the_run_and_does_not_advise_ending_it(tmp_path: Path) -> None:
     with (
-        held_run(tmp_path),
+        hold_run(tmp_path),
         pytest.raises(RunInUse, match=f"pid {os.getpid()}") as refused,
-        held_run(tmp_path),
+        hold_run(tmp_path),
     ):
         pass
     assert "watch" in refused.value.advice

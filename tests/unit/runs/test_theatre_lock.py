@@ -12,7 +12,7 @@ import pytest
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.runs import theatre_note
-from procedures.runs.theatre_lock import held_theatre, last_moved, require_free_theatre, theatre_user
+from procedures.runs.theatre_lock import hold_theatre, last_moved, require_free_theatre, theatre_user
 from procedures.runs.theatre_note import TheatreNote, read_note
 
 NOBODY = 65534  # an account without rights
@@ -38,9 +38,9 @@ def lock_file(theatre: Path) -> Path:
 
 
 def test_a_second_program_is_refused_with_the_run_and_the_process_of_the_first(theatre: Path) -> None:
-    with held_theatre(theatre, theatre.parent / "run-1"):
+    with hold_theatre(theatre, theatre.parent / "run-1"):
         named = rf"run-1 \(pid {os.getpid()}\) is using this theatre"
-        with pytest.raises(TheatreInUse, match=named), held_theatre(theatre, theatre.parent / "run-2"):
+        with pytest.raises(TheatreInUse, match=named), hold_theatre(theatre, theatre.parent / "run-2"):
             pass
         with pytest.raises(TheatreInUse, match="run-1"):
             require_free_theatre(theatre)
@@ -48,7 +48,7 @@ def test_a_second_program_is_refused_with_the_run_and_the_process_of_the_first(t
 
 
 def test_the_lock_survives_an_editor_that_replaces_the_theatre_file(theatre: Path) -> None:
-    with held_theatre(theatre, theatre.parent / "run-1"):
+    with hold_theatre(theatre, theatre.parent / "run-1"):
         other = theatre.with_name("other")
         other.write_text("schema = 1")
         other.rename(theatre)
@@ -58,19 +58,19 @@ def test_the_lock_survives_an_editor_that_replaces_the_theatre_file(theatre: Pat
 def test_one_file_under_two_names_is_one_theatre(theatre: Path) -> None:
     link = theatre.with_name("link.toml")
     link.symlink_to(theatre)
-    with held_theatre(link, theatre.parent / "run-1"):
+    with hold_theatre(link, theatre.parent / "run-1"):
         assert theatre_user(theatre) is not None
 
 
 def test_a_user_without_a_run_is_named_as_a_program(theatre: Path) -> None:
-    with held_theatre(theatre, None):
+    with hold_theatre(theatre, None):
         user = theatre_user(theatre)
         assert user is not None
         assert user.seen == f"another program (pid {os.getpid()}) is using this theatre"
 
 
 def test_a_note_of_another_process_names_no_run(theatre: Path) -> None:
-    with held_theatre(theatre, theatre.parent / "run-1"):
+    with hold_theatre(theatre, theatre.parent / "run-1"):
         lock_file(theatre).write_text('{"run": "/runs/long-ended", "pid": 1, "moved_before": null}')
         user = theatre_user(theatre)
         assert user is not None
@@ -85,7 +85,7 @@ def test_from_a_damaged_note_nobody_knows_who_moved_the_arm_until_a_run_moves_it
     lock_file(theatre).write_bytes(content)
     for _ in range(2):
         assert last_moved(theatre).unreadable
-        with held_theatre(theatre, None) as before:
+        with hold_theatre(theatre, None) as before:
             assert before.unreadable
     assert read_note(theatre.with_name("none")) == TheatreNote()
     lock_file(theatre).write_bytes(b"")  # made, and its program killed
@@ -106,13 +106,13 @@ def test_a_note_that_another_account_can_have_written_is_not_believed(
     tmp_path: Path, arms_folder: Path, give: Callable[[Path], None]
 ) -> None:
     theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
-    with held_theatre(theatre, None):
+    with hold_theatre(theatre, None):
         pass
     (note,) = arms_folder.iterdir()
     give(note)
     for _ in range(2):
         assert last_moved(theatre).unreadable
-    with held_theatre(theatre, None) as before:
+    with hold_theatre(theatre, None) as before:
         assert before.unreadable
     assert not note.stat().st_mode & 0o002
 
@@ -120,7 +120,7 @@ def test_a_note_that_another_account_can_have_written_is_not_believed(
 @pytest.mark.hazard(5)
 def test_a_note_that_another_account_can_have_removed_is_not_known(tmp_path: Path, arms_folder: Path) -> None:
     theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
-    with held_theatre(theatre, None):
+    with hold_theatre(theatre, None):
         pass
     _of_nobody(arms_folder)
     assert not last_moved(theatre).unreadable  # it is there, and ours
@@ -134,7 +134,7 @@ def test_a_note_is_believed_by_every_user_of_the_group_that_may_write_it(
     tmp_path: Path, arms_folder: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     theatre = with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602")
-    with held_theatre(theatre, None):
+    with hold_theatre(theatre, None):
         pass
     for path in (arms_folder, *arms_folder.iterdir()):
         path.chmod(path.stat().st_mode | 0o020)
@@ -156,14 +156,14 @@ def test_a_killed_run_with_a_name_that_no_folder_has_may_have_moved_the_arm(thea
 @pytest.mark.parametrize("endpoint", ["tcp://192.168.10.2:54602", "serial:///dev/ttyUSB3"])
 def test_a_copy_of_a_theatre_file_is_the_same_arm(tmp_path: Path, arms_folder: Path, endpoint: str) -> None:
     one, other = with_arm(tmp_path / "a.toml", endpoint), with_arm(tmp_path / "b" / "a.toml", endpoint, 2)
-    with held_theatre(one, None):
+    with hold_theatre(one, None):
         with pytest.raises(TheatreInUse):
-            held_theatre(other, None).__enter__()
+            hold_theatre(other, None).__enter__()
         assert theatre_user(other) is not None
     (made,) = arms_folder.iterdir()
     assert made.name in ("192.168.10.2.in-use", "_dev_ttyUSB3.in-use")
     assert arms_folder.stat().st_mode & 0o1777 == 0o1777
-    with held_theatre(with_arm(tmp_path / "c.toml", "tcp://192.168.10.3:54602"), None):
+    with hold_theatre(with_arm(tmp_path / "c.toml", "tcp://192.168.10.3:54602"), None):
         require_free_theatre(one)
 
 
@@ -179,7 +179,7 @@ def test_a_controller_is_the_same_under_every_name_that_leads_to_it(
     named, spelt, numbered = (
         with_arm(tmp_path / f"{number}.toml", endpoint) for number, endpoint in enumerate(endpoints)
     )
-    with held_theatre(named, None):
+    with hold_theatre(named, None):
         assert theatre_user(spelt) is not None
         assert theatre_user(numbered) is not None
 
@@ -193,7 +193,7 @@ def test_a_note_that_is_a_link_is_refused_and_what_it_leads_to_stays(
     arms_folder.mkdir()
     (arms_folder / "192.168.10.2.in-use").symlink_to(secret)
     with pytest.raises(TheatreNotNoted):
-        held_theatre(with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602"), None).__enter__()
+        hold_theatre(with_arm(tmp_path / "a.toml", "tcp://192.168.10.2:54602"), None).__enter__()
     assert (secret.read_text(), secret.stat().st_mode & 0o777) == ("precious", 0o600)
 
 
@@ -201,7 +201,7 @@ def test_simulated_arms_at_the_same_address_are_used_side_by_side(tmp_path: Path
     one, other = (
         with_arm(tmp_path / name, "tcp://127.0.0.1:54602", local="127.0.0.1") for name in ("a.toml", "b.toml")
     )
-    with held_theatre(one, None), held_theatre(other, None):
+    with hold_theatre(one, None), hold_theatre(other, None):
         assert theatre_user(one) is not None
     assert not arms_folder.exists()
 
@@ -215,9 +215,9 @@ def test_a_copy_of_a_simulated_theatre_s_file_is_the_same_arm_and_another_theatr
         with_arm(tmp_path / name, address, local="127.0.0.1", identity=identity * 32)
         for name, identity in (("a.toml", "a"), ("copy.toml", "a"), ("b.toml", "b"))
     )
-    with held_theatre(one, None):
+    with hold_theatre(one, None):
         with pytest.raises(TheatreInUse):
-            held_theatre(copy, None).__enter__()
+            hold_theatre(copy, None).__enter__()
         require_free_theatre(another)
 
 
@@ -263,10 +263,10 @@ def test_a_run_that_cannot_be_noted_for_the_next_one_is_refused(
     theatre: Path, read_only: ReadOnly, other_users_note: bool
 ) -> None:
     if other_users_note:
-        with held_theatre(theatre, theatre.parent / "run-1"):
+        with hold_theatre(theatre, theatre.parent / "run-1"):
             pass
     with read_only(), pytest.raises(TheatreNotNoted, match="PRO-045"):
-        held_theatre(theatre, theatre.parent / "run-2").__enter__()
+        hold_theatre(theatre, theatre.parent / "run-2").__enter__()
     assert theatre_user(theatre) is None
 
 
@@ -276,9 +276,9 @@ def test_a_user_who_can_write_next_to_the_theatre_is_kept_out_by_one_who_cannot(
 ) -> None:
     with ExitStack() as first:
         with read_only():
-            first.enter_context(held_theatre(theatre, theatre.parent / "run-1", only_leaving=True))
+            first.enter_context(hold_theatre(theatre, theatre.parent / "run-1", only_leaving=True))
         with pytest.raises(TheatreInUse):
-            held_theatre(theatre, theatre.parent / "run-2").__enter__()
+            hold_theatre(theatre, theatre.parent / "run-2").__enter__()
         assert theatre_user(theatre) is not None
     assert theatre_user(theatre) is None
 
@@ -286,5 +286,5 @@ def test_a_user_who_can_write_next_to_the_theatre_is_kept_out_by_one_who_cannot(
 def test_a_note_that_a_group_may_write_stays_so(theatre: Path) -> None:
     lock_file(theatre).touch()
     lock_file(theatre).chmod(0o660)
-    with held_theatre(theatre, None):
+    with hold_theatre(theatre, None):
         assert lock_file(theatre).stat().st_mode & 0o777 == 0o664

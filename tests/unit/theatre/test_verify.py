@@ -49,7 +49,7 @@ def leave(run: Path, record: Record) -> None:
     """A record and its line of the journal, as a run leaves them before it is closed."""
     write_record(record, run / RECORDS_FOLDER)
     path = run / JOURNAL_FILE
-    journal = Journal.taken_up(run, read_chain(path)) if path.exists() else Journal(run)
+    journal = Journal.reopen_run(run, read_chain(path)) if path.exists() else Journal(run)
     journal.write(Entry.RESULT, 0.0, step=record.kind, record=record.identifier, sha256=record.sha256)
     journal.close()
 
@@ -205,7 +205,7 @@ def test_truth_that_changes_after_the_check_is_not_compared(
     run: Path, at_target: Callable[..., None], monkeypatch: pytest.MonkeyPatch, name: str, closed: bool
 ) -> None:
     at_target(TARGET_MM)
-    journal = Journal.taken_up(run, read_chain(run / JOURNAL_FILE))
+    journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
     journal.write(Entry.FOUND, 1.0, **truth_so_far(run))
     if closed:
         close_run(run, journal, 2.0, "done", None)

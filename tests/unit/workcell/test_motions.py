@@ -71,7 +71,7 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
     on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
-    cell.workcell.take_up(ArmHistory(place=ArmPlace(Where.ON_AXIS, on)), cell.workcell.home_rad)
+    cell.workcell.restore_history(ArmHistory(place=ArmPlace(Where.ON_AXIS, on)), cell.workcell.home_rad)
     cell.workcell.withdraw("T1")
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.workcell.tracker_look import name_of_frame, with_its_spheres
+from procedures.workcell.tracker_look import add_frame_spheres, name_of_frame
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -37,7 +37,7 @@ def test_the_frame_is_recognised_by_its_markers_and_not_by_its_name() -> None:
 
 
 def test_the_spheres_of_the_tracked_frame_are_added_to_the_strays() -> None:
-    first, *spheres = with_its_spheres(Tracker(), reading()).strays
+    first, *spheres = add_frame_spheres(Tracker(), reading()).strays
     assert first.position_mm == (1.0, 2.0, -1500.0)
     found = np.array([one.position_mm for one in spheres])
     assert found == pytest.approx(TURN.apply(SPHERE_CENTRES_MM) + PLACE_MM)
@@ -46,4 +46,4 @@ def test_the_spheres_of_the_tracked_frame_are_added_to_the_strays() -> None:
 @pytest.mark.parametrize("validity", [Validity.MISSING, Validity.PARTIAL, Validity.OUT_OF_VOLUME])
 def test_no_spheres_are_added_without_a_valid_pose(validity: Validity) -> None:
     seen = reading(validity)
-    assert with_its_spheres(Tracker(), seen) is seen
+    assert add_frame_spheres(Tracker(), seen) is seen

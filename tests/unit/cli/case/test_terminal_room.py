@@ -20,7 +20,7 @@ THREE_DIALS = Task(
 def typing(monkeypatch: pytest.MonkeyPatch, *lines: str) -> None:
     typed = iter(lines)
     monkeypatch.setattr(sys, "stdin", SimpleNamespace(isatty=lambda: True))
-    monkeypatch.setattr(operators, "_typed", lambda *_asked: next(typed))
+    monkeypatch.setattr(operators, "_read_typed", lambda *_asked: next(typed))
 
 
 @pytest.fixture(autouse=True)

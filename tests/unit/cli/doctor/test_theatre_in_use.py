@@ -19,7 +19,7 @@ from procedures.cli.doctor.report import RUN, examine
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.request_file import RequestFile
-from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_lock import hold_theatre
 from procedures.runs.theatre_note import TheatreNote, note_file
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
@@ -150,7 +150,7 @@ def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not
     journal.write(Entry.MOTION, 1.0, step="positioning:T1", what="approach")
     journal.write(Entry.INSTRUMENT, 2.0, trajectory="T1", inside=True)
     journal.close()
-    with held_theatre(theatre, None):  # as a program leaves it that is killed
+    with hold_theatre(theatre, None):  # as a program leaves it that is killed
         note = TheatreNote(run=run, moved_before=run)
     note_file(theatre).write_text(note.model_dump_json())
     monkeypatch.setattr(theatre_checks, "resumable_run", lambda _theatre: run)

@@ -19,7 +19,7 @@ from procedures.runs.lifecycle import open_engine
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
-from procedures.runs.theatre_lock import held_theatre
+from procedures.runs.theatre_lock import hold_theatre
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import Identity, Lifecycle
 from ronna_hw.errors import (
@@ -106,8 +106,8 @@ def test_acknowledge_prints_what_was_acknowledged_and_by_whom(
 def test_a_fault_of_an_unfinished_run_is_acknowledged_in_that_run(tmp_path: Path, by_config: bool) -> None:
     theatre = mini_theatre_file(tmp_path, simulated=True)
     unfinished, other = (left_on(theatre, tmp_path / name) for name in ("unfinished", "other"))
-    with held_theatre(theatre, unfinished):
-        journal = Journal.taken_up(unfinished, read_chain(unfinished / JOURNAL_FILE))
+    with hold_theatre(theatre, unfinished):
+        journal = Journal.reopen_run(unfinished, read_chain(unfinished / JOURNAL_FILE))
         journal.write(Entry.MOTION, 0.0, what="go")
         journal.close()
     what = ("--config", theatre) if by_config else (other,)

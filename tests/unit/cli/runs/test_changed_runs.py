@@ -208,9 +208,9 @@ def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, s
     assert f"{run.name} is not reliable: report/truth.json: {what}" in table
 
 
-@pytest.mark.parametrize("take_up", [lambda run: make_ready(read_interrupted_run(run)), make_report])
+@pytest.mark.parametrize("restore", [lambda run: make_ready(read_interrupted_run(run)), make_report])
 def test_no_session_vouches_for_an_error_that_no_seal_confirms(
-    run: Path, take_up: Callable[[Path], object]
+    run: Path, restore: Callable[[Path], object]
 ) -> None:
     truth = Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),))
     kept = store_truth(run, truth)
@@ -219,7 +219,7 @@ def test_no_session_vouches_for_an_error_that_no_seal_confirms(
     assert load_truth(run) == truth
     store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
     (run / SEAL_FILE).unlink()
-    take_up(run)
+    restore(run)
     assert not kept.exists()
 
 

@@ -19,8 +19,8 @@ from procedures.cli.runs.commands import COMMANDS
 from procedures.engine.errors import BadRequestFile, OtherProgram
 from procedures.operator.errors import OperatorAborted
 from procedures.runs.answers import Answers
-from procedures.runs.folders import held_run, new_run_folder
-from procedures.runs.reopening import reopened_request
+from procedures.runs.folders import hold_run, new_run_folder
+from procedures.runs.reopening import read_reopened_request
 from procedures.runs.request import CalibrationProcedure, CaseProcedure, RunRequest, SceneChoice
 from procedures.runs.request_file import REQUEST_FILE, read_request
 from procedures.steps.calibration.recipe import Calibrated, Recipe
@@ -50,15 +50,15 @@ def test_a_resumed_run_is_answered_by_the_file_of_its_start_unless_given_another
     )
     folder = new_run_folder(asked, tmp_path)
     assert read_request(folder) == asked
-    assert reopened_request(folder, as_before=True).answers == asked.answers
+    assert read_reopened_request(folder, as_before=True).answers == asked.answers
     other = tmp_path / "other.toml"
     other.write_text('default = "silence"')
-    assert reopened_request(folder, answers=other, as_before=True).answers == Answers(default="silence")
+    assert read_reopened_request(folder, answers=other, as_before=True).answers == Answers(default="silence")
 
 
 def test_the_answers_of_a_case_do_not_answer_for_the_way_home(tmp_path: Path) -> None:
     folder = new_run_folder(RunRequest(procedure=CaseProcedure(), answers=Answers(default="first")), tmp_path)
-    assert reopened_request(folder).answers is None
+    assert read_reopened_request(folder).answers is None
 
 
 def test_answers_in_a_request_that_are_none_are_refused(tmp_path: Path) -> None:
@@ -118,7 +118,7 @@ def test_every_command_on_a_run_refuses_other_folders_with_the_same_error(
 @pytest.mark.parametrize("command", [("resume", "--accept"), ("report",)], ids=lambda command: command[0])
 def test_a_run_open_in_another_program_is_refused(tmp_path: Path, command: tuple[str, ...]) -> None:
     folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
-    with held_run(folder):
+    with hold_run(folder):
         refused = in_this_process(app, *command, folder)
     assert refused.returncode == EXIT_REFUSED
     assert "PRO-030" in refused.stderr
@@ -158,4 +158,4 @@ def test_a_run_in_a_simulated_theatre_of_its_own_file_may_be_accepted_by_option(
     asked = RunRequest(
         procedure=CaseProcedure(case=tmp_path), config=mini_theatre_file(tmp_path, simulated=True)
     )
-    assert reopened_request(new_run_folder(asked, tmp_path), accept=True) == asked
+    assert read_reopened_request(new_run_folder(asked, tmp_path), accept=True) == asked

@@ -22,7 +22,7 @@ from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import Truth
 from procedures.runs import case_outcome
 from procedures.runs.finishing import seal_run
-from procedures.runs.folders import held_run, new_run_folder
+from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.evidence.manifest import is_sealed
 from ronna_hw.records import Record
@@ -106,7 +106,7 @@ def test_a_run_that_a_program_has_open_is_not_listed_as_killed(
 ) -> None:
     folder = new_run_folder(RunRequest(procedure=CaseProcedure()), tmp_path)
     RecordingCell(folder).journal.write(Entry.OPENED, 0.0, run=folder.name)
-    with held_run(folder) if held else nullcontext():
+    with hold_run(folder) if held else nullcontext():
         (listed,) = json.loads(in_this_process(app, "list", tmp_path, "--json").stdout)["runs"]
         shown = in_this_process(app, "show", folder).stdout
     assert listed["ended"] == ended

@@ -18,7 +18,7 @@ from procedures.registration import register
 from procedures.steps.clinical.error_budget import (
     GATE_CONFIDENCE,
     REPEATABILITY_MM,
-    moved_spheres,
+    find_moved_spheres,
     residual_gate,
 )
 from ronna_hw.tool_record import GuideBore
@@ -50,7 +50,7 @@ def test_a_sphere_that_moved_by_a_millimetre_and_a_half_is_refused_and_named(mov
     measured = SPHERES_MM.copy()
     measured[moved, 0] += 1.5
     assert not residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE).passed
-    assert moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE)[0] == moved
+    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE)[0] == moved
 
 
 def turned_tool() -> Rotation:
@@ -82,14 +82,14 @@ def test_a_moved_sphere_is_found_despite_a_wrong_tool_frame() -> None:
     measured = SPHERES_MM + turned_tool().apply([2.0, -1.0, 2.0])
     measured[5, 0] += 1.8
     assert not residual_gate(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared).passed
-    assert moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared)[0] == 5
+    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, shared)[0] == 5
 
 
 def test_two_moved_spheres_are_not_explained_by_a_single_one() -> None:
     measured = SPHERES_MM.copy()
     measured[1] += [3.0, 0.0, 0.0]
     measured[4] += [0.0, 4.0, 0.0]
-    assert moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE) == ()
+    assert find_moved_spheres(SPHERES_MM, measured, MEASURED_MM2, ARM_MM, ALIKE) == ()
 
 
 INSERTIONS = 2000
