@@ -90,7 +90,7 @@ class Hub(ChangeNotifier):
         return replace(view, devices=devices, pose=stood)
 
     def heard(self) -> None:
-        """Note a sign of life of the engine."""
+        """Record that the engine is alive."""
         self._heard_s = self._now_s()
 
     @property

@@ -106,7 +106,7 @@ def largest_segment_difference_mm(first: ToolDefinition, second: ToolDefinition)
 
 @dataclass(frozen=True)
 class AlikeSegments:
-    """Pair of marker distances that are too similar; both tools are equal within one tool."""
+    """Two marker distances too similar to tell apart, of two tools or of one (named twice)."""
 
     first_tool: str
     second_tool: str

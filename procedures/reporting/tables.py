@@ -30,7 +30,10 @@ class TargetRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of the report's table: target, depth, prediction, limit, error."""
+        """Return the cells of the report's table: target, depth, prediction, limit, error.
+
+        `second_reading` computes each of them again, and the template reads them in this order.
+        """
         return (
             self.target,
             tenths(self.depth_mm),

@@ -178,7 +178,7 @@ def every_look_taken(request: RunRequest, interrupted: InterruptedRun) -> bool:
 
 
 def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
-    """Keep the looks of the self-check with their head, unless too few were taken, as `baseline.json`."""
+    """Write the self-check's observations and their stereo head to `baseline.json`, if there are enough."""
     baseline = Baseline(
         created=observed.created,
         stereo_head=result.stereo_head,

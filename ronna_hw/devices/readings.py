@@ -49,7 +49,7 @@ class StampedReading(Protocol):
 
     @property
     def stamp(self) -> Stamp:
-        """When it was made."""
+        """Return the time at which the reading was taken."""
         ...
 
     @property

@@ -170,7 +170,7 @@ SCENARIOS = (
 
 @dataclass(frozen=True)
 class Outcome:
-    """Error vectors (a, t, c, 3) of all arms, targets, numbers of spheres; predictions by the last two."""
+    """Error vectors (arms, targets, sphere counts, 3) in mm, and a prediction per target and sphere count."""
 
     errors_mm: Array
     predicted: list[list[TargetPrediction]]

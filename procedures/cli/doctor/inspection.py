@@ -38,7 +38,7 @@ OF_THIS_ARM = (
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
-    """The endpoint of the camera of a side; of cameras without one of their own, the side."""
+    """Return the endpoint of one side's camera, or the side where cameras share an endpoint."""
     return str(device.address(side)) if side in device.endpoints else side
 
 
