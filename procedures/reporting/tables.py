@@ -32,7 +32,7 @@ class TargetRow:
     def cells(self) -> tuple[str, ...]:
         """Return the cells of the report's table: target, depth, prediction, limit, error.
 
-        `second_reading` computes each of them again, and the template reads them in this order.
+        `second_reading` computes each of them again; the template reads them by their number.
         """
         return (
             self.target,

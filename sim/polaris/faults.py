@@ -2,7 +2,8 @@
 
 Unit faults act before each command: alerts, refusals, delays, wired tools, power loss. Line faults act on
 commands and replies: bit errors, lost and doubled bytes, delays. Which command and bit are hit is a function
-of seed and command number, so a run repeats. Faults of markers and light are in `measurement/true_scene.py`.
+of seed and command number, so a run repeats. Faults of markers are in
+`measurement/true_scene.py`, those of light and strays in `measurement/frame.py`.
 """
 
 from __future__ import annotations
