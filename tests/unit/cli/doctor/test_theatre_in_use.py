@@ -43,8 +43,8 @@ def theatre(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @contextmanager
 def run_on(theatre: Path, folder: Path) -> Iterator[int]:
     """A run on this theatre in this folder; yields the number of the process that holds it."""
-    hold = "import sys; from procedures.runs.theatre_lock import held_theatre; from pathlib import Path\n"
-    hold += "with held_theatre(*map(Path, sys.argv[1:])): print('held', flush=True); sys.stdin.read()"
+    hold = "import sys; from procedures.runs.theatre_lock import hold_theatre; from pathlib import Path\n"
+    hold += "with hold_theatre(*map(Path, sys.argv[1:])): print('held', flush=True); sys.stdin.read()"
     words = [sys.executable, "-c", hold, str(theatre), str(folder)]
     with Popen(words, stdin=PIPE, stdout=PIPE, text=True) as run:
         assert run.stdout is not None
