@@ -11,6 +11,7 @@ import selectors
 import socket
 import threading
 import time
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from types import TracebackType
 from typing import Protocol, Self
@@ -29,7 +30,7 @@ class _End(Protocol):
     def close(self) -> None: ...
 
 
-class LineThread:
+class LineThread(ABC):
     """Runs `_serve` in a thread of its own within a `with` block; `_ended` asks it to return."""
 
     def __init__(self, name: str) -> None:
@@ -47,11 +48,13 @@ class LineThread:
         self._thread.join()
         self._close()
 
+    @abstractmethod
     def _serve(self) -> None:
-        raise NotImplementedError
+        """Pass bytes on until `_ended`."""
 
+    @abstractmethod
     def _close(self) -> None:
-        raise NotImplementedError
+        """Close the sockets, after the thread has ended."""
 
 
 class DisturbedLine(LineThread):

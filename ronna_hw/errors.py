@@ -71,7 +71,7 @@ class RonnaError(Exception):
 
     @property
     def summary(self) -> str:
-        """What happened, with its values, such as `no reply; expected OKAY, got ERROR01`.
+        """Describe what happened, with its values, such as `no reply; expected OKAY, got ERROR01`.
 
         Without code and advice.
         """

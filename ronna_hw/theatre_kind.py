@@ -18,7 +18,7 @@ PSEUDO_TERMINALS = "/dev/pts/"
 
 
 class Addresses(Protocol):
-    """What of a theatre tells its kind: the addresses of each device, that of the clock, the banner."""
+    """Addresses and banner that tell a real theatre from a simulated one."""
 
     @property
     def addresses(self) -> Mapping[str, tuple[str, ...]]: ...

@@ -173,7 +173,7 @@ class Quit(Order):
 
 
 class CaseActivity(Enum):
-    """What a case is doing when an order arrives."""
+    """Activities of a case in which an order may arrive."""
 
     OPENING = auto()  # the theatre is not open yet
     WAITING = auto()  # between steps

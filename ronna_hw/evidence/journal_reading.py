@@ -89,7 +89,7 @@ class Chain:
 
     @property
     def is_closed(self) -> bool:
-        """Whether it ends like that of a closed run."""
+        """Whether the journal ends with the line of a closed run."""
         return bool(self.lines) and self.lines[-1]["entry"] == Entry.CLOSED
 
 

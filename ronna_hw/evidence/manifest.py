@@ -80,7 +80,7 @@ class StatedTruth(NamedTuple):
 
 
 class Manifest:
-    """What the lines of a journal state about the files of its run, by name with their SHA-256.
+    """Files of a run by name, with the SHA-256 that its journal states for each.
 
     `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere; `begun_with`
     are the inputs that the last program to open the run began with; `made_from` those of the standing

@@ -25,7 +25,7 @@ class Interface:
 
     @property
     def loopback(self) -> bool:
-        """Whether it is the network inside this computer."""
+        """Whether this interface is the computer's loopback."""
         return IPv4Address(self.address).is_loopback
 
     def reaches(self, address: str) -> bool:

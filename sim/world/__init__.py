@@ -1,1 +1,1 @@
-"""What all simulators share: the scene as it really is, its clock and faults, and what the staff do in it."""
+"""World shared by all simulators: the true scene, its clock, its faults and its staff."""

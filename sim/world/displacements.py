@@ -1,4 +1,4 @@
-"""Where things in the room really are: displaced by faults, and spheres refitted after the CT.
+"""True positions in the room: displacements by faults, and spheres refitted after the CT.
 
 Bases and spheres are removed after the CT and refitted on their screws, each slightly off its position in the
 CT. One may also be on a loosened screw or a bent base, on the base of another, or missing. Cameras and

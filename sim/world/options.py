@@ -6,7 +6,7 @@ from enum import StrEnum
 
 
 class OnStand(StrEnum):
-    """What the calibration stand holds: the ball, or in its place the divot on a slide with three dials."""
+    """Objects that the calibration stand can hold: the ball, or the divot on a slide with three dials."""
 
     NOTHING = "nothing"
     BALL = "ball"

@@ -1,4 +1,4 @@
-"""What a case needs of each device of a theatre, looked at while the driver's probe has it connected.
+"""Inspection of each device for all that a case needs, while the driver's probe has it connected.
 
 The facts come through the typed interfaces of the devices, so they are the same for every driver. Nothing
 moves: an arm is configured, which takes its port, and never activated.

@@ -33,7 +33,7 @@ class _Happening(_Plain):
 
     @property
     def about(self) -> str:
-        """What a signal is about: it replaces the last one of its kind about the same."""
+        """Subject of a signal, which replaces the last one of its kind on the same subject."""
         return ""
 
 
