@@ -29,7 +29,7 @@ from procedures.engine.events import (
 from procedures.workcell.device_views import DeviceView
 from procedures.workcell.tools import MountedTool
 from ronna_hw.arm.clearance.bodies import Bodies, Surroundings
-from ronna_hw.arm.clearance.live_watch import body_segments
+from ronna_hw.arm.clearance.live_watch import PlacedBodies
 from ronna_hw.arm.kinematics import COLUMN_NAME
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.devices.readings import ArmReading, StampedReading
@@ -120,7 +120,7 @@ class BodyView:
     def at(self, pose: Pose) -> Pose:
         """Return the pose with the place of each moving body, and of the tool if it has cameras."""
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
-        places = tuple(_rounded(*segment) for segment in body_segments(bodies, joints_rad))
+        places = tuple(_rounded(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
         if self._cameras and self._workcell.tool is MountedTool.STEREO_HEAD:  # not while that is unchecked
             flange = self._workcell.flange_pose(joints_rad)

@@ -1,21 +1,23 @@
 """Live check of set-points: the distances of all bodies, their speed, and their speed near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the closed form of the arm,
-distances are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring
-it to its limit, and the bodies are placed only if a bound from the joint angles alone does not already clear
-them.
+distances are the scalar ones. A pair is measured again only once its bodies may have moved far enough towards
+each other to reach their limit, and the bodies are placed only if bounds from the joint angles alone do not
+already clear them.
 """
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from enum import StrEnum
-from heapq import heapify, heappop, heappush
+from heapq import heappop, heappush
 from math import degrees, dist, inf
 from typing import NamedTuple
 
 from ronna_hw.arm.clearance.bodies import Bodies, segment_distance_mm
 from ronna_hw.arm.kinematics import Segment
-from ronna_hw.vectors import JointVector
+from ronna_hw.arm.pose import Pose
+from ronna_hw.vectors import JointVector, joint_vector
 
 
 class ViolationKind(StrEnum):
@@ -75,16 +77,125 @@ class Violation(NamedTuple):
 
 
 SPEED_MARGIN = 1.05  # over the cap: planning stays below it, rounding is no violation
+SMALLEST_STEP_RAD = 1e-7  # of which the motion is a scale for others; below it rounding counts
 LEAVING_MM = 0.5  # a body that starts too close may stay or move away; planning resolves less than this
 
 
-def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
-    """Axes of all moving bodies in the robot base, in the order of `Bodies.moving_names`."""
-    found, flange = bodies.arm.link_segments(joints_rad)
-    for part in bodies.surroundings.tool:
-        start, end, _ = part.capsule
-        found.append((flange.apply(start), flange.apply(end)))
-    return found
+class PlacedBodies:
+    """Axes of all moving bodies in the robot base at joint angles, in the order of `Bodies.moving_names`.
+
+    Each is computed when it is first asked for.
+    """
+
+    def __init__(self, bodies: Bodies, joints_rad: JointVector) -> None:
+        self._bodies = bodies
+        self._joints = joints_rad
+        self._axes: list[Segment | None] = []
+        self._flange: Pose | None = None
+
+    def __iter__(self) -> Iterator[Segment]:
+        return (self[number] for number in range(len(self._bodies.moving_names)))
+
+    def __getitem__(self, number: int) -> Segment:
+        """Axis of one body."""
+        if self._flange is None:
+            links, self._flange = self._bodies.arm.link_segments(self._joints)
+            self._axes = [*links, *(None for _ in self._bodies.surroundings.tool)]
+        axis = self._axes[number]
+        if axis is None:
+            part = self._bodies.surroundings.tool[number - len(self._axes)]
+            axis = (self._flange.apply(part.capsule.start_mm), self._flange.apply(part.capsule.end_mm))
+            self._axes[number] = axis
+        return axis
+
+
+class _MeasuredStep(NamedTuple):
+    """A step of the joints that moved the bodies by a known distance, as the scale for other steps.
+
+    With a step `e` from `q0` that moves the farthest point by `m`, a step `l e + r` from `q` moves no point
+    by more than `l m + l B(e) (|q - q0| + |l - 1| |e|) + B(r)`. `B` is the sum of lever times angle over the
+    joints, `| |` the sum of absolute angles: the second derivative of a point's place by two joint angles is
+    at most its distance from the outer of the two axes, hence at most that joint's lever.
+    """
+
+    from_rad: JointVector
+    step_rad: tuple[float, ...]
+    square_rad2: float
+    size_rad: float
+    bound_mm: float
+    moved_mm: float
+
+    def bound_of(self, levers_mm: JointVector, from_rad: JointVector, to_rad: JointVector) -> float:
+        """Upper bound of the motion of any point for another step, mm; infinite for one backwards."""
+        a, b, c, d, e, f = self.step_rad
+        p1, p2, p3, p4, p5, p6 = to_rad
+        q1, q2, q3, q4, q5, q6 = from_rad
+        u1, u2, u3, u4, u5, u6 = p1 - q1, p2 - q2, p3 - q3, p4 - q4, p5 - q5, p6 - q6
+        along = (u1 * a + u2 * b + u3 * c + u4 * d + u5 * e + u6 * f) / self.square_rad2
+        if along <= 0.0:
+            return inf
+        o1, o2, o3, o4, o5, o6 = self.from_rad
+        away = abs(q1 - o1) + abs(q2 - o2) + abs(q3 - o3) + abs(q4 - o4) + abs(q5 - o5) + abs(q6 - o6)
+        l1, l2, l3, l4, l5, l6 = levers_mm
+        aside = (
+            l1 * abs(u1 - along * a)
+            + l2 * abs(u2 - along * b)
+            + l3 * abs(u3 - along * c)
+            + l4 * abs(u4 - along * d)
+            + l5 * abs(u5 - along * e)
+            + l6 * abs(u6 - along * f)
+        )
+        bent = self.bound_mm * (away + abs(along - 1.0) * self.size_rad)
+        return along * (self.moved_mm + bent) + aside
+
+
+class _Group:
+    """Pairs whose distance only the joints from `first` on can change, and how far those have moved.
+
+    `first` is 0 for pairs with a body fixed in the room. Otherwise both bodies move: seen from the link that
+    turns with joint `first - 1`, the other body moves with the joints beyond.
+    """
+
+    def __init__(self, first: int) -> None:
+        self.first = first
+        self.odometer_mm = 0.0  # bound on the motion of any point, summed over all set-points sent
+        self.due_mm = inf  # reading of the odometer before which no pair can have reached its limit
+        self._readings: dict[int, float] = {}  # the same, by pair
+        self._queue: list[tuple[float, int]] = []  # earliest first, among former ones
+
+    def clear_until(self, reading_mm: float, number: int) -> None:
+        """Skip a pair until the odometer reads this, or what is already known of it if that is more."""
+        if reading_mm > self._readings.get(number, -inf):
+            self._readings[number] = reading_mm
+            heappush(self._queue, (reading_mm, number))
+            self._find_earliest()
+
+    def take_due(self, moved_mm: float) -> list[int]:
+        """Take out the pairs that must be measured if their bodies move this far.
+
+        Each must be given to `clear_until` again.
+        """
+        taken = []
+        while self.due_mm < self.odometer_mm + moved_mm:
+            taken.append(heappop(self._queue)[1])
+            del self._readings[taken[-1]]
+            self._find_earliest()
+        return taken
+
+    def _find_earliest(self) -> None:
+        queue = self._queue
+        while queue and queue[0][0] != self._readings.get(queue[0][1]):
+            heappop(queue)
+        self.due_mm = queue[0][0] if queue else inf
+
+
+class _Trial(NamedTuple):
+    """A set-point that was checked."""
+
+    joints_rad: JointVector
+    motions: list[float]  # of any point from the last set-point, at most, by first joint of a group
+    placed: PlacedBodies
+    rooms_mm: dict[int, float]  # motion of its bodies that the gap of a pair allows there
 
 
 class LiveWatch:
@@ -117,121 +228,153 @@ class LiveWatch:
             for pair in self._pairs
         )
         tool = [end for part in surroundings.tool for end in part.capsule[:2]]
-        self._levers = bodies.arm.levers_mm(tool)
-        segments = body_segments(bodies, joints_rad)
-        self._segments: list[Segment] | None = segments  # position of the bodies at `_joints`, once computed
+        self._levers = _outwards(bodies.arm.levers_mm(tool))
+        placed = self._placed = PlacedBodies(bodies, joints_rad)
         self._joints = joints_rad
-        self._tried: tuple[JointVector, list[Segment] | None, float] | None = None
-        self._odometer_mm = 0.0  # bound on the largest motion of any body, summed over all set-points sent
-        gaps = [self._gap(number, segments) for number in range(len(self._pairs))]
+        self._measured: _MeasuredStep | None = None
+        self._trials: list[_Trial] = []  # since the last set-point that was sent
+        gaps = [self._gap(number, placed) for number in range(len(self._pairs))]
         self._floors = [min(surroundings.live_margin_mm, gap - LEAVING_MM) for gap in gaps]
-        # Odometer reading before which a pair cannot have reached its limit.
-        self._due = [
-            ((gap - floor) * self._share(number) if gap < inf else 0.0, number)
-            for number, (gap, floor) in enumerate(zip(gaps, self._floors, strict=True))
-        ]
-        heapify(self._due)
+        self._share: list[float] = []
+        self._group_of: list[_Group] = []
+        groups = {first: _Group(first) for first in range(len(joints_rad) + 1)}
+        for number, (pair, gap) in enumerate(zip(self._pairs, gaps, strict=True)):
+            first = bodies.arm.links[-1 - pair.other].joint + 1 if pair.other < 0 else 0
+            self._share.append(self._lever_share(pair.moving, first))
+            self._group_of.append(groups[first])
+            groups[first].clear_until(self._room_mm(number, gap), number)
+        self._room = groups[0]
+        self._groups = tuple(group for group in groups.values() if group.due_mm < inf or group is self._room)
+        # Slower than any cap, wherever the head is.
+        self._slowest_mm = self._allowed_mm(0.0)
         self._head = [number for number, pair in enumerate(self._pairs) if pair.is_head]
-        # Distance to the head plus the odometer at that time: minus the current odometer, a lower bound.
-        self._bounds = [self._distance(number, segments) for number in self._head]
+        # Distance to the head plus the room's odometer at that time: minus its reading now, a lower bound.
+        self._bounds = [self._distance(number, placed) for number in self._head]
+        self._least_bound = min(self._bounds, default=inf)
 
     def check(self, joints_rad: JointVector) -> Violation | None:
         """Return the first violation if this set-point were sent next, or None."""
-        most = self._motion_bound_mm(joints_rad)
-        if self._is_clearly_safe(most):
-            self._tried = (joints_rad, None, most)
-            return None
-        segments = body_segments(self._bodies, joints_rad)
-        moved = max(self._motions_mm(segments))
-        self._tried = (joints_rad, segments, moved)
-        return self._too_near(segments, moved) or self._too_fast(segments, moved)
+        motions = self._bound_motions_mm(self._joints, joints_rad)
+        placed = PlacedBodies(self._bodies, joints_rad)
+        slow = self._is_slow(motions[0])
+        if not slow and self._measured is not None:
+            motions[0] = min(motions[0], self._measured.bound_of(self._levers, self._joints, joints_rad))
+            slow = self._is_slow(motions[0])
+        if not slow:
+            motions[0] = max(self._motions_mm(placed))
+            self._measure(joints_rad, motions[0])
+        trial = _Trial(joints_rad, motions, placed, {})
+        found = self._too_near(trial)
+        self._trials.append(trial)
+        return found if slow or found else self._too_fast(placed, motions[0])
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record a set-point that was sent, or is the current position of the arm."""
         if joints_rad is self._joints:
             return
-        segments, moved = None, 0.0
-        if self._tried is not None and self._tried[0] is joints_rad:
-            _, segments, moved = self._tried
-        else:
-            moved = self._motion_bound_mm(joints_rad)
-        self._odometer_mm += moved
-        self._joints, self._segments = joints_rad, segments
+        trial = next((one for one in self._trials if one.joints_rad is joints_rad), None)
+        if trial is None:
+            motions = self._bound_motions_mm(self._joints, joints_rad)
+            trial = _Trial(joints_rad, motions, PlacedBodies(self._bodies, joints_rad), {})
+        for group in self._groups:
+            group.odometer_mm += trial.motions[group.first]
+        for number, room_mm in trial.rooms_mm.items():
+            group = self._group_of[number]
+            group.clear_until(group.odometer_mm + room_mm, number)
+        self._joints, self._placed = joints_rad, trial.placed
+        self._trials.clear()
 
-    def _motion_bound_mm(self, joints_rad: JointVector) -> float:
-        """Upper bound of the largest motion of any body since the last set-point, mm."""
+    def _bound_motions_mm(self, from_rad: JointVector, to_rad: JointVector) -> list[float]:
+        """Upper bounds of any point's motion between joint angles, mm, by the joints from each one on."""
         a, b, c, d, e, f = self._levers
-        p1, p2, p3, p4, p5, p6 = joints_rad
-        q1, q2, q3, q4, q5, q6 = self._joints
-        return (
-            a * abs(p1 - q1)
-            + b * abs(p2 - q2)
-            + c * abs(p3 - q3)
-            + d * abs(p4 - q4)
-            + e * abs(p5 - q5)
-            + f * abs(p6 - q6)
-        )
+        p1, p2, p3, p4, p5, p6 = to_rad
+        q1, q2, q3, q4, q5, q6 = from_rad
+        from_6 = f * abs(p6 - q6)
+        from_5 = e * abs(p5 - q5) + from_6
+        from_4 = d * abs(p4 - q4) + from_5
+        from_3 = c * abs(p3 - q3) + from_4
+        from_2 = b * abs(p2 - q2) + from_3
+        return [a * abs(p1 - q1) + from_2, from_2, from_3, from_4, from_5, from_6, 0.0]
 
-    def _is_clearly_safe(self, most: float) -> bool:
-        """Whether a motion of at most `most` mm neither makes a pair due nor reaches a speed cap."""
-        travel = self._odometer_mm + most
-        if self._due and self._due[0][0] < travel:
-            return False
-        if most == 0.0:
+    def _is_slow(self, most: float) -> bool:
+        """Whether a motion of at most `most` mm exceeds no speed cap."""
+        if most <= self._slowest_mm:
             return True
-        nearest = min(self._bounds) - travel if self._bounds else inf
-        cap_mm_s = min(self._surroundings.cap_mm_s(nearest), self._body_speed_mm_s)
-        return most <= cap_mm_s * self._cycle_s
+        return most <= self._allowed_mm(self._least_bound - self._room.odometer_mm - most)
 
-    def _too_near(self, segments: list[Segment], moved: float) -> Violation | None:
-        travel = self._odometer_mm + moved
-        again: list[tuple[float, int]] = []
+    def _allowed_mm(self, distance_mm: float) -> float:
+        """Longest motion in a cycle at a distance from the head."""
+        cap_mm_s = min(self._surroundings.cap_mm_s(distance_mm), self._body_speed_mm_s)
+        return cap_mm_s * SPEED_MARGIN * self._cycle_s
+
+    def _measure(self, joints_rad: JointVector, moved_mm: float) -> None:
+        """Keep this step and its exact motion as the scale of the next ones."""
+        step = tuple(new - old for new, old in zip(joints_rad, self._joints, strict=True))
+        square = sum(angle * angle for angle in step)
+        if square > SMALLEST_STEP_RAD**2:
+            size = sum(abs(angle) for angle in step)
+            bound = sum(lever * abs(angle) for lever, angle in zip(self._levers, step, strict=True))
+            self._measured = _MeasuredStep(self._joints, step, square, size, bound, moved_mm)
+
+    def _too_near(self, trial: _Trial) -> Violation | None:
         found: Violation | None = None
-        while self._due and self._due[0][0] < travel:
-            _, number = heappop(self._due)
-            gap, floor = self._gap(number, segments), self._floors[number]
-            if gap < floor and found is None:
-                found = Violation(ViolationKind.CLEARANCE, number, gap, floor)
-            # A body in its corridor is checked every cycle: it may leave it sideways.
-            room = (gap - floor) * self._share(number) if gap < inf else 0.0
-            again.append((self._odometer_mm - moved + room, number))
-        for one in again:
-            heappush(self._due, one)
+        for group in self._groups:
+            moved = trial.motions[group.first]
+            if group.odometer_mm + moved <= group.due_mm:
+                continue
+            for number in group.take_due(moved):
+                room_mm = self._room_left_mm(number, group, trial)
+                if room_mm <= 0.0:
+                    gap, floor = self._gap(number, trial.placed), self._floors[number]
+                    if gap < floor and found is None:
+                        found = Violation(ViolationKind.CLEARANCE, number, gap, floor)
+                    room_mm = self._room_mm(number, gap)
+                # Should another set-point be sent, the gap may be smaller by this one's motion.
+                group.clear_until(group.odometer_mm - moved + room_mm, number)
+                trial.rooms_mm[number] = room_mm
         return found
 
-    def _too_fast(self, segments: list[Segment], moved: float) -> Violation | None:
+    def _room_left_mm(self, number: int, group: _Group, trial: _Trial) -> float:
+        """Room that a pair has at least at a set-point, if it was measured at the one checked before."""
+        if not self._trials or number not in self._trials[-1].rooms_mm:
+            return 0.0
+        before = self._trials[-1]
+        between = self._bound_motions_mm(before.joints_rad, trial.joints_rad)
+        return before.rooms_mm[number] - between[group.first]
+
+    def _too_fast(self, placed: PlacedBodies, moved: float) -> Violation | None:
         speed = moved / self._cycle_s
         if speed > self._body_speed_mm_s * SPEED_MARGIN:
-            motions = self._motions_mm(segments)
+            motions = self._motions_mm(placed)
             fastest = motions.index(max(motions))
             return Violation(ViolationKind.BODY_SPEED, fastest, speed, self._body_speed_mm_s)
         cap = self._surroundings.cap_mm_s
-        bounds, travel = self._bounds, self._odometer_mm + moved
-        if not bounds or speed <= cap(min(bounds) - travel):
+        bounds, odometer = self._bounds, self._room.odometer_mm
+        travel = odometer + moved
+        if speed <= cap(self._least_bound - travel):
             return None
         nearest, which = inf, 0
         for place in sorted(range(len(bounds)), key=bounds.__getitem__):
             if bounds[place] - travel >= nearest:
                 break
-            distance = self._distance(self._head[place], segments)
-            bounds[place] = distance - moved + self._odometer_mm
+            distance = self._distance(self._head[place], placed)
+            bounds[place] = distance - moved + odometer
             if distance < nearest:
                 nearest, which = distance, self._head[place]
+        self._least_bound = min(bounds, default=inf)
         limit = cap(nearest)
         if speed <= limit * SPEED_MARGIN:
             return None
         return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
 
-    def _motions_mm(self, segments: list[Segment]) -> list[float]:
+    def _motions_mm(self, placed: PlacedBodies) -> list[float]:
         """Largest motion of an end of each body since the last set-point."""
-        if self._segments is None:
-            self._segments = body_segments(self._bodies, self._joints)
         return [
             max(dist(now[0], before[0]), dist(now[1], before[1]))
-            for now, before in zip(segments, self._segments, strict=True)
+            for now, before in zip(placed, self._placed, strict=True)
         ]
 
-    def _gap(self, number: int, segments: list[Segment]) -> float:
+    def _gap(self, number: int, placed: PlacedBodies) -> float:
         """Distance between the surfaces of a pair; infinite where a corridor allows contact."""
         pair = self._pairs[number]
         corridor = self._surroundings.corridor
@@ -239,16 +382,32 @@ class LiveWatch:
             corridor is not None
             and pair.enters_head
             and pair.is_head
-            and corridor.holds(*segments[pair.moving])
+            and corridor.holds(*placed[pair.moving])
         ):
             return inf
-        return self._distance(number, segments)
+        return self._distance(number, placed)
 
-    def _distance(self, number: int, segments: list[Segment]) -> float:
+    def _room_mm(self, number: int, gap: float) -> float:
+        """Reading of the odometer that a pair allows until it is measured again."""
+        if gap == inf:  # in its corridor, which it may leave sideways at any time
+            return 0.0
+        return (gap - self._floors[number]) / self._share[number]
+
+    def _lever_share(self, moving: int, first: int) -> float:
+        """Largest share of what the joints from `first` on may move any body that they may move this one."""
+        part = moving - len(self._bodies.arm.links)
+        if not first or part < 0:  # the motion in the room may have been measured: it is of any body
+            return 1.0
+        levers = self._bodies.arm.levers_mm(self._surroundings.tool[part].capsule[:2])
+        shares = [own / most for own, most in zip(levers[first:], self._levers[first:], strict=True) if most]
+        return max(shares, default=1.0) or 1.0
+
+    def _distance(self, number: int, placed: PlacedBodies) -> float:
         pair = self._pairs[number]
-        other = segments[-1 - pair.other] if pair.other < 0 else self._fixed[pair.other]
-        return segment_distance_mm(*segments[pair.moving], *other) - self._thick[number]
+        other = placed[-1 - pair.other] if pair.other < 0 else self._fixed[pair.other]
+        return segment_distance_mm(*placed[pair.moving], *other) - self._thick[number]
 
-    def _share(self, number: int) -> float:
-        """Share of a pair's gap that one body may use up: both may move towards each other."""
-        return 0.5 if self._pairs[number].other < 0 else 1.0
+
+def _outwards(levers_mm: JointVector) -> JointVector:
+    """Levers of which none is shorter than one of a joint farther out, as `_MeasuredStep` needs them."""
+    return joint_vector(max(levers_mm[number:]) for number in range(len(levers_mm)))

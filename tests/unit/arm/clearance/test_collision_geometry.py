@@ -17,7 +17,7 @@ from ronna_hw.arm.clearance.bodies import (
     covering_ellipsoid,
     segment_distance_mm,
 )
-from ronna_hw.arm.clearance.live_watch import LiveWatch, body_segments
+from ronna_hw.arm.clearance.live_watch import LiveWatch, PlacedBodies
 from ronna_hw.arm.clearance.sweep import segment_distances, sweep
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
@@ -129,7 +129,7 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
         joints.append((A1, A2, A3, A4, A5, A6))
     swept = sweep(bodies, joints)
     for row, vector in enumerate(joints):
-        assert np.allclose(swept.ends_mm[row], body_segments(bodies, vector), atol=1e-8)
+        assert np.allclose(swept.ends_mm[row], PlacedBodies(bodies, vector), atol=1e-8)
         watch = LiveWatch(bodies, CYCLE_S, vector)
         live = [watch._gap(number, watch._segments) for number in range(len(bodies.pairs))]
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
@@ -148,7 +148,7 @@ def test_no_body_moves_farther_than_the_joint_levers_allow(arm: Kinematics) -> N
         bound = sum(lever * abs(b - a) for lever, a, b in zip(levers, start, end, strict=True))
         moved = max(
             math.dist(before, now)
-            for was, is_now in zip(body_segments(bodies, start), body_segments(bodies, end), strict=True)
+            for was, is_now in zip(PlacedBodies(bodies, start), PlacedBodies(bodies, end), strict=True)
             for before, now in zip(was, is_now, strict=True)
         )
         assert moved <= bound * (1.0 + 1e-9)
