@@ -1,9 +1,8 @@
 """Live check of set-points: the distances of all bodies, their speed, and their speed near the head.
 
 Part of the monitor, so it shares no formula with planning: links come from the closed form of the arm,
-distances are the scalar ones. A pair is measured again only once the arm may have moved far enough to bring
-it to its limit, and the bodies are placed only if a bound from the joint angles alone does not already clear
-them.
+distances are the scalar ones. A pair is measured again only once the arm may have moved enough to bring it to
+its limit. Bodies are placed only if a bound from the joint angles does not already clear them.
 """
 
 from __future__ import annotations
@@ -88,7 +87,7 @@ def body_segments(bodies: Bodies, joints_rad: JointVector) -> list[Segment]:
 
 
 class LiveWatch:
-    """Watch over one stream in its surroundings.
+    """Clearance monitor of one stream in its surroundings.
 
     `check` does not count a set-point as sent; `sent` does.
     """
