@@ -82,10 +82,10 @@ class StatedTruth(NamedTuple):
 class Manifest:
     """Files of a run by name, with the SHA-256 that its journal states for each.
 
-    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere. `begun_with`
-    are the inputs at the last opening of the run. `made_from` are those of the standing results, or of a
-    finding that one was rewritten since with the same meaning. `pictures` with different hashes have no valid
-    one. `superseded` are identifiers of records.
+    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere.
+    `begun_with` are the inputs at the last opening of the run. `made_from` are those of the standing
+    results, or of a finding that one was rewritten since with the same meaning. `pictures` with different
+    hashes have no valid one. `superseded` are identifiers of records.
 
     `not_vouched_for` are files that were not as left when the run was resumed after an end, as in
     `Inspection.not_as_left`. They are collected over every program since that end, up to the one that has
