@@ -1,8 +1,7 @@
 """External input, checked against bounds before use: size, depth, count, expansion.
 
 A file, a reply or a datagram may be damaged or malicious; a few bytes must not cost gigabytes or minutes.
-Everything here raises INP-001, which is also a ValueError, so that the reader of a specific format can refuse
-with its own code.
+Everything here raises INP-001, also a ValueError: the reader of a format can refuse with its own code.
 
 - Files are read only up to their bound: the size reported by the file system may be wrong or missing.
 - JSON has a limited number of values, limited depth, and finite numbers. The limits are checked on the text:
@@ -192,7 +191,7 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
 
 
 def _line_of(error: ValueError, content: bytes) -> str:
-    """The line that failed to parse, and how to write a date or a decimal if it looks like one."""
+    """Quote the line that failed to parse, with a hint if it looks like a date or a decimal."""
     found = _LINE_NUMBER.search(str(error))
     lines = content.decode("utf-8-sig").splitlines()
     if found is None or not 0 < int(found[1]) <= len(lines):

@@ -144,7 +144,7 @@ class CameraCalibration(Strict):
 
     @model_validator(mode="after")
     def _of_this_sensor(self) -> Self:
-        """The principal point tells columns from rows, the view a focal length in other pixels."""
+        """Check principal point (swapped columns and rows) and focal length (in other pixels)."""
         for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
             if not 0.25 * count < at_px < 0.75 * count:
                 raise ValueError(

@@ -1,8 +1,8 @@
 """Theatre time, from the clock named by an endpoint.
 
 Dwell, age, averaging and guards use this clock. I/O time limits use the host's monotonic clock. With `host:`
-both are the same. With `shm://` the time is that of the simulated theatre: it stands still unless a device
-advances it, so a case takes as long as its work takes.
+both are the same. With `shm://` the time is that of the simulated theatre. It stands still unless a device
+advances it, so a case takes only as long as its work.
 """
 
 from __future__ import annotations
@@ -173,7 +173,7 @@ class SharedClock:
             return moment
 
     def expect_reader(self, moment_ns: int) -> None:
-        """Note when the next measurement of a device is due that is read one by one; 0 ends it."""
+        """Note the due time of the next measurement of a device that is read one by one; 0 ends it."""
         UNREAD_NS.write(self._memory, moment_ns)
 
     def must_wait_for_reader(self, duration_ns: int) -> bool:

@@ -44,7 +44,7 @@ from ronna_hw.tool_record import GuideBore, TipInHead, ToolRecord
 def require_expiry(theatre: TheatreFile) -> None:
     """Raise ValueError unless records of a real theatre expire within a year.
 
-    In a simulated one nothing is knocked or worn.
+    In a simulated theatre nothing is knocked or worn.
     """
     calibrations = {} if theatre.calibration is None else theatre.calibration.records
     records: dict[str, Dated] = {f"calibration.{name}": one for name, one in calibrations.items()}
@@ -57,7 +57,7 @@ def require_expiry(theatre: TheatreFile) -> None:
 
 
 def require_outside_hand(theatre: TheatreFile) -> None:
-    """Raise ValueError if a tool or the axis of the guide is inside the arm's hand: it is in centimetres."""
+    """Raise ValueError if a tool or the guide's axis is inside the arm's hand: it is in centimetres."""
     if theatre.calibration is None:
         return
     hand_mm, records = theatre.cell.arm.hand_mm, theatre.calibration

@@ -1,9 +1,9 @@
 """Client of the control port of a simulated theatre or device.
 
-The port speaks JSON lines over TCP, with one answer per line. The first line shows the token from the READY
+The port speaks JSON lines over TCP, with one answer per line. The first line carries the token from the READY
 line, `{"token": "..."}`. Requests follow: `{"do": "step", "name": "at_target:T1"}`, `{"do": "mount",
 "number": 2}`, `{"do": "work", "task": "insert", ...}`, `{"do": "fault", "line": "now: ..."}`, `{"do":
-"clear_faults"}`. Drivers and steps do not know of it.
+"clear_faults"}`. Drivers and steps do not use the port.
 """
 
 from __future__ import annotations
@@ -141,6 +141,6 @@ class ControlPortClient:
 
 
 def ask_control_port(address: str, action: str, **arguments: Any) -> dict[str, Any]:
-    """Answer to a single request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
+    """Send a single request on a connection of its own; raises CTL-001, CTL-002 or CFG-002."""
     with ControlPortClient(address) as port:
         return port.ask(action, **arguments)

@@ -45,8 +45,8 @@ class FrameMismatch(DataError):
 def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     """Translate by (3,) mm after a rotation; other shapes raise ValueError, non-finite numbers FRM-001.
 
-    `RigidTransform.from_components` multiplies two transforms for that and checks the product, in several
-    times the time; planning builds tens of thousands.
+    `RigidTransform.from_components` multiplies two transforms and checks the product, which takes several
+    times as long; planning builds tens of thousands.
     """
     matrix = np.eye(4)
     matrix[:3, :3] = turned = rotation.as_matrix()

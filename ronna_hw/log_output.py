@@ -84,7 +84,7 @@ def about_this_computer() -> dict[str, Any]:
 
 
 class _NeverStops(logging.Handler):
-    """Loses lines that a full disk or a closed pipe refuses: a run depends on its journal, not on its log."""
+    """Loses lines that a full disk or a closed pipe refuses: a run needs its journal, not its log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Lose the line."""

@@ -1,9 +1,9 @@
 """Logs: one JSON line per event, with the name of the device, engine or command that logs it.
 
-A part gets its logger once and logs what a lab would want to know: state changes, identities, retries,
-faults. Nothing appears anywhere until a command shows the log (`--verbose`) or a run keeps it
-(`ronna_hw.log_output`). Never log in a real-time process: the robot link's loop and the camera
-reception have no logger.
+A part gets its logger once and logs events of interest to a lab: state changes, identities, retries, faults.
+Nothing appears anywhere until a command shows the log (`--verbose`) or a run keeps it
+(`ronna_hw.log_output`). Never log in a real-time process: the robot link's loop and the camera reception have
+no logger.
 """
 
 from __future__ import annotations

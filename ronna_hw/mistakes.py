@@ -1,4 +1,4 @@
-"""Mistakes that pydantic finds in a file, in the words of the person who edits it."""
+"""Mistakes that pydantic finds in a file, worded for the person who edits it."""
 
 from __future__ import annotations
 
@@ -62,7 +62,7 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
 
 
 def _place(parts: tuple[int | str, ...]) -> str:
-    """Place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1, as in every message."""
+    """Word the place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1."""
     text = ""
     for part in parts:
         text += f" {part + 1}" if isinstance(part, int) else f".{part}"

@@ -1,8 +1,8 @@
-"""Bounds of the numbers in theatre files, plans and scenes: beyond them one is in another unit, or mistyped.
+"""Bounds of the numbers in theatre files, plans and scenes: one beyond them is mistyped or in another unit.
 
-Each bound of a theatre file is far from anything that is built or measured, so that nothing is refused that
-was meant. A plan and a scene share one set of bounds: the plan of a simulated patient is made from its scene,
-so no scene is accepted whose plan would be refused.
+Each bound of a theatre file is far from anything built or measured, so that no intended value is refused. A
+plan and a scene share one set of bounds: the plan of a simulated patient is made from its scene, so no scene
+is accepted whose plan would be refused.
 """
 
 from __future__ import annotations

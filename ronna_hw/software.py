@@ -82,7 +82,7 @@ def _commit(checkout: Path) -> str | None:
 
 
 def _differing_packages(lock: str) -> list[str]:
-    """Packages of the lock installed in another version. Those not installed are not needed here."""
+    """Find packages of the lock installed in another version. A missing one is not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):
         locked.setdefault(match["name"], set()).add(match["version"])

@@ -1,4 +1,4 @@
-"""Simulated or real: a theatre is one or the other, and a simulated one declares it.
+"""Kind of a theatre: simulated or real. A simulated one declares it.
 
 The address decides. A simulated device is on this computer: at a pseudo-terminal, a loopback address or
 in shared memory; a real one is at a serial port or a network address. The clock of a simulated theatre

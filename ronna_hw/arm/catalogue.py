@@ -1,11 +1,11 @@
-"""Known arms by their names in calibration records: those of this package, and others by entry point.
+"""Known arms by their names in calibration records: this package's own, and others by entry point.
 
-A driver's package that brings an arm of its own declares, for example::
+A driver package with an arm of its own declares, for example::
 
     [project.entry-points."ronna_hw.arms"]
     ur5 = "my_package.ur5:Ur5"
 
-The class is called without arguments, and is the arm's `Kinematics`.
+The class is called without arguments; the result is the arm's `Kinematics`.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ GROUP = "ronna_hw.arms"
 
 
 def kinematics_named(name: str) -> Kinematics:
-    """The arm with this `Kinematics.name`; raises ARM-009 with the known names."""
+    """Find the arm with this `Kinematics.name`; raises ARM-009 with the known names."""
     if name in (own := [str(variant) for variant in ArmVariant]):
         return kr6_r900(name)
     others = {point.name: point for point in entry_points(group=GROUP)}
@@ -32,7 +32,7 @@ def kinematics_named(name: str) -> Kinematics:
 
 
 def known_arm(name: str) -> str:
-    """Return the name; raises ValueError with the known names, for models."""
+    """Return the name of a known arm; a validator of models, raises ValueError with the known names."""
     try:
         kinematics_named(name)
     except UnknownArm as error:

@@ -1,7 +1,7 @@
 """The independent monitor: checks every set-point before it is sent, and every measured pose.
 
-It shares no code with the generators: plain comparisons with limits given at the start. It knows only what
-was actually sent, and what the receiver reported as not accepted.
+It shares no code with the generators: it compares plain numbers with limits given at the start. It knows only
+set-points that were sent, and those that the receiver reported as not accepted.
 """
 
 from __future__ import annotations
@@ -91,7 +91,7 @@ class Monitor:
         self._watch: LiveWatch | None = None
 
     def watch(self, watch: LiveWatch | None) -> None:
-        """Also check where set-points take the bodies from now on; call only while the arm is at rest."""
+        """Also check the clearance of the bodies from now on; call only while the arm is at rest."""
         self._watch = watch
 
     @property
@@ -176,8 +176,8 @@ class Monitor:
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
         """Check that each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
 
-        An arm at rest has to be where it was sent, a moving one where it was sent a moment ago: one that is
-        clamped, sticks or was braked is noticed at every speed. The value is the distance from the nearest
+        An arm at rest must be where it was sent, a moving one where it was sent a moment ago. A clamped,
+        sticking or braked arm is noticed at every speed. The value is the distance from the nearest
         set-point.
         """
         oldest, newest = self._recent[0], self._recent[-1]

@@ -8,8 +8,8 @@ where `flank`, -1 to 1, is the side from which the joint arrived, and g(q) the h
 wrist about the joint, relative to that of the stretched arm. At its far end every link is displaced by a
 small translation and a small rotation.
 
-A controller knows only the nominal chain. It is given a pose off the wanted one such that the deviations lead
-to the wanted one. They are small and smooth, so each iteration leaves a thousandth of the error.
+A controller knows only the nominal chain. It is given an offset pose, from which the deviations lead to the
+wanted one. They are small and smooth, so each iteration leaves a thousandth of the error.
 """
 
 from __future__ import annotations
@@ -86,7 +86,7 @@ class ArmDeviations:
 
 
 class Compensated(NamedTuple):
-    """Joints that bring the flange to the wanted pose, which the controller believes to be `commanded`."""
+    """Joints that bring the flange to the wanted pose, and the pose to command for it."""
 
     joints_rad: JointVector
     commanded: Pose

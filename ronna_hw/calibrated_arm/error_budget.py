@@ -1,8 +1,8 @@
-"""Error budget of an arm: how each geometric error displaces the tool, and how large it may be.
+"""Error budget of an arm: sizes of its geometric errors, and the displacement of the tool by each.
 
-An uncalibrated arm is off by tenths of a millimetre, and not at random: each link is slightly too long, too
-short or twisted, equally in all views. Each kind of error is one column here. Sizes are those of an
-uncalibrated arm (parameter set S of the error study) unless given.
+An uncalibrated arm is off by tenths of a millimetre, and not at random: errors of length and twist of each
+link are the same in all views. Each kind of error is one column here. Sizes are those of an uncalibrated arm
+(parameter set S of the error study) unless given.
 
 Errors of the last link are equivalent to an offset of the tool centre: no view can separate the two. Their
 size per axis limits any calibration with a ball and an uncalibrated arm.
@@ -71,10 +71,10 @@ class ErrorSizes:
 
     @classmethod
     def stated(cls, settings: ProcedureSettings, arm: ArmCalibration | None) -> Self:
-        """Take the sizes from the record of the arm, up to all of set S; without a record all of it.
+        """Take the sizes from the record of the arm, at most set S; without a record, all of set S.
 
-        Only without one the settings say how well the tool frame is known: no better than the last link,
-        whose error no measurement separates from one of the tool frame.
+        Without a record the settings give the error of the tool frame. It is at least that of the last link:
+        no measurement separates the two.
         """
         share = min(1.0, arm_error_mm(settings, arm) / UNCALIBRATED_MM)
         if arm is None:
@@ -85,10 +85,10 @@ class ErrorSizes:
 
 
 def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> float:
-    """Local error of the arm per axis: from its record, else as set, but not below the best arms.
+    """Return the local error of the arm per axis: from its record, else as set, but not below the best arms.
 
-    A record that states only the error of a point counts it between two points: identification leaves
-    different errors at the spheres and at the target.
+    If a record states only the error of a point, the result is that between two points: errors at the spheres
+    and at the target differ.
     """
     if arm is None:
         return max(settings.arm_error_mm, UNCALIBRATED_MM)
@@ -99,8 +99,8 @@ def arm_error_mm(settings: ProcedureSettings, arm: ArmCalibration | None) -> flo
 class IdentifiedArm:
     """Errors that the calibration of an arm leaves, with their correlations.
 
-    Views of spheres separate a link from its neighbour, or the last one from the head on the flange, far
-    worse than they determine what both do to the tool together. Independent errors of these sizes would
+    Views of spheres hardly separate a link from its neighbour, or the last link from the head on the flange.
+    They determine the combined displacement of the tool far better. Independent errors of these sizes would
     displace it several times as far. `remaining` (k, k), times its transpose, is the covariance of the errors
     as ordered in `by_deviation`. `backlash_rad` (axes,); `scatter_mm` is the random error per axis from pose
     to pose, including what the arm's model does not describe.
@@ -121,7 +121,7 @@ class IdentifiedArm:
 
 
 def backlash_mm2(chain: Chain, joints_rad: Array, points_mm: Array, sizes: ErrorSizes) -> Array:
-    """Covariances (p, 3, 3) of a tool at points (p, 3) mm that rests on an unknown side of every backlash."""
+    """Covariances (p, 3, 3) of a tool at points (p, 3) mm, every joint on an unknown side of its backlash."""
     arm = sizes.identified
     backlash_rad = BACKLASH_RAD if arm is None else arm.backlash_rad
     half = FLANK_SHARE * backlash_rad * displacements(chain, joints_rad, points_mm, sizes).swings_mm

@@ -1,7 +1,7 @@
 """Errors around a command: usage, disk, paths, ports, memory, and program faults.
 
-Typer says half of what is wrong with a command line. The other half, such as the closest valid word, is in
-the option and in its validation error.
+Typer reports half of a mistake in a command line. The other half, such as the closest valid word, is in the
+option and in its validation error.
 """
 
 from __future__ import annotations

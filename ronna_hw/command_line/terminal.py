@@ -133,7 +133,7 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
 
 
 def _command_of(app: typer.Typer, asked: str) -> Any:
-    """The command; of a group only the selected one: typer takes two milliseconds for each."""
+    """Build the command; of a group only the selected one, because typer takes two milliseconds for each."""
 
     def name_of(one: typer.models.CommandInfo) -> str:
         assert one.callback is not None

@@ -1,6 +1,6 @@
 """Capabilities that a driver may offer beyond the interface of its device.
 
-It may pass on its link traffic, byte for byte, and tell what must hold before a case can begin.
+A driver may pass on its link traffic, byte for byte, and report the conditions for beginning a case.
 """
 
 from __future__ import annotations
@@ -71,7 +71,7 @@ class Fact:
 
 
 def counted_fact(name: str, count: int) -> tuple[Fact, ...]:
-    """Fact for a driver's count, which it tells unsolicited; none while the count is 0."""
+    """Report a driver's count as an unsolicited fact; none while the count is 0."""
     return (Fact(name, str(count)),) if count else ()
 
 

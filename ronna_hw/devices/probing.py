@@ -1,4 +1,4 @@
-"""Probes: why a device does not answer, and which devices there are.
+"""Probes: diagnosis of a device that does not answer, and search for devices.
 
 `ronna-procedure doctor` and `new-theatre` show the findings. A driver's package declares its probe under the
 name of the driver::
@@ -39,7 +39,7 @@ Progress = Callable[[float], None]  # called with the fraction done, 0 to 1
 
 @dataclass(frozen=True)
 class Diagnostic:
-    """A line of the doctor: what was checked, whether it is OK, what was observed, what to do.
+    """A line of the doctor: subject, verdict, observation, advice.
 
     `document` contains the same in numbers and bytes, ready for JSON; `section` is the list in the doctor's
     JSON that it belongs to, such as `lines` or `cameras`. `serials` are those of the devices that replied, by
@@ -98,7 +98,7 @@ class EndpointProbe(Probe, Protocol):
         ...
 
     def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
-        """Find out what is at each endpoint, without the driver itself."""
+        """Identify the device at each endpoint, without the driver itself."""
         ...
 
 
@@ -230,10 +230,9 @@ def picture_diagnostics(
     tries: int,
     judged: Callable[[StereoReading], Iterator[Diagnostic]],
 ) -> Iterator[Diagnostic]:
-    """Take so many pairs with configured cameras and tell whether enough arrive complete for a case.
+    """Take so many pairs with configured cameras and report whether enough arrive complete for a case.
 
-    A case makes up for a lost pair: it takes one up to `tries` times. The last pair is `judged`. Nothing
-    moves.
+    A case repeats a lost pair, up to `tries` times in all. `judged` reports on the last pair. Nothing moves.
     """
     whole = 0
     last: StereoReading | None = None

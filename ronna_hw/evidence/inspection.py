@@ -1,7 +1,7 @@
 """The integrity check of a run folder: nothing in it is changed, missing, added, replaced or foreign.
 
-Journal and seal describe the folder as the run left it. A run that was killed has neither its last line nor a
-seal: it is checked as far as it goes, and what only its end could confirm is `unfinished`, not changed.
+Journal and seal describe the folder as the run left it. A killed run has neither its last line nor a seal. It
+is checked as far as it goes; findings that only its end could confirm are `unfinished`, not changes.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ FINISH_IT = (
 
 @dataclass(frozen=True)
 class Problem:
-    """A file that differs from what the run left, and how.
+    """A file that differs from the state in which the run left it, and the difference.
 
     `unfinished`: only because the run did not reach its end, or a report file is to be made anew. `beside`:
     nothing written by the run is affected (its folder was renamed, or a file added). `out_of_reach`: an input
@@ -99,8 +99,8 @@ class Inspection:
     def not_as_left(self) -> dict[str, str | None]:
         """Changed, missing and added files, with their hash at the last end or beginning; None without one.
 
-        Excluded are files that every program continues, such as the log, unless added, and a renamed folder,
-        which is found whenever it is read.
+        Excluded are files that every program continues, such as the log, unless added. A renamed folder is
+        excluded too: every reading finds it.
         """
         known = self.manifest.files | self.manifest.outside | self.manifest.lasting
         return {
@@ -272,7 +272,7 @@ def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
 
 
 def _not_put_back(folder: Path, manifest: Manifest, there: Collection[str]) -> Iterator[Problem]:
-    """Files that a killed program found changed or added, and that still are."""
+    """Report files that a killed program found changed or added, if they still are."""
     expected = manifest.not_vouched_for
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
     yield from compare_files(folder, known, inputs=True)
@@ -339,14 +339,14 @@ def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = Fal
 
 
 def wrong_name(name: str) -> str:
-    """Why a name is not that of a file in the folder: it leads elsewhere, or is not normalised."""
+    """Explain why a name is not that of a file in the folder: it leads elsewhere, or is not normalised."""
     path = PurePosixPath(name)
     leads_elsewhere = path.is_absolute() or ".." in path.parts
     return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
 
 
 def why_unread(error: OSError | InputRefused) -> str:
-    """Why a file of a run cannot be read."""
+    """Explain why a file of a run cannot be read."""
     if isinstance(error, InputRefused):
         return error.summary
     if error.errno in (errno.ELOOP, errno.EINVAL, errno.ENXIO, errno.EISDIR):

@@ -1,9 +1,9 @@
 """The manifest of a run: the names of its files with their SHA-256, written and read only here.
 
-It has two parts. The lines of the journal state what existed when they were written: the inputs that the run
-began with and that its results were made from, pictures, the truth of a simulated theatre so far, and in the
-last line every file of the closed run. The seal covers what is written later (the end of the log, the final
-state of the theatre, the report), and the journal as a whole, so that removing its last line is detected.
+It has two parts. The lines of the journal state the files that existed when they were written: inputs of the
+run and of its results, pictures, and the truth of a simulated theatre so far. The last line names every file
+of the closed run. The seal covers later files: the end of the log, the final state of the theatre, the
+report. It also covers the journal as a whole, so that removing its last line is detected.
 """
 
 from __future__ import annotations
@@ -82,14 +82,15 @@ class StatedTruth(NamedTuple):
 class Manifest:
     """Files of a run by name, with the SHA-256 that its journal states for each.
 
-    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere; `begun_with`
-    are the inputs that the last program to open the run began with; `made_from` those of the standing
+    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere.
+    `begun_with` are the inputs at the last opening of the run. `made_from` are those of the standing
     results, or of a finding that one was rewritten since with the same meaning. `pictures` with different
     hashes have no valid one. `superseded` are identifiers of records.
 
     `not_vouched_for` are files that were not as left when the run was resumed after an end, as in
-    `Inspection.not_as_left`: of every program since that end, up to the one that has just closed the run. A
-    killed one vouches for nothing. The first of them states how a file was left.
+    `Inspection.not_as_left`. They are collected over every program since that end, up to the one that has
+    just closed the run. A killed program vouches for nothing. The first program states the earlier hash of a
+    file.
     """
 
     def __init__(self, lines: Sequence[Line] = ()) -> None:
@@ -165,7 +166,7 @@ class Manifest:
                     yield name, what
 
     def truth_difference(self, name: str, content: bytes) -> str:
-        """How the content of a truth file differs from the journal; empty if it matches or is not named."""
+        """Describe the difference of a truth file from the journal; empty if it matches or is not named."""
         if name not in self.truth:
             return ""
         size, sha256, step_begun = self.truth[name]
@@ -207,8 +208,8 @@ def sha256_of(path: Path) -> str:
 def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
     """Every file of a run with its name, except journal, seal and exports.
 
-    Lists also unexpected folders: deeper than any run goes or unreadable (below which nothing is listed), and
-    empty ones that no run makes.
+    Also lists unexpected folders: too deep or unreadable ones, below which nothing is listed, and empty ones
+    that no run makes.
     """
     found = sorted(walk(folder, without=APART))
     parents = {one.path.parent for one in found}
@@ -220,7 +221,7 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
 
 
 def unchecked_folders(folder: Path) -> list[str]:
-    """Folders in a run's folder that are not part of it, into which no check looks."""
+    """Unchecked folders inside a run's folder, which are not part of the run."""
     return [name for name in APART if (folder / name).is_dir()]
 
 

@@ -1,7 +1,7 @@
 """Files of a killed run that had no seal when it was resumed: nothing vouches for them since the kill.
 
 The next seal also covers the log of the killed program, and would hide that it could have been changed in
-between. So the journal states what lay there without a seal.
+between. So the journal lists the files that lay there without a seal.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ def unsealed(found: Inspection) -> dict[str, int]:
 
 
 def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
-    """Say in sentences what the seal covers without vouching for it."""
+    """Describe in sentences the files that the seal covers without vouching for them."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:

@@ -1,4 +1,4 @@
-"""Commands as child processes: with a READY line or to their end, always ended, and noticed when they hang.
+"""Commands as child processes: awaited until READY or to their end, always ended, checked for hanging.
 
 A child prints one line `READY {json}` on standard output when clients may connect, and exits when its parent
 dies. The end of its standard error is kept for the message if it fails. Even on a busy computer a working
@@ -44,7 +44,7 @@ class ChildNotReady(LinkTimeout):
 
 
 def gave_up(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
-    """Error of a process that took `late_s`, or with None of one that used no processor time for `idle_s`."""
+    """Build the error of a process that took `late_s`, or with None used no processor time for `idle_s`."""
     if late_s is not None:
         return ChildNotReady(what, limit=f"{late_s:g} s", action=TOO_SLOW)
     return ChildNotReady(what, limit=f"{idle_s:g} s without using the processor", action=HANGS)

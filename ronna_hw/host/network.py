@@ -92,9 +92,9 @@ def account_at(peer: Place, here: Place) -> int | None:
     """User id of the program at `peer` of a TCP connection to the listening socket `here`.
 
     None if that end is closed, or on another computer. The kernel is asked for this one connection
-    (sock_diag(7)), at a cost that does not depend on how many there are: anybody can fill /proc/net/tcp with
-    thousands, which is read only where the kernel has no sock_diag. psutil reports no account, and only
-    processes of its own one.
+    (sock_diag(7)), at a cost independent of their number. Anybody can fill /proc/net/tcp with thousands, so
+    it is read only where the kernel has no sock_diag. psutil reports no account, and only processes of its
+    own account.
     """
     with contextlib.suppress(OSError):
         found = _diagnosed(peer, here)

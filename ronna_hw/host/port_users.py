@@ -148,7 +148,7 @@ def permissions(path: str) -> str:
 
 
 def permission_advice(path: str) -> str:
-    """Say who may use a port, and how to become one of them."""
+    """Say who may use a port, and how to get that permission."""
     try:
         status = os.stat(path)
     except OSError:

@@ -2,8 +2,8 @@
 
 Import it before anything heavy: an import may outlast the parent, whose number is noted here.
 
-Ctrl-C on a terminal reaches the whole foreground group. The program decides what it means, so the processes
-that it starts never see it.
+Ctrl-C on a terminal reaches the whole foreground group. The program handles it alone: the processes that it
+starts never see it.
 
 Linear algebra runs on one thread. Its rounding depends on how many threads share a product, and a fit turns a
 difference in the last digit into a micrometre: with one thread, a seed gives the same result on any computer.

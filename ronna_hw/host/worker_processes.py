@@ -1,4 +1,4 @@
-"""Worker processes of a computation: freshly started, ended with this process, and noticed when they hang."""
+"""Worker processes of a computation: freshly started, ended with this process, and checked for hanging."""
 
 from __future__ import annotations
 

@@ -24,7 +24,7 @@ from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, StereoReading, ToolIdentity, TrackerFrame
 from ronna_hw.devices.robot import OperatingMode
 
-# By name, over all kinds of devices. For `None` only matters whether the call raised.
+# By name, over all kinds of devices. With `None`, only whether the call raised is recorded.
 ANSWERS: dict[str, Any] = {
     "connect": Identity,
     "read_frame": TrackerFrame,
@@ -41,7 +41,7 @@ ANSWERS: dict[str, Any] = {
 }
 # Properties that may change on their own; each access is an answer.
 LOOKS: dict[str, Any] = {"to_confirm": str | None}
-# What a device knows about itself once one of these calls is done; recorded with its answer.
+# Properties that a device knows after one of the calls below; recorded with its answer.
 PROPERTIES: dict[str, Any] = {
     "serials": tuple[str, str],
     "notices": tuple[str, ...],

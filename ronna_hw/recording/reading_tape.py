@@ -3,8 +3,8 @@
     RUN/readings/readings.jsonl   one line per answer, in sections
     RUN/readings/pixels.bin       the pixels that these lines refer to, each packed separately
 
-A section is what happens between two lines of the journal, and has the number of the first. Answers to other
-callers, a guard or another thread, are not on the tape. A separate thread packs and writes.
+A section lies between two lines of the journal, and has the number of the first. Answers to other callers, a
+guard or another thread, are not on the tape. A separate thread packs and writes.
 """
 
 from __future__ import annotations

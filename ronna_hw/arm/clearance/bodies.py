@@ -1,8 +1,7 @@
 """Bodies that can collide, as plain values: the links of an arm, its tool, and its surroundings.
 
-Capsules are the only shape. A capsule is the set of points within a radius of a segment, and everything else
-is covered by capsules, so that a single closed formula gives the distance. The real-time loop uses it: no
-NumPy.
+Capsules are the only shape: all points within a radius of a segment. Everything else is covered by capsules,
+so one closed formula gives every distance. The real-time loop uses it: no NumPy.
 
 Lengths in mm. Parts of the tool are in the flange frame, obstacles in $ROBROOT. A `Surroundings` is created
 once per tool and patient position, and is constant while the arm moves.
@@ -67,10 +66,9 @@ def segment_distance_mm(a: Vector3, b: Vector3, c: Vector3, d: Vector3) -> float
 def covering_ellipsoid(semi_axes_mm: Vector3, pose: Pose) -> tuple[Capsule, Capsule]:
     """Cover an ellipsoid by two capsules along its longest axis, side by side along the middle one.
 
-    The radius is the smallest for which the balls at the ends of the segments cover the ends of the ellipsoid
-    and the two capsules meet in its middle; they exceed its surface by some per cent of the differences
-    between the axes. `pose` maps from the frame of the ellipsoid (origin at its centre, along its axes) to
-    the wanted one.
+    The radius is the smallest at which the balls at the segments' ends cover the ellipsoid's ends and the
+    capsules meet in its middle. They exceed its surface by some per cent of the differences between the axes.
+    `pose` maps from the ellipsoid's own frame (origin at its centre, along its axes).
     """
     order = sorted(range(3), key=lambda axis: semi_axes_mm[axis])
     short, middle, long = (semi_axes_mm[axis] for axis in order)

@@ -1,7 +1,7 @@
 """Clearance of a planned path over its whole length: distances of all pairs of bodies, with NumPy.
 
 The path is sampled. Between two samples a pair cannot come closer than half of the sum of both distances
-minus the motion in between; if that bound is not enough, the interval is halved, down to `FINEST_MM` of
+minus the motion in between. Where that bound is not enough, the interval is halved, down to `FINEST_MM` of
 motion.
 
 The live monitoring of the real-time process has formulas of its own, so that one mistake cannot hide in both:
@@ -36,7 +36,7 @@ ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 
 @dataclass(frozen=True)
 class Closest:
-    """Smallest distance on a path: which two bodies, how far apart, where on the path (0..1)."""
+    """Smallest distance on a path: the two bodies, their distance, and the place on the path (0..1)."""
 
     first: str
     second: str
@@ -178,7 +178,7 @@ def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]
     before, after = found.gaps_mm[:-1], found.gaps_mm[1:]
     with np.errstate(invalid="ignore"):
         bound = (before + after - relative) / 2.0
-    # If a corridor allows contact on one side of the interval only, just the other side is known.
+    # If a corridor allows contact at one end of the interval, only the distance at the other end is known.
     half = np.isinf(before) ^ np.isinf(after)
     bound = np.where(half, np.minimum(before, after) - relative, bound)
     bound = np.where(np.isinf(before) & np.isinf(after), np.inf, bound)

@@ -258,7 +258,7 @@ class PathProgress:
             self._ceiling, velocity = missed, missed.velocity * self._fraction
 
     def _towards(self, velocity: float) -> tuple[_Leg, float]:
-        """Towards the end at a speed, or first down to it: the leg, and the time of the next point on it.
+        """Choose the leg to the end, or the braking leg down to a speed, with the time of its next point.
 
         If the end is too close to slow down first, the present leg is kept.
         """

@@ -1,14 +1,13 @@
 """Set-points cycle by cycle. Each preparation yields the next point and the first point of a stop.
 
-The caller sends one of the two and reports which: `take_go` or `take_stop`. So at the moment of sending there
-is nothing left to compute, and a stop is never a jump.
+The caller sends one of the two and reports which: `take_go` or `take_stop`. So nothing is left to compute at
+the moment of sending, and a stop is never a jump.
 
-A stop that cannot rely on a path goes onwards along the course of the last set-points. Joints that brake
-independently turn the tool off its course and can even speed it up. So they brake together: the arm continues
-along the parabola through its last set-points while its speed decreases. It leaves a path within the joint
-limits only in third order of the stopping distance. With the direction u, the speed v and the acceleration
-split into a tangential part a and a normal one, the parabola is q(l) = q0 + u l + k l^2 / 2 with k = normal /
-v^2, and
+A stop without a path continues along the course of the last set-points. Joints that brake independently turn
+the tool off its course and can even speed it up. So they brake together: the arm continues along the parabola
+through its last set-points while its speed decreases. It leaves a path within the joint limits only in third
+order of the stopping distance. With the direction u, the speed v and the acceleration split into a tangential
+part a and a normal one, the parabola is q(l) = q0 + u l + k l^2 / 2 with k = normal / v^2, and
 
     q'' = u l'' + k (l'^2 + l l''),    q''' = u l''' + k (3 l' l'' + l l''').
 """
@@ -208,8 +207,8 @@ class Halt(NamedTuple):
 def halt(start: State, limits: MotionLimits) -> Halt | None:
     """Stop along the present course, as short as the joint limits allow.
 
-    None if the arm has no direction, if its curvature alone uses up the limits, or if a joint would become
-    too fast before the acceleration is reduced. Motions within the limits do none of this.
+    None if the arm has no direction, its curvature alone uses up the limits, or a joint would first become
+    too fast. Motions within the limits never cause this.
     """
     speed = hypot(*start.velocity)
     if not speed > RESTING_RAD_S:
