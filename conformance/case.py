@@ -15,7 +15,7 @@ from conformance.errors import NoSuchCase
 
 @dataclass(frozen=True)
 class Need:
-    """A requirement of a case on the device under test, and why the case is skipped without it."""
+    """A requirement of a case on the device under test, and the reason for skipping without it."""
 
     name: str
     reason: str
@@ -31,7 +31,7 @@ HOST_TIME = Need("host time", "the theatre's clock is not the host's")
 
 
 class Outcome(StrEnum):
-    """End of a case."""
+    """Outcome of a case."""
 
     PASS = "PASS"
     FAIL = "FAIL"
@@ -39,11 +39,11 @@ class Outcome(StrEnum):
 
 
 class NotShown(Exception):
-    """Raised by a case that cannot be decided here, such as without a stray in view; says why."""
+    """Sign that a case cannot be decided here, such as without a stray in view; gives the reason."""
 
 
 class Nonconformity(AssertionError):
-    """Raised by a case when the device behaves differently."""
+    """Sign that the device behaves differently from a case's statement."""
 
 
 Run = Callable[[DeviceUnderTest], object]
@@ -136,15 +136,15 @@ class Suite(CaseList):
         self.motions = motions
 
     def with_cases(self, cases: Iterable[Case]) -> Suite:
-        """A suite of the same kind with these cases."""
+        """Return a suite of the same kind with these cases."""
         return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
 
     def moving(self) -> list[str]:
-        """Numbers of the cases that move the device."""
+        """List the numbers of the cases that move the device."""
         return [case.number for case in self.cases if MOTION in case.needs]
 
     def only(self, prefixes: Sequence[str]) -> Suite:
-        """The cases whose number starts with one of `prefixes`, all of them without any; raises CNF-003."""
+        """Select the cases whose number starts with one of `prefixes`, all without any; raises CNF-003."""
         if not prefixes:
             return self
         cases = [case for case in self.cases if case.number.startswith(tuple(prefixes))]

@@ -84,7 +84,7 @@ def conformance(
 
 
 def _confirming_person(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
-    """The name of the person who confirms that the device may move; raises CNF-005 without one."""
+    """Return the name of the person who confirms motion; raises CNF-005 without one."""
     from conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())

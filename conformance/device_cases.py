@@ -110,7 +110,7 @@ READINGS = 3
 
 
 class Interruption(Exception):
-    """Raised by a case inside a block."""
+    """Exception that a case raises inside a block."""
 
 
 @dataclass(frozen=True)
@@ -121,7 +121,7 @@ class DeviceCases:
     limit_s: float
 
     def numbered(self, letter: str, first: int) -> list[Case]:
-        """The cases with consecutive numbers, such as T23 and on."""
+        """Return the cases with consecutive numbers, such as from T23 on."""
         runs = (
             ("a block makes a disconnected device active and leaves it configured", self.active_block),
             (

@@ -31,20 +31,20 @@ class DeviceUnderTest:
         self._made: list[Device] = []
 
     def make(self, **changes: Any) -> Any:
-        """A new, unconnected driver with a changed configuration. Closes every other connection first."""
+        """Make an unconnected driver with a changed configuration; closes every other connection first."""
         self.release()
         device: Device = self.make_beside(**changes)
         self._made.append(device)
         return device
 
     def make_beside(self, **changes: Any) -> Any:
-        """A new driver with a changed configuration, in addition to any other; the caller closes it."""
+        """Make a driver with a changed configuration, in addition to any other; the caller closes it."""
         if "endpoint" in changes:
             changes["endpoints"] = {}
         return make_device(self.name, self.config.model_copy(update=changes), self.clock)
 
     def at(self, state: Lifecycle) -> Any:
-        """The shared device in CONNECTED, CONFIGURED or ACTIVE; a new one if the old one failed."""
+        """Bring the shared device to CONNECTED, CONFIGURED or ACTIVE; makes a new one after a failure."""
         device = self._shared
         if device is None or device.state not in _ON_THE_WAY:
             device = self._shared = self.make()
@@ -55,7 +55,7 @@ class DeviceUnderTest:
         return self.bring_to(state, device)
 
     def bring_to(self, state: Lifecycle, device: Any) -> Any:
-        """A device from `make`, brought from its present state to `state`."""
+        """Bring a device from `make` from its present state to `state`."""
         steps = (device.connect, device.configure, device.activate)
         for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
             step()
@@ -75,12 +75,12 @@ class DeviceUnderTest:
         return parse_endpoint(self.config.endpoint)
 
     def disturbed_line(self) -> DisturbedLine:
-        """A line between driver and device that can misbehave; pass its endpoint to `make`."""
+        """Make a line between driver and device that can misbehave; pass its endpoint to `make`."""
         self.release()
         return DisturbedLine(self.endpoint)
 
     def can_be_disturbed(self) -> bool:
-        """Whether a line that can misbehave fits between this driver and this endpoint."""
+        """Test whether a line that can misbehave fits between this driver and this endpoint."""
         if self.config.endpoint is None:
             return False
         if parse_endpoint(self.config.endpoint).scheme not in ("tcp", "serial"):

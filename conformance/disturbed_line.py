@@ -31,7 +31,7 @@ class _End(Protocol):
 
 
 class LineThread(ABC):
-    """Runs `_serve` in a thread of its own within a `with` block; `_ended` asks it to return."""
+    """Thread that runs `_serve` within a `with` block; `_ended` tells it to return."""
 
     def __init__(self, name: str) -> None:
         self._ended = False
@@ -58,7 +58,7 @@ class LineThread(ABC):
 
 
 class DisturbedLine(LineThread):
-    """A context manager; the driver connects to `endpoint`. One client at a time."""
+    """Line for one client at a time, as a context manager; the driver connects to `endpoint`."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__("disturbed line")

@@ -42,12 +42,12 @@ class Checklist:
         return re.compile(rf"[{self.letters}](\d+)[a-z]?")
 
     def line_of(self, number: str) -> int | None:
-        """Line checked by a case; None for a generic case."""
+        """Return the line checked by a case; None for a generic case."""
         match = self._number.fullmatch(number)
         return int(match[1]) if match else None
 
     def cases_by_line(self, numbers: Iterable[str]) -> dict[int, tuple[str, ...]]:
-        """Line -> numbers of the cases that check it, for every line."""
+        """Map every line to the numbers of the cases that check it."""
         known = tuple(numbers)
         own = {line: [number for number in known if self.line_of(number) == line] for line in self.lines}
         return {
@@ -86,12 +86,12 @@ def load_protocol(wire_protocol: str) -> ProtocolCases:
 
 
 def protocol_of(driver: str) -> ProtocolCases:
-    """The protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
+    """Load the protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
     return load_protocol(load_driver(driver).wire_protocol)
 
 
 def compose_suite(suite: Suite, protocol: ProtocolCases) -> Suite:
-    """The cases of a suite followed by those of the protocol; raises ValueError on a repeated number."""
+    """Append the cases of a protocol to those of a suite; raises ValueError on a repeated number."""
     cases = (*suite.cases, *protocol.cases)
     counts = Counter(case.number for case in cases)
     if repeated := [number for number, count in counts.items() if count > 1]:

@@ -44,7 +44,7 @@ class Report:
     confirmed_by: str = ""  # the person who stood by while the device was moved
 
     def count(self, outcome: Outcome) -> int:
-        """Number of cases with this outcome."""
+        """Count the cases with this outcome."""
         return sum(result.outcome is outcome for result in self.results)
 
     @property
@@ -53,7 +53,7 @@ class Report:
         return self.count(Outcome.FAIL) == 0 and self.count(Outcome.PASS) > 0
 
     def as_document(self) -> dict[str, Any]:
-        """The report as plain data, with a hash over everything else in it."""
+        """Return the report as plain data, with a hash over everything else in it."""
         document: dict[str, Any] = {
             "schema": SCHEMA_VERSION,
             "suite": self.suite,

@@ -69,13 +69,13 @@ def turn_last_axis(joints_rad: JointVector, by_rad: float) -> JointVector:
 
 
 def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
-    """The active arm and its commanded axes."""
+    """Return the active arm and its commanded axes."""
     arm = dut.at(Lifecycle.ACTIVE)
     return arm, arm.read_state().commanded_rad
 
 
 def apart_rad(a: JointVector, b: JointVector) -> float:
-    """Largest difference of any axis."""
+    """Return the largest difference of any axis."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 

@@ -34,13 +34,13 @@ SUITE = Suite("stereo", driver="basler_stereo")
 
 
 def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
-    """Readings of the shared connection, one trigger each."""
+    """Take readings on the shared connection, one trigger each."""
     pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 
 
 def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
-    """Both images of a pair, which must be complete."""
+    """Return both images of a pair, which must be complete."""
     check(reading.validity is Validity.OK, "a complete pair", reading.validity)
     what = "an image from both cameras in a complete pair"
     return present(reading.left, what), present(reading.right, what)
@@ -193,7 +193,7 @@ SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).num
 
 
 def _part(area: AreaOfInterest) -> AreaOfInterest:
-    """The middle part of an area, in steps that cameras allow."""
+    """Return the middle part of an area, in steps that cameras allow."""
 
     def step(value: int) -> int:
         return value // AREA_STEP_PX * AREA_STEP_PX

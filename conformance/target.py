@@ -78,13 +78,13 @@ class HasConformanceOptions(Protocol):
 
 
 def load_suite(kind: str) -> Suite:
-    """The generic suite for a kind of device: tracker, robot or stereo."""
+    """Load the generic suite for a kind of device: tracker, robot or stereo."""
     suite: Suite = importlib.import_module(f"conformance.{kind}").SUITE
     return suite
 
 
 def resolve(kind: str, choice: Choice) -> Target:
-    """The target for a choice; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
+    """Resolve a choice to its target; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
     choice.check()
     suite = load_suite(kind)
     name, clock, config = kind, "host:", None
@@ -114,7 +114,7 @@ def resolve(kind: str, choice: Choice) -> Target:
 
 
 def config_for_suite(driver: str, addresses: Mapping[str | None, str]) -> DeviceConfig:
-    """A driver at these endpoints (None for a single unnamed one), with its conformance options."""
+    """Configure a driver at these endpoints (None for a single unnamed one), with its conformance options."""
     factory = load_driver(driver)
     options = factory.conformance_options() if isinstance(factory, HasConformanceOptions) else {}
     for address in addresses.values():
@@ -178,7 +178,7 @@ def build_device_under_test(
     protocol: ProtocolCases | None = None,
     clock_known: bool = True,
 ) -> DeviceUnderTest:
-    """A device under test that offers what is allowed and every other need that it meets."""
+    """Build a device under test that offers the allowed needs and every other need that it meets."""
     dut = DeviceUnderTest(name, config, clock, clock_known=clock_known)
     dut.offers |= allowed
     if clock.paced:
@@ -192,7 +192,7 @@ def build_device_under_test(
 
 @contextmanager
 def device_under_test(target: Target) -> Iterator[DeviceUnderTest]:
-    """The device under test; whatever was started for it is ended on leaving. Raises PRC-001."""
+    """Open the device under test; its simulator, if any, ends with the block. Raises PRC-001."""
     with ExitStack() as stack:
         config = target.config
         if config is None:

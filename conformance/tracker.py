@@ -43,7 +43,7 @@ SUITE = Suite("tracker", driver="ndi_polaris")
 
 
 def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
-    """Consecutive readings of the shared connection, no faster than the tracker measures."""
+    """Take consecutive readings on the shared connection, no faster than the tracker measures."""
     tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
     for _ in range(count):
@@ -53,7 +53,7 @@ def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
 
 
 def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
-    """All readings of all tools; undecided if no tool is configured."""
+    """Return all readings of all tools; undecided if no tool is configured."""
     readings = [reading for frame in frames_of(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
@@ -62,7 +62,7 @@ def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
 
 @contextlib.contextmanager
 def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
-    """(line, tracker): an active tracker on a line that can misbehave; closes every connection afterwards."""
+    """A line that can misbehave, and an active tracker on it; closes every connection afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.bring_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
         dut.release()

@@ -119,7 +119,7 @@ def serve_pages(
     viewers: ViewersAddress | None = None,
     largest_body_bytes: int = LARGEST_BODY_BYTES,
 ) -> None:
-    """Serve what `add` adds to an application, behind the guard, like `serve_hub`. Raises CON-001."""
+    """Serve the routes that `add` adds, behind the guard, like `serve_hub`. Raises CON-001."""
     listening = listen(HOST, port)
     port = listening.getsockname()[1]
     sessions = Sessions()

@@ -64,7 +64,7 @@ class Rate:
     hz: float | None = None
 
     def at(self, count: int, now_s: float) -> Rate:
-        """The rate now; fewer than before means that counting began again."""
+        """Return the rate now; a smaller count means that counting restarted."""
         if count < self.count:
             return Rate(count, now_s)
         span_s = now_s - self.since_s
@@ -151,7 +151,7 @@ class CaseView:
 
 
 def fold(view: CaseView, event: Event) -> CaseView:
-    """The view after one more event."""
+    """Return the view after one more event."""
     changed = replace(
         view,
         number=event.number,
@@ -205,7 +205,7 @@ def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
         case JournalLine(line=line):
             return _journal(view, line)
         case SignalsLost():
-            return {}  # of the file; the picture has the latest of each
+            return {}  # concerns only the file; the view has the latest of each
         case Fault() | Refusal() | Advisory():
             return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
 
@@ -243,7 +243,7 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
 
 
 def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
-    """Mark notices as settled once their step is done, including what a fault left to be done there."""
+    """Mark the notices of a finished step as settled, except findings."""
     return tuple(
         replace(one, settled=True) if one.step == step and one.kind != "finding" else one for one in notices
     )
@@ -326,7 +326,7 @@ class RecordedCase:
         return len(self._events)
 
     def at(self, count: int) -> CaseView:
-        """The view after this many events."""
+        """Return the view after this many events."""
         count = min(max(count, 0), len(self._events))
         view = self._kept[count // EVERY]
         for event in self._events[count - count % EVERY : count]:
@@ -334,5 +334,5 @@ class RecordedCase:
         return view
 
     def time_s(self, count: int) -> float:
-        """Theatre time after this many events."""
+        """Return the theatre time after this many events."""
         return self._events[count - 1].theatre_time_s if 0 < count <= len(self._events) else 0.0

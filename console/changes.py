@@ -7,13 +7,13 @@ import contextlib
 
 
 class ChangeNotifier:
-    """Pages subscribe with an event that is set on every change."""
+    """Notifier of pages, which subscribe with an event that is set on every change."""
 
     def __init__(self) -> None:
         self._waiting: set[asyncio.Event] = set()
 
     def subscribe(self) -> asyncio.Event:
-        """An event that is set whenever something changes."""
+        """Return an event that is set whenever something changes."""
         event = asyncio.Event()
         self._waiting.add(event)
         return event

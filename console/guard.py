@@ -114,7 +114,7 @@ class Sessions:
         return self._pages[role].allows(self.now_s())
 
     def find(self, cookie: str | None) -> Session | None:
-        """The session of a cookie."""
+        """Return the session of a cookie; None without one."""
         return None if cookie is None else self._sessions.get(cookie)
 
 
@@ -280,7 +280,7 @@ def _token(scope: Scope) -> str | None:
 
 
 def _bounded(receive: Receive, left: int) -> Receive:
-    """A body that exceeds its limit ends as if its sender had disconnected."""
+    """End a body that exceeds its limit as if its sender had disconnected."""
 
     async def bounded() -> Message:
         nonlocal left

@@ -29,7 +29,7 @@ SendOrder = Callable[[SentOrder], Awaitable[None]]
 
 
 class Hub(ChangeNotifier):
-    """Keeps the view; pages subscribe with an event that is set when it changes."""
+    """Shared view of a case; pages subscribe with an event that is set when it changes."""
 
     def __init__(self, folder: Path, now_s: Callable[[], float] = time.monotonic) -> None:
         super().__init__()
@@ -95,7 +95,7 @@ class Hub(ChangeNotifier):
 
     @property
     def _is_silent(self) -> bool:
-        """Whether the engine should have been heard from."""
+        """True if a line from the engine is overdue."""
         if self.review is None:
             return self.live and self.silent_s > SILENT_S
         rows = self.view.devices.values()
@@ -161,7 +161,7 @@ class Hub(ChangeNotifier):
         self.heard()
 
     def reply(self, reply: Reply) -> None:
-        """The engine's reply to an order."""
+        """Handle the engine's reply to an order."""
         waiting = self._replies.pop(reply.nonce, None)
         if waiting is not None and not waiting.done():
             waiting.set_result(reply.refused)

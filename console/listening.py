@@ -30,7 +30,7 @@ SOCKET_BYTES = 4 * LARGEST_BODY_BYTES  # the page library sends some messages of
 
 
 def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INET) -> ListeningSocket:
-    """A listening socket; port 0 is any free one. Raises CON-001."""
+    """Open a listening socket; port 0 is any free one. Raises CON-001."""
     listening = ListeningSocket(family)
     listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     try:
@@ -43,7 +43,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
 
 
 def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
-    """The server with everything behind the guard; that of `viewers` uses TLS."""
+    """Build the server with everything behind the guard; that of `viewers` uses TLS."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
         uvicorn.Config(
@@ -80,7 +80,7 @@ class ListeningSocket(socket.socket):
         self._known: dict[Role, dict[object, socket.socket]] = {role: {} for role in Role}  # with a session
 
     def accept(self) -> tuple[socket.socket, Any]:
-        """The next connection: a stranger, before any handshake of TLS."""
+        """Accept the next connection: a stranger, before any handshake of TLS."""
         connection, address = super().accept()
         self._strangers, self._foreign = _still_open(self._strangers), _still_open(self._foreign)
         if len(self._strangers) >= MOST_STRANGERS:
@@ -94,14 +94,14 @@ class ListeningSocket(socket.socket):
         return connection, address
 
     def is_foreign(self, peer: object) -> bool:
-        """Whether the connection from this host and port is of another account of this computer.
+        """Test whether the connection from this host and port is of another account of this computer.
 
         Cookies are not bound to a port: a browser shows ours to every server on loopback that it visits.
         """
         return peer in self._foreign
 
     def trust(self, peer: object, role: Role) -> bool:
-        """The connection from this host and port has shown a session; whether its role may have one more."""
+        """Trust the connection from this host and port, which has a session; False if its role is full."""
         if peer not in self._strangers:
             return True
         known = self._known[role] = _still_open(self._known[role])
@@ -116,7 +116,7 @@ def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket
 
 
 class Connection(H11Protocol):
-    """HTTP/1.1 dropped once the time for a head or an answer is up, however slowly either drips."""
+    """HTTP/1.1 connection, dropped once the time for a head or an answer is up."""
 
     def __init__(self, *arguments: Any, **named: Any) -> None:
         super().__init__(*arguments, **named)

@@ -74,7 +74,7 @@ class GigeLink:
         raise Nonconformity(f"expected an answer from {self.address} to command 0x{command:04X}, got none")
 
     def silent_after(self, datagram: bytes) -> bool:
-        """Send a datagram; returns whether nothing comes back."""
+        """Send a datagram and test whether nothing comes back."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
         try:
@@ -84,7 +84,7 @@ class GigeLink:
         return False
 
     def memory(self, address: int, count: int) -> bytes:
-        """`count` bytes of memory; at most 536."""
+        """Read `count` bytes of memory; at most 536."""
         answer = self.exchange(GvcpCommand.READMEM, struct.pack(">IHH", address, 0, count))
         self.expect(answer, GevStatus.SUCCESS, f"reading memory at 0x{address:X}")
         check(len(answer.payload) == 4 + count, f"{4 + count} bytes of answer", len(answer.payload))
@@ -92,7 +92,7 @@ class GigeLink:
         return answer.payload[4:]
 
     def registers(self, *addresses: int) -> list[int]:
-        """Values of registers, read in one command."""
+        """Read registers in one command."""
         answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
         self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
         check(len(answer.payload) == 4 * len(addresses), f"{len(addresses)} values", len(answer.payload))
@@ -144,7 +144,7 @@ class GigeLink:
 
 
 def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
-    """Link to each camera in turn; closes every connection of the driver first."""
+    """Yield a link to each camera in turn; closes every connection of the driver first."""
     dut.release()
     for text in dut.config.endpoints.values():
         with GigeLink(parse_endpoint(text).require("gev").host) as link:
@@ -153,7 +153,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 @contextmanager
 def controlled(link: GigeLink) -> Iterator[GigeLink]:
-    """Control of a camera, released after the block."""
+    """Take control of a camera; released after the block."""
     GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
         yield link
@@ -201,12 +201,12 @@ class GigeFeatures:
         }
 
     def has(self, name: str) -> bool:
-        """Whether the description has a node of that name."""
+        """Test whether the description has a node of that name."""
         return name in self.nodes
 
     @read_as("an entry with an integer value")
     def entry(self, name: str, entry: str) -> int:
-        """Value of an enumeration's entry."""
+        """Return the value of an enumeration's entry."""
         for child in self._node(name):
             if _kind(child) == "EnumEntry" and child.get("Name") == entry:
                 return int(_text(child, "Value") or "0", 0)
@@ -214,7 +214,7 @@ class GigeFeatures:
 
     @read_as("a register of a number")
     def get(self, name: str) -> int | float:
-        """Value of a feature."""
+        """Read a feature."""
         register = self._register(name)
         data = self._link.memory(self._address(register), self._length(register))
         if _kind(register) == "FloatReg":
@@ -222,12 +222,12 @@ class GigeFeatures:
         return int.from_bytes(data, "big")
 
     def whole(self, name: str) -> int:
-        """Value of an integer feature."""
+        """Read an integer feature."""
         return int(self.get(name))
 
     @read_as("an integer limit")
     def limit(self, name: str, which: str) -> int:
-        """Present `Min`, `Max` or `Inc` of a feature."""
+        """Read the present `Min`, `Max` or `Inc` of a feature."""
         node = self._node(name)
         if (own := _text(node, which)) is not None:
             return int(float(own))
@@ -261,13 +261,13 @@ class GigeFeatures:
 
     @read_as("a register and an integer command value")
     def command(self, name: str) -> tuple[int, int]:
-        """Register and value that execute a command."""
+        """Return the register and value that execute a command."""
         value = int(_text(self._node(name), "CommandValue") or "1", 0)
         return self._address(self._register(name)), value
 
     @read_as("integer addresses")
     def addresses(self) -> list[int]:
-        """Every fixed register address in the description.
+        """List every fixed register address in the description.
 
         Nodes on an event's port are skipped: their addresses are offsets in a message.
         """

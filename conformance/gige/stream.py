@@ -63,7 +63,7 @@ class GigeStream:
         self.close()
 
     def latch_ticks(self) -> int:
-        """The camera's present tick count."""
+        """Read the camera's present tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
         high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
@@ -106,7 +106,7 @@ class GigeStream:
         self.features.execute("TriggerSoftware")
 
     def packet(self, limit_s: float = FRAME_LIMIT_S) -> Packet | None:
-        """The next packet, or None if none arrives."""
+        """Receive the next packet; None if none arrives."""
         data = self.datagram(limit_s)
         if data is None:
             return None
@@ -115,7 +115,7 @@ class GigeStream:
         return Packet(status, block_id, word >> 24 & 0x7F, word & 0xFFFFFF, data[8:], data[2:])
 
     def datagram(self, limit_s: float) -> bytes | None:
-        """The next datagram."""
+        """Receive the next datagram; None if none arrives."""
         self._socket.settimeout(limit_s)
         try:
             return self._socket.recv(65536)
@@ -123,7 +123,7 @@ class GigeStream:
             return None
 
     def frame(self) -> list[Packet]:
-        """All packets up to the next trailer; raises Nonconformity if none arrives."""
+        """Receive all packets up to the next trailer; raises Nonconformity if none arrives."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
@@ -132,11 +132,11 @@ class GigeStream:
         return found
 
     def silent(self) -> bool:
-        """Whether no packet arrives for `SILENCE_S`."""
+        """Test whether no packet arrives for `SILENCE_S`."""
         return self.datagram(SILENCE_S) is None
 
     def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
-        """Packets until none arrives for this long; raises Nonconformity if they do not end."""
+        """Receive packets until none arrives for this long; raises Nonconformity if they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while (packet := self.packet(silence_s)) is not None:
@@ -150,7 +150,7 @@ class GigeStream:
 
 
 def leader_of(frame: list[Packet]) -> Leader:
-    """The leader of a frame, which must be its first packet."""
+    """Return the leader of a frame, which must be its first packet."""
     check(frame[0].kind == LEADER and frame[0].packet_id == 0, "the leader first", frame[0].kind)
     return decode_leader(frame[0])
 

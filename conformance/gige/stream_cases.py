@@ -50,7 +50,7 @@ on_camera = CASES.with_each(cameras)
 
 
 def streams(dut: DeviceUnderTest) -> Iterator[GigeStream]:
-    """Each camera in turn, under control, with small frames and an open channel."""
+    """Yield the stream of each camera in turn, with small frames and an open channel."""
     for camera in cameras(dut):
         with controlled_stream(camera) as stream:
             yield stream
@@ -157,7 +157,7 @@ DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 
 def frames(stream: GigeStream, count: int) -> list[list[Packet]]:
-    """Frames, one trigger each."""
+    """Take frames, one trigger each."""
     taken = []
     for _ in range(count):
         stream.trigger()

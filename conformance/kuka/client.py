@@ -69,11 +69,11 @@ class EkiLine:
         return int(self.answer("Ack", self.command(name, **attributes)).get("Code", "-1"))
 
     def state(self) -> ElementTree.Element:
-        """The answer to STATUS."""
+        """Request the state and return the answer."""
         return self.answer("State", self.command("STATUS"))
 
     def answer(self, tag: str, identifier: str) -> ElementTree.Element:
-        """Element with this tag and identifier; raises Nonconformity if it does not arrive in time."""
+        """Return the element with this tag and identifier; raises Nonconformity if it is late."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while True:
             while (raw := self._next_element()) is None:
@@ -93,7 +93,7 @@ class EkiLine:
                 return root
 
     def closed_by_controller(self) -> bool:
-        """Whether the controller closes the connection in time."""
+        """Test whether the controller closes the connection in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while (remaining_s := until_s - time.monotonic()) > 0:
             self._socket.settimeout(remaining_s)
@@ -107,7 +107,7 @@ class EkiLine:
         return False
 
     def _next_element(self) -> bytes | None:
-        """The next complete element received."""
+        """Take the next complete element received."""
         match = _ELEMENT.search(self._received)
         if match is None:
             return None
@@ -125,7 +125,7 @@ class EkiLine:
 
 
 def command(identifier: str, name: str, **attributes: object) -> bytes:
-    """A command of our channel with a separate end tag."""
+    """Encode a command of our channel, with a separate end tag."""
     text = "".join(f' {key}="{value}"' for key, value in attributes.items())
     return f'<Cmd Id="{identifier}" Name="{name}"{text}></Cmd>'.encode()
 
@@ -167,7 +167,7 @@ class Telegram:
 
     @read_as("an element with numbers")
     def values(self, tag: str) -> dict[str, float]:
-        """Attributes of an element as numbers."""
+        """Read the attributes of an element as numbers."""
         found = parse_xml(self.raw, MOST_BYTES).find(tag)
         if found is None:
             raise NotShown(f"the controller sends no {tag}")
@@ -190,7 +190,7 @@ class RsiLine:
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
     ) -> None:
-        """The correct reply to a telegram."""
+        """Send the correct reply to a telegram."""
         self.send(telegram, self.reply(telegram.ipoc, corrections, stop=stop))
 
     def send(self, telegram: Telegram, reply: bytes) -> None:
@@ -205,7 +205,7 @@ class RsiLine:
         stop: bool = False,
         sentype: str | None = None,
     ) -> bytes:
-        """A reply with the elements wired in the controller's context; corrections in deg."""
+        """Return a reply with the elements wired in the controller's context; corrections in deg."""
         body = ""
         if (tag := self.context.wired_tag("STOP", "In1")) is not None:
             body += f"<{tag}>{int(stop)}</{tag}>"

@@ -53,7 +53,7 @@ on_eki = CASES.within(eki_line)
 
 
 def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
-    """Whether a position-counting parser reads the telegram correctly."""
+    """Test whether a position-counting parser reads the telegram correctly."""
     return _WHOLE.fullmatch(raw) is not None
 
 

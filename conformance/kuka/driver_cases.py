@@ -73,7 +73,7 @@ def in_pieces(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, Piec
 
 
 def corrections(reply: bytes) -> list[float]:
-    """The six axis corrections of a reply, in deg."""
+    """Read the six axis corrections of a reply, in deg."""
     context = load_context()
     tags = [str(context.wired_tag("AXISCORR", axis)) for axis in AXES]
     found = []
@@ -241,7 +241,7 @@ def _stall(tap: RsiTap) -> None:
 
 
 def _exchanges(tap: RsiTap) -> Traffic:
-    """The traffic during at least `CYCLES` replies."""
+    """Return the traffic during at least `CYCLES` replies."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
     return tap.traffic()
 

@@ -29,7 +29,7 @@ class Traffic:
 
 
 class RsiTap(LineThread):
-    """Listens where the controller sends, and forwards to where the driver listens."""
+    """Tap at the controller's destination that forwards to the driver's port."""
 
     def __init__(self, controller_sends_to: Endpoint, driver: Endpoint) -> None:
         super().__init__("RSI tap")
@@ -45,7 +45,7 @@ class RsiTap(LineThread):
         self._passed = Traffic()
 
     def traffic(self) -> Traffic:
-        """The traffic since the last call."""
+        """Return the traffic since the last call."""
         with self._lock:
             passed, self._passed = self._passed, Traffic()
         return passed
@@ -130,7 +130,7 @@ class PiecewiseLine(DisturbedLine):
 
 
 def wait_for(condition: Callable[[], bool], limit_s: float) -> bool:
-    """True as soon as `condition()` is; False when time is up."""
+    """Wait for a condition; False when time is up."""
     until_s = time.monotonic() + limit_s
     while not condition():
         if time.monotonic() > until_s:

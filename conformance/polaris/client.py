@@ -82,7 +82,7 @@ class SerialLine:
 
 
 def with_crc(text: str) -> bytes:
-    """Command or text reply with its CRC in four upper-case digits, and CR."""
+    """Return a command or text reply with its CRC in four upper-case digits, and CR."""
     return b"%b%04X\r" % (text.encode(), crc16(text.encode()))
 
 
@@ -94,7 +94,7 @@ class PolarisLink:
     definition: bytes = b""  # of the driver's first tool, for cases that need one
 
     def ask(self, command: str | bytes) -> str:
-        """The text of the ASCII reply to a command: text is sent with a CRC, bytes as they are."""
+        """Return the text of the reply to a command; text is sent with a CRC, bytes as they are."""
         self.send(command)
         return self.text()
 
@@ -103,14 +103,14 @@ class PolarisLink:
 
     @read_as("a reply in ASCII")
     def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
-        """The text of the next ASCII reply."""
+        """Receive the text of the next ASCII reply."""
         heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
         match = present(_ASCII.fullmatch(heard), "text, four upper-case hex digits and CR", heard)
         check(int(match[2], 16) == crc16(match[1]), f"the CRC {crc16(match[1]):04X}", match[2].decode())
         return match[1].decode("ascii")
 
     def binary(self, command: str) -> bytes:
-        """The body of the binary reply to a command; checks both CRCs and that nothing follows."""
+        """Return the body of the binary reply to a command; checks both CRCs and that nothing follows."""
         self.send(command)
         heard = self._read_until(lambda data: len(data) >= BX_HEADER_BYTES)
         start, length, crc = struct.unpack_from("<HHH", heard)
@@ -167,7 +167,7 @@ class PolarisLink:
 
     @read_as("a count and five digits per handle")
     def handles(self, query: str = "00") -> list[str]:
-        """Handles that PHSR lists for a query, as two hex digits each."""
+        """List the handles of a PHSR query, as two hex digits each."""
         text = self.ask(f"PHSR:{query}")
         check(len(text) == 2 + 5 * int(text[:2], 16), "a count and five digits per handle", text)
         return [text[at : at + 2] for at in range(2, len(text), 5)]
@@ -220,7 +220,7 @@ class PolarisLink:
 
 
 def is_error(text: str) -> bool:
-    """Whether a reply is ERRORhh."""
+    """Test whether a reply is ERRORhh."""
     return _ERROR.fullmatch(text) is not None
 
 
@@ -340,7 +340,7 @@ def _read_body(body: bytes, options: int) -> BxReply:
 
 
 def place_markers(markers_mm: tuple[Vector3, ...], pose: tuple[float, ...]) -> list[Vector3]:
-    """Markers of a tool in the tracker frame, for a pose with a scalar-first quaternion."""
+    """Return the markers of a tool in the tracker frame, for a pose with a scalar-first quaternion."""
     q0, qx, qy, qz, tx, ty, tz, _ = pose
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
     q0, qx, qy, qz = q0 / norm, qx / norm, qy / norm, qz / norm

@@ -75,13 +75,13 @@ case = CASES.case
 
 
 def reading_command(tap: PolarisTap) -> str:
-    """BX or TX: the command that this driver uses to read frames."""
+    """Return the command that this driver uses to read frames: BX or TX."""
     return "BX" if tap.count("BX:") else "TX"
 
 
 @contextlib.contextmanager
 def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
-    """(tap, tracker): a driver that has read a frame through a tap."""
+    """Tap, and a driver that has read a frame through it."""
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
         dut.bring_to(Lifecycle.ACTIVE, tracker).read_frame(PATIENT_S)

@@ -49,7 +49,7 @@ class ReportsBaud(Protocol):
 
 
 def definition(dut: DeviceUnderTest) -> bytes:
-    """The first tool definition that the driver would load."""
+    """Return the first tool definition that the driver would load."""
     tracker = dut.make()
     assert isinstance(tracker, ReportsDefinitions), "the case needs a tool definition"
     return next(iter(tracker.definition_blocks.values()))
@@ -65,7 +65,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
-    """The frame by BX with these options."""
+    """Read the frame by BX with these options."""
     return read_body(unit.binary(f"BX:{options:04X}"), options)
 
 
@@ -84,7 +84,7 @@ SHIFTED_PART = b"CONFORMANCE"
 
 
 def markers_of(block: bytes) -> tuple[Vector3, ...]:
-    """Marker positions of a definition, mm."""
+    """Return the marker positions of a definition, mm."""
     count = block[layout.MARKER_COUNT_OFFSET]
     flat = struct.unpack_from(f"<{3 * count}f", block, layout.MARKER_POSITIONS_OFFSET)
     return tuple((flat[k], flat[k + 1], flat[k + 2]) for k in range(0, 3 * count, 3))
@@ -116,7 +116,7 @@ def reverse_normals(block: bytes) -> bytes:
 
 
 def published_definition() -> bytes:
-    """A definition with the numbers of a real one, assembled from the published layout."""
+    """Build a definition with the numbers of a real one, from the published layout."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)
     block[:4] = layout.ROM_MAGIC
@@ -186,7 +186,7 @@ class MeasuringVolume:
         return self.knee_mm if far_mm < self.knee_mm < near_mm else (far_mm + near_mm) / 2
 
     def half_extents_mm(self, z_mm: float) -> tuple[float, float]:
-        """Largest |x| and |y| inside at a depth."""
+        """Return the largest |x| and |y| inside at a depth."""
         _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.numbers
         behind_mm = knee / 100 - z_mm  # negative in front of the knee
         y_mm = y_knee / 100 + behind_mm * (y_behind if behind_mm > 0 else y_front) / 1e5
@@ -194,7 +194,7 @@ class MeasuringVolume:
         return min(x_mm, x_cap / 100), min(y_mm, y_cap / 100)
 
     def clearance_mm(self, point_mm: Vector3) -> float:
-        """Distance of a point inside the faces, along the closest axis; negative outside."""
+        """Return the distance of a point inside the faces, along the closest axis; negative outside."""
         x, y, z = point_mm
         far_mm, near_mm = self.depths_mm
         x_mm, y_mm = self.half_extents_mm(z)
@@ -202,7 +202,7 @@ class MeasuringVolume:
 
 
 def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
-    """The volumes by SFLIST 03; every record must have its exact length."""
+    """Read the volumes by SFLIST 03; every record must have its exact length."""
     text = unit.ask("SFLIST:03")
     records = text[1:].splitlines(keepends=True)
     check(text[:1].isdigit() and int(text[:1]) == len(records), "as many volumes as announced", text[:1])
@@ -216,7 +216,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
 
 
 def volume_in_use(unit: PolarisLink) -> MeasuringVolume:
-    """The selected volume; the first if the unit does not report it."""
+    """Return the selected volume; the first if the unit does not report it."""
     volumes = measuring_volumes(unit)
     value = unit.ask(f"GET:{PARAMETER_SELECTED_VOLUME}").partition("=")[2].strip()
     return volumes[int(value)] if value.isdecimal() and int(value) < len(volumes) else volumes[0]

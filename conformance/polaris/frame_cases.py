@@ -228,12 +228,12 @@ def diagnostic_mode(unit: PolarisLink) -> None:
 
 
 def frame_number(unit: PolarisLink) -> int:
-    """Frame number of the only handle."""
+    """Read the frame number of the only handle."""
     return read_frame(unit).frame
 
 
 def _counts_requests(unit: PolarisLink) -> bool:
-    """Whether many quick requests each return the next frame, faster than 60 per second.
+    """Test whether many quick requests each return the next frame, faster than 60 per second.
 
     After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay
     each reply until the next.

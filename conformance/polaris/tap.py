@@ -18,7 +18,7 @@ _u16 = struct.Struct("<H")
 
 
 class PolarisTap(DisturbedLine):
-    """`commands` are the driver's, as `NAME:argument`; `replies` the last reply to each command."""
+    """Tap that logs the driver's `commands` as `NAME:argument`, and the last of the `replies` to each."""
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
@@ -72,18 +72,18 @@ class PolarisTap(DisturbedLine):
 
 
 def polaris_tap(dut: DeviceUnderTest) -> PolarisTap:
-    """A tap between the driver and the unit; pass its endpoint to `make`."""
+    """Make a tap between the driver and the unit; pass its endpoint to `make`."""
     dut.release()
     return PolarisTap(dut.endpoint)
 
 
 def body_of(reply: bytes) -> bytes:
-    """The body of a complete binary reply."""
+    """Return the body of a complete binary reply."""
     return reply[BX_HEADER_BYTES:-BX_CRC_BYTES]
 
 
 def with_body(body: bytes) -> bytes:
-    """A binary reply with this body and valid CRCs."""
+    """Return a binary reply with this body and valid CRCs."""
     header = _BX_START + _u16.pack(len(body))
     return header + _u16.pack(crc16(header)) + body + _u16.pack(crc16(body))
 

@@ -119,7 +119,7 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
 
 
 def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolume) -> set[bool]:
-    """The flags of the strays; all must agree with the volume, in one bit order or the other."""
+    """Return the flags of the strays; all must agree with the volume, in one bit order or the other."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
     for _ in range(LOOKS):
@@ -136,7 +136,7 @@ def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolu
 
 
 def _places(volume: MeasuringVolume) -> list[Vector3]:
-    """Points at the centre, and just inside and outside each face in front of and behind the knee."""
+    """Return points at the centre, and just inside and outside each face on both sides of the knee."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm
     places: list[Vector3] = [(0.0, 0.0, middle_mm)]

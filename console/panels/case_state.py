@@ -24,7 +24,7 @@ WHOLE = ("", "ok")  # validities that need not be mentioned
 
 
 def banner(view: CaseView) -> str:
-    """Simulated or hardware; they must never be confused."""
+    """Show simulation or hardware, which must never be confused."""
     if view.banner is None:
         return tag("div", OPENING, class_="banner opening")
     if view.banner:
@@ -33,7 +33,7 @@ def banner(view: CaseView) -> str:
 
 
 def case_line(view: CaseView) -> str:
-    """The run, its theatre and strategy."""
+    """Show the run, its theatre and strategy."""
     run = tag("b", text(view.run or "no run yet"))
     more = ", ".join(part for part in (view.theatre, view.strategy and f"strategy {view.strategy}") if part)
     ended = tag("span", f" closed: {text(view.outcome)}", class_="warn") if view.outcome else ""
@@ -41,7 +41,7 @@ def case_line(view: CaseView) -> str:
 
 
 def clock(view: CaseView, beat: int) -> str:
-    """Theatre time, with a number that changes while the page is updated."""
+    """Show theatre time, with a number that changes while the page is updated."""
     return tag(
         "div",
         tag("span", f"{view.theatre_time_s:.1f} s", class_="num") + '<div class="dim">theatre time</div>',
@@ -69,7 +69,7 @@ def seat_line(view: CaseView, *, is_mine: bool, may_operate: bool) -> str:
 
 
 def chart(view: CaseView) -> str:
-    """The steps by phase; a finished phase is collapsed while another is not finished."""
+    """Show the steps by phase; a finished phase is collapsed while another is not finished."""
     finished = all(row.state == "done" for row in view.steps)
     latest = next((row for row in reversed(view.steps) if row.state == "done"), None)
     phases = []
@@ -146,7 +146,7 @@ def devices_key(view: CaseView) -> object:
 
 
 def mode(view: CaseView) -> str:
-    """Operating mode of the controller, for the head of the page."""
+    """Show the controller's operating mode, for the head of the page."""
     if not view.mode:
         return tag("div", '<b>-</b><div class="dim">controller</div>', class_="mode")
     return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")

@@ -10,12 +10,12 @@ from ronna_hw.text import printable
 
 
 def text(words: object) -> str:
-    """Plain text, escaped for a page."""
+    """Escape plain text for a page."""
     return escape(printable(str(words)))
 
 
 def tag(name: str, content: str, **attributes: str) -> str:
-    """An element around HTML; `class_` is its class; underscores become hyphens."""
+    """Wrap HTML in an element; `class_` is its class; underscores become hyphens."""
     shown = "".join(
         f' {key.rstrip("_").replace("_", "-")}="{escape(value)}"'
         for key, value in attributes.items()
@@ -25,18 +25,18 @@ def tag(name: str, content: str, **attributes: str) -> str:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
-    """A table of plain text."""
+    """Build a table of plain text."""
     columns = tag("tr", "".join(tag("th", text(one), scope="col") for one in head))
     body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
     return table_of(columns, body, caption)
 
 
 def table_of(head: str, body: str, caption: str = "") -> str:
-    """A table of HTML rows."""
+    """Build a table of HTML rows."""
     title = tag("caption", text(caption)) if caption else ""
     return tag("div", tag("table", f"{title}<thead>{head}</thead><tbody>{body}</tbody>"), class_="wide")
 
 
 def evidence_table(evidence: Evidence) -> str:
-    """A table as evidence for a question."""
+    """Build a table of evidence for a question."""
     return table(evidence.head, evidence.rows, evidence.title)

@@ -47,7 +47,7 @@ NOT_EMERGENCY = (
 
 
 class SeatPanel:
-    """The operator: taking the seat requires a name and a button press."""
+    """Panel of the operator's seat; taking it requires a name and a button press."""
 
     def __init__(self, give: Give, *, may_operate: bool) -> None:
         self._give = give
@@ -73,7 +73,7 @@ class SeatPanel:
 
 
 class OrderPanel:
-    """Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
+    """Panel of Next, Run to, Pause, Resume, Acknowledge, Abort; Stop is separate and needs no seat."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
@@ -90,7 +90,7 @@ class OrderPanel:
         self._build("")
 
     def _build(self, upcoming: str) -> None:
-        """New buttons for the present state: a late click on the old ones has no effect."""
+        """Make new buttons for the present state: a late click on the old ones has no effect."""
         self._quoted = upcoming
 
         async def order_next() -> None:
@@ -111,7 +111,7 @@ class OrderPanel:
             self._resume = _button("Run on", order_resume, "resume")
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
-        """Enable what is possible now; each button's order quotes the state it was shown with."""
+        """Enable the orders possible now; each quotes the state that its button was shown with."""
         state = state_of(view)
         ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""
@@ -159,7 +159,7 @@ def stop_button(give: Give) -> None:
 
 
 class QuestionPanel:
-    """Rebuilt for each question, and when the seat changes hands."""
+    """Panel of the open question, rebuilt for each one and when the seat changes hands."""
 
     def __init__(self, give: Give, tell: Callable[[str], None]) -> None:
         self._give = give
@@ -239,7 +239,7 @@ class QuestionPanel:
                     return
             await self._give(order)
 
-        # The last answer, which silence means too, changes nothing.
+        # The last answer, also given by silence, changes nothing.
         if question.deliberate and answer != question.answers[-1]:
             button = HeldButton(f"{answer} (hold)", act, self._tell).button
         else:
@@ -298,7 +298,7 @@ class HeldButton:
 
 
 def _moment_ms(event: Any) -> float:
-    """Time of the event by the browser's clock; NaN if not reported."""
+    """Return the time of the event by the browser's clock; NaN if not reported."""
     moment = event.args.get("timeStamp")
     return float(moment) if isinstance(moment, int | float) else math.nan
 

@@ -23,7 +23,7 @@ HEADS = ("timestamp", "level", "event")  # shown before a line's other fields
 
 
 def accuracy(figures: CaseFigures | None) -> str:
-    """The tables of the valid registrations."""
+    """Show the tables of the valid registrations."""
     if figures is None or not figures.predictions:
         return tag("p", "No registration yet.", class_="dim")
     rows = "".join(
@@ -47,7 +47,7 @@ def accuracy(figures: CaseFigures | None) -> str:
 
 
 def live_pair(hub: Hub) -> str:
-    """The last pair, with the outlines found in it."""
+    """Show the last pair, with the outlines found in it."""
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
@@ -65,7 +65,7 @@ def live_key(hub: Hub) -> object:
 
 
 def pictures(figures: CaseFigures | None) -> str:
-    """The measured stereo pairs with the outlines found in them, newest first."""
+    """Show the measured stereo pairs with the outlines found in them, newest first."""
     names = figures.pictures[-MOST:][::-1] if figures else ()
     if not names:
         return tag("p", "No stereo picture yet.", class_="dim")
@@ -108,7 +108,7 @@ def course(figures: CaseFigures | None) -> str:
 
 
 def notices(view: CaseView) -> str:
-    """A list."""
+    """List the notices, newest first."""
     if not view.notices:
         return tag("p", "No faults or refusals.", class_="dim")
     return tag("ul", "".join(_notice(one) for one in reversed(view.notices)), class_="notices")
@@ -137,7 +137,7 @@ def problems(figures: CaseFigures | None) -> str:
 
 
 def log(lines: tuple[str, ...]) -> str:
-    """The last lines, newest first; warnings and errors are marked by their level."""
+    """List the last log lines, newest first; warnings and errors are marked by their level."""
     shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 
@@ -148,7 +148,7 @@ def _level(line: str) -> str:
 
 
 def journal(view: CaseView) -> str:
-    """The last lines, newest first."""
+    """List the last journal lines, newest first."""
     lines = "".join(tag("li", text(line)) for line in reversed(view.journal[-JOURNAL_LINES:]))
     return tag("ol", lines, class_="journal") if lines else tag("p", "No journal entries yet.", class_="dim")
 
@@ -162,7 +162,7 @@ class LogTail:
         self._lines: tuple[str, ...] = ()
 
     def lines(self) -> tuple[str, ...]:
-        """The last lines as text, oldest first; empty if there is no log."""
+        """Return the last lines as text, oldest first; empty if there is no log."""
         try:
             size = self._path.stat().st_size
             if size != self._size:
@@ -181,7 +181,7 @@ class LogTail:
 
 
 def _as_text(line: bytes) -> str:
-    """`10:21:05 info step begins: part engine, step ct_import`; empty for a line that is not a log line."""
+    """Format a line like `10:21:05 info step begins: part engine`; empty if it is not a log line."""
     try:
         content = parse_json(line)
         time, level, event = (str(content.pop(name, "")) for name in HEADS)

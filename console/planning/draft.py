@@ -86,7 +86,7 @@ class Draft:
         )
 
     def way(self, identifier: str) -> DraftTrajectory:
-        """The trajectory with that name; raises KeyError."""
+        """Return the trajectory with that name; raises KeyError."""
         for one in self.ways:
             if one.identifier == identifier:
                 return one
@@ -108,7 +108,7 @@ class Draft:
         return replace(self, ways=left or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
-        """The structure with that name, if there is one."""
+        """Return the structure with that name; None without one."""
         return next((one for one in self.structures if one.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
@@ -221,7 +221,7 @@ class Axis:
         return cls(math.degrees(math.atan2(back, left)), math.degrees(math.atan2(up, math.hypot(left, back))))
 
     def entry_mm(self, target_mm: Point, depth_mm: float) -> Point:
-        """The entry at that depth above the target."""
+        """Return the entry at that depth above the target."""
         azimuth, elevation = math.radians(self.azimuth_deg), math.radians(self.elevation_deg)
         along = (
             math.cos(elevation) * math.cos(azimuth),
@@ -273,7 +273,7 @@ class UnsavedFile:
         self._is_ours = False
 
     def restore(self, plan_sha256: str, draft: Draft) -> Draft | None:
-        """The stored draft, with the spheres of `draft`; None without one.
+        """Return the stored draft, with the spheres of `draft`; None without one.
 
         Raises PLAN-029 for one of another plan or CT, or an unreadable one, which is set aside.
         """

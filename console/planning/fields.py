@@ -14,13 +14,13 @@ from ronna_hw.text import typed_number
 
 
 class NumberField:
-    """Shows a number with the given decimals; `take` receives the entered value."""
+    """Field for a number with the given decimals; `take` receives the entered value."""
 
     def __init__(self, label: str, name: str, take: Callable[[float], None], decimals: int = 1) -> None:
         self._take, self._decimals = take, decimals
         self._shown = ""
         self.name = name
-        self.is_wrong = False  # what was typed is none, so the value is not what the field shows
+        self.is_wrong = False  # the entry is no number: the field does not show the value
         self._field = (
             ui.input()
             .classes("number")
@@ -69,6 +69,6 @@ class NumberField:
 
 
 def small_button(words: str, act: Callable[[], object], name: str) -> ui.button:
-    """Add a button in a row of a panel; `name` is read to those who cannot see its words in their context."""
+    """Add a button in a row of a panel; `name` is for screen readers."""
     button = ui.button(words, on_click=act, color=None).classes("plain small")
     return button.props(f'no-caps unelevated aria-label="{name}"')

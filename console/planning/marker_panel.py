@@ -31,7 +31,7 @@ Found = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class MarkerPanel:
-    """Rebuilt when spheres or candidates change."""
+    """Panel of the markers, rebuilt when spheres or candidates change."""
 
     def __init__(
         self,
@@ -117,7 +117,7 @@ class MarkerPanel:
 
 
 class ProposalPanel:
-    """A set as proposed by `ronna-plan markers`, or one more besides the accepted spheres."""
+    """Panel that proposes a set like `ronna-plan markers`, or one more besides the accepted spheres."""
 
     def __init__(self, editor: PlanEditor, go: Callable[[Point], None]) -> None:
         self._editor, self._go = editor, go

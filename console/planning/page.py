@@ -1,4 +1,4 @@
-"""The planner's page: its parts, what a click in them does, and the update loop."""
+"""The planner's page: its parts, the effect of a click in them, and the update loop."""
 
 from __future__ import annotations
 
@@ -202,7 +202,7 @@ class PlannerPage:
         self._looked()
 
     def _looked(self) -> None:
-        """Show at once where this page looks now; other pages are not affected.
+        """Show the view of this page at once; other pages are not affected.
 
         The scene follows at the next beat: rendered in software it would delay scrolling.
         """

@@ -35,7 +35,7 @@ AGAIN_S = 0.5  # host time between checks whether the plan has become free
 
 
 class PlanEditor(ChangeNotifier):
-    """Keeps one draft. Every change is announced; background threads check it again."""
+    """Editor of one draft. Every change is announced; background threads check it again."""
 
     def __init__(self, volume: Volume, plan: Path, theatre: TheatreArm | None) -> None:
         super().__init__()
@@ -99,7 +99,7 @@ class PlanEditor(ChangeNotifier):
         return None
 
     def hu_at(self, place_mm: Point) -> str:
-        """Word the CT's value at a position."""
+        """Describe the CT's value at a position."""
         hu = sample_hu(self.volume, [place_mm])
         return f"{hu[0]:.0f} HU" if len(hu) else "outside the scan"
 
@@ -140,7 +140,7 @@ class PlanEditor(ChangeNotifier):
         return Draft.of(plan)
 
     def _restore_unsaved(self) -> None:
-        """Restore what was drawn but not saved when the planner ended."""
+        """Restore unsaved changes from the last session."""
         try:
             drawn = self._unsaved.restore(self._on_disk, self.draft)
         except UnsavedChanges as aside:
@@ -174,7 +174,7 @@ class PlanEditor(ChangeNotifier):
         return self._saved is not None and self._saved.content("") == self.draft.content("")
 
     async def save(self, author: str) -> None:
-        """Write the plan, seal_plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
+        """Seal and write the plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-025, PLAN-026."""
         if self.read_only is not None:
             raise self.read_only
         name = " ".join(author.split())
@@ -241,7 +241,7 @@ class PlanEditor(ChangeNotifier):
         self.altered()
 
     def altered(self) -> None:
-        """Have the draft checked and stored, and the pages notified."""
+        """Trigger check and storage of the draft, and wake the pages."""
         self._changed.set()
         self._to_keep.set()
         self.tell()

@@ -52,7 +52,10 @@ STROKE = "stroke"  # what is dragged while a structure is drawn
 
 
 class SlicePanel:
-    """`act` gets the position of a click; `drag` which end is dragged where, and whether it just began."""
+    """Panel of one slice.
+
+    `act` gets the position of a click; `drag` the dragged end, its position, and whether the drag just began.
+    """
 
     def __init__(
         self,
@@ -163,7 +166,7 @@ class SlicePanel:
             self._dragged = ""
 
     def _in_depth(self, cut: Cut, x: float, y: float) -> Point:
-        """New position of the end: dragged within the image, at its previous depth behind it."""
+        """Return the new position of the end: dragged within the image, at its previous depth behind it."""
         if self._dragged == STROKE:
             return cut.to_patient_mm(x, y)
         assert self._draft is not None
@@ -191,7 +194,7 @@ def _address(cut: Cut, window: str) -> str:
 
 
 def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
-    """SVG in the image's pixels."""
+    """Draw the overlay as SVG in the image's pixels."""
     parts = [*_sides(cut), *_cross(cut, place_mm)]
     parts += [_avoided(cut, np.array(one.points_mm)) for one in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):
@@ -234,7 +237,7 @@ def _sphere(cut: Cut, centre_mm: Sequence[float], name: str) -> Iterable[str]:
 
 
 def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
-    """The points near the image, in one path: a thousand elements would not scroll."""
+    """Draw the points near the image in one path: a thousand elements would not scroll."""
     away = points_mm - cut.middle_mm
     near = away[np.abs(away @ cut.normal) < POINT_WITHIN_MM]
     places = SIZE_PX / 2.0 + np.stack([near @ cut.right, near @ cut.down], axis=1) / cut.step_mm
@@ -272,7 +275,7 @@ def _sides(cut: Cut) -> Iterable[str]:
 
 
 def side(direction: NDArray[np.float64]) -> str:
-    """Letters of the patient's sides that a direction leads to, nearest first."""
+    """Return the letters of the patient's sides along a direction, nearest first."""
     order = sorted(range(3), key=lambda axis: -abs(direction[axis]))
     return "".join(
         LETTERS[axis][int(direction[axis] > 0)] for axis in order if abs(direction[axis]) > LEAST_SHARE

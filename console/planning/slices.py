@@ -72,13 +72,13 @@ class Cut:
         return np.asarray(np.cross(self.right, self.down))
 
     def to_patient_mm(self, x_px: float, y_px: float) -> Point:
-        """The position of a point in the image; (0, 0) is the corner of its first pixel."""
+        """Return the position of a point in the image; (0, 0) is the corner of its first pixel."""
         half = SIZE_PX / 2.0
         place = self.middle_mm + self.step_mm * ((x_px - half) * self.right + (y_px - half) * self.down)
         return as_point(place)
 
     def to_picture(self, place_mm: ArrayLike) -> tuple[float, float, float]:
-        """Image position of a point, px, and its distance behind the image, mm."""
+        """Return the image position of a point, px, and its distance behind the image, mm."""
         away = np.asarray(place_mm, dtype=float) - self.middle_mm
         half = SIZE_PX / 2.0
         return (
@@ -89,13 +89,13 @@ class Cut:
 
 
 def as_point(place: ArrayLike) -> Point:
-    """Three plain numbers."""
+    """Return three plain numbers."""
     x, y, z = (float(value) for value in np.asarray(place))
     return x, y, z
 
 
 def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
-    """The image, black at the lower end of the window and white at the upper."""
+    """Render the image, black at the lower end of the window and white at the upper."""
     low, high = window_hu
     hu = cut_hu(volume, cut)
     grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
@@ -105,7 +105,7 @@ def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
 
 
 def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
-    """HU of every pixel (rows, columns), interpolated within a slice; along a trajectory also between."""
+    """Return the HU of every pixel (rows, columns), interpolated; between slices only along a trajectory."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
     per_px = (
@@ -177,7 +177,7 @@ class PageView:
         return float((self._bounds[1] - self._bounds[0]).max()) / SIZE_PX / ZOOMS[self.zoom]
 
     def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
-        """The image of a plane; None along an incomplete trajectory."""
+        """Return the image of a plane; None along an incomplete trajectory."""
         if plane is Plane.ALONG:
             return None if way is None or way.ends is None else self._along(*way.ends)
         right, down = (np.array(one) for one in DIRECTIONS[plane])
@@ -246,7 +246,7 @@ def add_pictures(app: Any, editor: PlanEditor) -> None:
 
 
 def _read(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
-    """Raises KeyError, ValueError for an invalid request."""
+    """Parse a request; raises KeyError or ValueError for an invalid one."""
     middle, right, down = (_three(given[name]) for name in "mrd")
     step_mm = float(given["s"])
     square = abs(right @ down) < UNIT and all(abs(np.linalg.norm(one) - 1.0) < UNIT for one in (right, down))

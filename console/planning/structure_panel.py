@@ -35,7 +35,7 @@ Say = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
-    """Strokes and files are added to the structure named in the field."""
+    """Panel of the structures; strokes and files are added to the one named in its field."""
 
     def __init__(
         self, editor: PlanEditor, look: PageView, go: Callable[[Point], None], say: Say, *, may_edit: bool
@@ -202,7 +202,7 @@ def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
 
 
 def free_name(draft: Draft) -> str:
-    """A name for one more structure."""
+    """Return a name for one more structure."""
     return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
 
 

@@ -18,7 +18,7 @@ ENDS = (("entry", "Entry"), ("target", "Target"))
 
 
 class TrajectoryPanel:
-    """Numbers are LPS mm and degrees; each change is one undo step."""
+    """Panel of the trajectories, in LPS mm and degrees; each change is one undo step."""
 
     def __init__(
         self, editor: PlanEditor, look: PageView, looked: Callable[[], None], *, may_edit: bool

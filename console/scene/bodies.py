@@ -36,7 +36,7 @@ def axis_ends(values: tuple[float, ...]) -> tuple[Point, Point]:
 
 
 def rotation_along(start: Point, end: Point) -> Rows:
-    """A rotation, by rows, that turns z into the direction from start to end."""
+    """Return a rotation, by rows, that turns z into the direction from start to end."""
     length = math.dist(start, end)
     if length == 0.0:
         return [[1.0, 0.0, 0.0], [0.0, 1.0, 0.0], [0.0, 0.0, 1.0]]
@@ -48,7 +48,7 @@ def rotation_along(start: Point, end: Point) -> Rows:
 
 
 def guide_end(tool_mm: Sequence[tuple[float, ...]], entry: Point, target: Point) -> Point | None:
-    """The place on the axis of a trajectory where the tool that is on it ends; None without a tool."""
+    """Return the end of the tool on the axis of a trajectory; None without a tool."""
     depth_mm = math.dist(entry, target)
     shares = [
         sum((p - t) * (e - t) for p, t, e in zip(point, target, entry, strict=True)) / depth_mm**2

@@ -22,7 +22,7 @@ Array = NDArray[np.float64]
 
 
 def series_of(run: Path) -> Path | None:
-    """The folder of a run's CT series: its own, or the one it was asked to use."""
+    """Return the folder of a run's CT series: its own, or the requested one."""
     own = run / "case" / "ct"
     if own.is_dir():
         return own
@@ -34,12 +34,12 @@ def series_of(run: Path) -> Path | None:
 
 
 def head_stl(series: Path) -> bytes:
-    """Binary STL in CT coordinates, metres. Raises the errors of reading a series, CT-022 without a head."""
+    """Build binary STL in CT coordinates, metres. Raises the errors of reading, CT-022 without a head."""
     return stl(*head_surface(read_series(series)))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
-    """Corners (n, 3) mm LPS and triangles (m, 3) of the largest body denser than air, with hollows filled.
+    """Return corners (n, 3) mm LPS and triangles (m, 3) of the largest body denser than air, hollows filled.
 
     Raises ValueError if there is none.
     """
@@ -74,7 +74,7 @@ def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
 
 
 def stl(corners_mm: Array, triangles: NDArray[np.int64]) -> bytes:
-    """Binary STL, metres."""
+    """Encode a surface as binary STL, metres."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = corners_mm[triangles] * METRES
     first, second, third = (facets["corners"][:, number] for number in range(3))

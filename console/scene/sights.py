@@ -117,7 +117,7 @@ class Sights:
 
 
 def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
-    """The edges of a measuring volume, mm in the tracker frame."""
+    """Return the edges of a measuring volume, mm in the tracker frame."""
     if volume is None:
         return []
     rings = [[(x * sx, y * sy, z) for sx, sy in CORNERS] for z, x, y in volume.sections_mm]
@@ -127,7 +127,7 @@ def volume_edges(volume: MeasuringVolume | None) -> list[tuple[Point, Point]]:
 
 
 def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
-    """Whether a moving body blocks a line of sight."""
+    """Test whether a moving body blocks a line of sight."""
     if len(pose.bodies_mm) != len(bodies.moving):
         return False
     capsules = zip(bodies.moving, pose.bodies_mm, strict=True)

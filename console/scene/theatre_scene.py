@@ -53,7 +53,7 @@ KEY = (
 
 
 class ScenePanel:
-    """The arm, and its surroundings."""
+    """Panel of the arm and its surroundings."""
 
     def __init__(self, *, low: bool) -> None:
         self._figures: CaseFigures | None = None

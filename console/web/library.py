@@ -47,7 +47,7 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
 
 
 def page_head() -> str:
-    """Style and script common to all pages."""
+    """Return the style and script common to all pages."""
     style = (HERE / "style.css").read_text(encoding="utf-8")
     script = (HERE / "fresh.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"

@@ -245,7 +245,7 @@ class MomentPanel:
             self._text = ui.label("").classes("num")
 
     def view(self, latest: CaseView) -> CaseView:
-        """The view at the selected moment."""
+        """Return the view at the selected moment."""
         count, chosen = len(self._recorded), int(self._slider.value)
         if self._slider.props["max"] != count:
             at_end = chosen >= self._slider.props["max"]

@@ -38,7 +38,7 @@ from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCommand
 
 KEEP_ALIVES_PER_TIMEOUT = 4  # from the receiver process
-PATIENCE_S = 0.1  # beyond the exposure, before the packets of an image that has not begun are requested
+PATIENCE_S = 0.1  # after the exposure, before packets of an image not yet begun are requested
 
 
 class Camera:
@@ -61,7 +61,7 @@ class Camera:
         self._next_block: int | None = None
         self._receiver: StreamReceiver | None = None
         self._packet_bytes = 0
-        self.trigger_command: Command | None = None  # for one frame; None if a trigger line does
+        self.trigger_command: Command | None = None  # for one frame; None with a trigger line
         self.area = AreaOfInterest(0, 0, 0, 0)
         self._exposure_us = options.exposure_us
         self.tick_frequency_hz = gev.TICK_FREQUENCY_HZ
@@ -88,7 +88,7 @@ class Camera:
 
     @property
     def counters(self) -> StreamCounters | None:
-        """Statistics of the present stream, or None if there is none."""
+        """Statistics of the current stream; None without one."""
         return self._receiver.counters if self._receiver else None
 
     def connect(self, deadline_s: float) -> CameraIdentity:
@@ -194,7 +194,7 @@ class Camera:
         return Tie(ticks, self.tick_frequency_hz, before_s + half_s, half_s)
 
     def expect_next(self) -> None:
-        """Discard what came before the frame that has just been triggered."""
+        """Discard everything before the frame just triggered."""
         self.receiver.discard()
         if self.trigger_command is None:
             self._next_block = None  # a line may fire at any time

@@ -1,4 +1,4 @@
-"""Check of a camera's address: who replies, who controls it, which packet size arrives, what that means.
+"""Check of a camera's address: reply, controller, largest packet size, and advice.
 
 Reading changes nothing. To find the packet size, an uncontrolled camera is briefly controlled, sends test
 packets, and is released; a controlled one is left alone.
@@ -68,7 +68,7 @@ class CameraState:
 
 
 def check_camera(endpoint: Endpoint) -> CameraState:
-    """Check one camera's address, in a second or two; never raises, whatever is at the other end."""
+    """Check one camera's address within about two seconds; never raises."""
     try:
         with contextlib.closing(ControlChannel(endpoint.host)) as control:
             return _check_stages(control, endpoint)

@@ -146,7 +146,7 @@ class ControlChannel:
     ) -> gvcp.Acknowledge | None:
         """Receive the acknowledge with this request id; None if it has not arrived by `until_s`."""
         while True:
-            # even after the deadline: whatever arrived while the host stalled was in time
+            # also after the deadline: data that arrived while the host stalled was in time
             left_s = until_s - self._monotonic()
             if left_s < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
@@ -190,7 +190,7 @@ def register_write(address: int, value: int) -> Command:
 def send_together(
     commands: Sequence[tuple[ControlChannel, Command]], deadline_s: float, what: str
 ) -> list[Exception | None]:
-    """Send a command on each of several channels as close together as one host can.
+    """Send one command on each channel, as close together as possible.
 
     All commands are sent before the first acknowledge is awaited. Returns None or an error per channel.
     """
@@ -250,7 +250,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
 
 
 def _control_lapses_s(control: ControlChannel, deadline_s: float) -> float:
-    """Return when a controller that is dead now will lose control; never later than the deadline."""
+    """Return the time at which a dead controller loses control; at most the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
     except CommandRefused:  # exclusive access: others cannot even read

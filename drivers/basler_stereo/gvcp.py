@@ -118,7 +118,7 @@ def write_memory_command(address: int, data: bytes) -> bytes:
 
 
 def pending_ms(payload: bytes) -> int:
-    """Return how much longer the device asks us to wait, ms; 0 if it does not say."""
+    """Return the further wait requested by the device, ms; 0 if it gives none."""
     if len(payload) < struct.calcsize(gev.PENDING_PAYLOAD):
         return 0
     return int(struct.unpack_from(gev.PENDING_PAYLOAD, payload)[1])

@@ -91,7 +91,7 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
 
 
 def cameras_near(address: str) -> str:
-    """List in words the cameras on the network of an address; no other network is queried."""
+    """Describe the cameras on the network of an address; no other network is queried."""
     if (interface := interface_of(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):

@@ -37,8 +37,8 @@ T = TypeVar("T")
 class BaslerStereoPair(PairDevice[Camera]):
     """Pair of cameras. Calls are synchronous, one thread at a time; time limits are host time, in seconds.
 
-    If a camera falls silent, the driver waits for it within the time limit and repeats the interrupted work:
-    it stays under our control until its heartbeat times out, so a short absence only costs time.
+    The driver waits for a silent camera within the time limit and repeats the interrupted work. The camera
+    stays under our control until its heartbeat times out, so a short absence only costs time.
     """
 
     wire_protocol = "gige-vision"  # which byte-level conformance cases apply
@@ -133,7 +133,7 @@ class BaslerStereoPair(PairDevice[Camera]):
     def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
         """Do one piece of work, again after a silence; latch FAULT for lost cameras or control.
 
-        So does a camera that stays silent while its settings are changed, since they are then unknown.
+        A camera that stays silent while its settings change also latches FAULT: they are then unknown.
         """
         try:
             while True:

@@ -47,7 +47,7 @@ T = TypeVar("T")
 
 
 class PairDevice(ABC, Generic[C]):
-    """Part of a `StereoPair` that is independent of how its cameras are accessed."""
+    """Part of a `StereoPair` independent of the access to its cameras."""
 
     wire_protocol: str
 
@@ -209,7 +209,7 @@ class PairDevice(ABC, Generic[C]):
         """Do one piece of work; latch FAULT for lost cameras or control."""
 
     def _stream_facts(self) -> dict[str, Any]:
-        """Return what is logged of the streams that end."""
+        """Return facts of the ending streams for the log."""
         return {}
 
     def _release_all(self) -> None:

@@ -57,7 +57,7 @@ class PairGrabber:
         self._must_restart = False
 
     def end(self, deadline_s: float) -> None:
-        """Stop both streams; where that fails, the next grab restarts them."""
+        """Stop both streams; after a failure the next grab restarts them."""
         self._must_restart = True
         for camera in self._cameras:
             camera.stop(deadline_s)
@@ -65,10 +65,10 @@ class PairGrabber:
     def grab(self, sequence: int, deadline_s: float) -> StereoReading:
         """Trigger once and return the pair of that trigger.
 
-        Triggers a second time if neither camera sent an image, or if left and right come from different
-        triggers, as happens when the computer stalls between the two commands. After an incomplete pair the
-        streams restart, so that a late image is never attributed to the next trigger. Raises GEV-007, GEV-013
-        to GEV-015, GEV-017.
+        Triggers a second time if neither camera sent an image, or if the images come from different triggers,
+        such as when the computer stalls between the two commands. After an incomplete pair the streams
+        restart, so that a late image is never attributed to the next trigger. Raises GEV-007, GEV-013 to
+        GEV-015, GEV-017.
         """
         limit_s = deadline_s - time.monotonic()
         twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
@@ -151,7 +151,7 @@ class PairGrabber:
         return first, right.take(deadline_s, any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
-        """Raise the reason why a frame did not come.
+        """Raise the error for a missing frame.
 
         GEV-007, GEV-014 or GEV-015 for its camera, GEV-013 for both.
         """
@@ -208,7 +208,7 @@ class PairGrabber:
             return Validity.OK, (None, None)  # the missing side is reported anyway
         ticks = (left.ticks, right.ticks)
         if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
-            # a counter still at zero at the start of the stream looked like one that does not run
+            # a counter at zero at the start of the stream looked like a stopped one
             self._tie(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
         moments_s = self._pair_clock.moments_s(ticks)

@@ -121,7 +121,7 @@ class Tie:
 
 
 class PairClock:
-    """Judge of whether two images come from the same trigger.
+    """Test of whether two images come from the same trigger.
 
     Each camera counts ticks from its own zero. Latching the counter at the start of the stream ties it to
     theatre time; every correctly paired image renews the tie, so that clock drift does not accumulate.

@@ -80,7 +80,7 @@ class KukaRsiArm:
         self._follower = MotionFollower(name, self.connections, self._watch, cycle_s)
         self._readings = ArmReadings(self.connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
-        self._asked: tuple[str, ...] = ()  # of a person, by `to_confirm`
+        self._asked: tuple[str, ...] = ()  # the texts last returned by `to_confirm`
         self._micro_move_confirmed_by = ""
 
     @property
@@ -241,7 +241,7 @@ class KukaRsiArm:
         )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
-        """Go from FAULT to CONFIGURED: end what runs, acknowledge the messages, read everything again.
+        """Go from FAULT to CONFIGURED: end the stream, acknowledge the messages, read everything again.
 
         Moves nothing. A broken or silent EKI connection is reopened, with retries until the time limit. While
         CONNECTED a message of an earlier run is acknowledged, and the state stays CONNECTED. Raises what
@@ -343,7 +343,7 @@ class KukaRsiArm:
         if kind is StopKind.DRIVES_OFF:
             self.connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
         if resting is None and not link.state.fault:
-            if held:  # HOLD is said of an arm at rest; the order remains, and no motion starts before that
+            if held:  # HOLD means an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
         self._watch.check_until_certain()

@@ -111,7 +111,7 @@ class Connections:
     def start_stream(self, timeout_s: float, limits: Mapping[OperationMode, MotionLimits]) -> OperationMode:
         """Switch the drives on, start the RSI program, answer it, wait until corrections take effect.
 
-        Until then every correction is zero: what is sent before RSI_MOVECORR would take effect in one jump.
+        Until then every correction is zero: any other would take effect in one jump at RSI_MOVECORR.
         In T1 the operator switches the drives on and presses the start key. `limits` has an entry for each
         mode in which the stream may start; the real-time process and its monitor keep to them. Returns the
         operating mode.
@@ -126,7 +126,7 @@ class Connections:
             if state.mode is OperationMode.EXT:
                 answer = eki.command(CommandName.DRIVES, remaining_s(deadline), On=1)
                 if answer.code is not AckCode.OK:
-                    # What has come up since the state was read is more informative than the refusal.
+                    # A change since the state was read is more informative than the refusal.
                     require_ready(
                         eki.status(max(remaining_s(deadline), LEAST_TRY_S)), drives=False, modes=modes
                     )
@@ -159,7 +159,7 @@ class Connections:
     def acknowledge(self, deadline: float) -> None:
         """Acknowledge the controller's messages and read its state again, with no RSI program running.
 
-        Raises EKI-005 to EKI-007 for what is not as required, EKI-008 when it refuses for another reason.
+        Raises EKI-005 to EKI-007 for unmet requirements, EKI-008 when it refuses for another reason.
         """
         eki = self.eki
         eki.command(CommandName.RSI_STOP, remaining_s(deadline))
@@ -257,7 +257,7 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
 
 
 class LinkRecorder:
-    """Recorder's sinks for both connections, if any; asked for when a connection is opened."""
+    """Sinks of a recorder for both connections, if any; read when a connection is opened."""
 
     def __init__(self, arm: str) -> None:
         self._arm = arm

@@ -1,4 +1,4 @@
-"""Errors for what the real-time process reports, in words, with the flight record attached."""
+"""Errors for the reports of the real-time process, with the flight record attached."""
 
 from __future__ import annotations
 
@@ -104,7 +104,7 @@ def error_of_fault(
 def error_of_wait(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
-    """Return the error for a start without a telegram of the axes reported by EKI; names other senders."""
+    """Return the error for a start without a matching telegram; names other senders."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
     counted = (
         (state.disagreeing, "reported other axes"),

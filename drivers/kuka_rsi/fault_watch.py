@@ -1,8 +1,8 @@
 """Latching of faults of the real-time process, the EKI channel, and the controller itself.
 
-The real-time process stops the arm for faults that it detects itself. What only EKI reports (emergency stop,
-guard, mode, drives, a message, or a broken channel) is noticed here as soon as it arrives, and stops the arm.
-The reader of that channel also calls this while nothing arrives, so that no polling is needed.
+The real-time process stops the arm for faults that it detects itself. Faults that only EKI reports (emergency
+stop, guard, mode, drives, a message, or a broken channel) stop the arm from here as soon as they arrive. The
+reader of that channel also calls this while nothing arrives, so that no polling is needed.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ from ronna_hw.devices.lifecycle import READABLE, RUNNING, Lifecycle, LifecycleGu
 from ronna_hw.errors import RonnaError
 from ronna_hw.wire.kuka_eki import OperationMode
 
-REASON_S = 1.0  # host time for the controller to say why the axes no longer follow; they are stopping already
+REASON_S = 1.0  # host time for the controller's reason when axes no longer follow; they are already stopping
 EKI_SILENCE_S = 2.0  # twenty periods of the unsolicited state; EKI is not for real-time control
 
 
@@ -47,7 +47,7 @@ class FaultWatch:
         self._guard = guard
         self._connections = connections
         self._options = options
-        # As patient as that process is with this program and with the controller.
+        # The same patience as that process has with this program and with the controller.
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
         self._raised: RonnaError | None = None  # the fault that was already raised to a caller
@@ -140,7 +140,7 @@ class FaultWatch:
     def on_loss(self, failure: RonnaError) -> None:
         """Stop for a broken channel: an emergency stop would no longer be reported."""
         if self._guard.state in RUNNING:
-            with contextlib.suppress(Exception):  # it may be what the reader failed at: the stop comes anyway
+            with contextlib.suppress(Exception):  # perhaps the reader's own failure: the arm is stopped
                 self.check()
             self._stop_for(failure)
 
@@ -160,8 +160,8 @@ class FaultWatch:
     def _following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
         """Return why the axes no longer follow: the controller's reason if it has one; None while unknown.
 
-        Axes that the controller has braked leave their set-points before its unsolicited state has arrived:
-        its reply to a request made after that is what counts.
+        Braked axes leave their set-points before the controller's unsolicited state arrives: only its reply
+        to a later request counts.
         """
         with self._inquiry_lock:
             inquiry = self._inquiry

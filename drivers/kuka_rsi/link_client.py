@@ -136,8 +136,7 @@ class LinkClient:
     def stop(self, kind: StopOrder) -> int:
         """Order a stop, which takes effect with the next reply; return its number.
 
-        A weaker one does not take the place of a stronger one of the same stream, which the process may not
-        have seen yet.
+        A weaker stop does not replace a stronger one of the same stream: the process may not have seen it.
         """
         with self._lock:
             self.stop_number += 1

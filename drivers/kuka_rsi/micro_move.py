@@ -1,4 +1,4 @@
-"""Micro-move: a test of what an unverified controller does with a correction.
+"""Micro-move: a test of an unverified controller's response to corrections.
 
 Each axis moves out and back so little that nothing on the arm moves by more than 0.05 mm. The last axis comes
 first: it moves almost nothing, and a controller that accumulates corrections is exposed there.

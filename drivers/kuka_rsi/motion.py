@@ -65,7 +65,7 @@ class MotionPlanner:
 
 
 class MotionFollower:
-    """Hands a motion to the real-time process and follows it; one motion at a time."""
+    """Follower of one motion at a time in the real-time process."""
 
     def __init__(self, name: str, connections: Connections, watch: FaultWatch, cycle_s: float) -> None:
         self._name = name
@@ -89,7 +89,7 @@ class MotionFollower:
             self._motion_lock.release()
 
     def await_end(self, timeout_s: float) -> None:
-        """Let another thread notice that its motion was stopped, before the link ends."""
+        """Wait until another thread has noticed the stop of its motion, before the link ends."""
         if self._motion_lock.acquire(timeout=max(0.0, timeout_s)):
             self._motion_lock.release()
 

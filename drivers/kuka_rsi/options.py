@@ -145,7 +145,7 @@ def objections_to(context: RsiContext) -> Iterator[str]:
 def _limits(context: RsiContext) -> Iterator[str]:
     """Check that the controller neither clamps nor trips before the driver's own monitor does.
 
-    That monitor allows motion up to the end switches, and what AXISCORR passes must not trip AXISCORRMON.
+    That monitor allows motion up to the end switches; values that AXISCORR passes must not trip AXISCORRMON.
     """
     correction, monitor = context.axis_correction, context.axis_monitor
     if correction is None:

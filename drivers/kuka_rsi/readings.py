@@ -80,7 +80,7 @@ class ArmReadings:
 
 
 def reported_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """List what a person has set and the controller reports unsolicited; nothing before its first report.
+    """List the settings that the controller reports unsolicited; nothing before its first report.
 
     Drives that are off are no objection: `activate` switches them on.
     """
@@ -102,7 +102,7 @@ def reported_facts(state: ControllerState | None) -> Iterator[Fact]:
 
 
 def _brakes(state: ControllerState) -> Fact:
-    """State the brakes. With drives on they may be closed: the controller closes them after a while."""
+    """Report the brakes. With drives on they may be closed: the controller closes them after a while."""
     if state.open_brakes is None:
         said = "normally released while the drives are on" if state.drives else "the drives are off"
         return Fact("brakes", f"not reported; {said}")

@@ -40,7 +40,7 @@ RATE_SETTLING_S = 0.1  # after OKAY to COMM, as other clients wait for the unit 
 def find_unit(link: CommandLink) -> None:
     """Set the line to a rate at which the unit replies.
 
-    Raises NDI-002 when nothing replies, NDI-003 when what replies is not a Polaris unit.
+    Raises NDI-002 without any reply, NDI-003 when the device is not a Polaris unit.
     """
     transport = link.transport
     heard = bytearray()
@@ -103,8 +103,8 @@ def await_reset(link: CommandLink) -> bool:
 def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] = time.sleep) -> int | None:
     """Switch to the fastest rate that both ends support, verified by a command; None over TCP.
 
-    A unit lost at a rate that the cable does not carry is searched for again, if necessary with a break, and
-    a slower rate is tried. Raises NDI-002 or NDI-003 when it cannot be found again.
+    If the cable does not carry a rate, the unit is searched for again, if necessary with a break. Then a
+    slower rate is tried. Raises NDI-002 or NDI-003 when the unit cannot be found again.
     """
     if link.transport.baud is None:
         return None

@@ -174,7 +174,7 @@ class PolarisTracker:
         self._sink = sink
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
-        """Find the unit at whatever baud rate it was left, initialise it and check its identity.
+        """Find the unit at any baud rate, initialise it and check its identity.
 
         Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
         """

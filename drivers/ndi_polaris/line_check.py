@@ -1,8 +1,8 @@
-"""Check of a tracker's line below the driver: which rate gets a reply, who has the port, and what it means.
+"""Check of a tracker's line below the driver: answering rate, users of the port, and advice.
 
 The inquiry is the driver's own: every unit answers it, and it changes nothing. A unit is never reset for
-this, not even by a break. A line that another program has open is left alone, and so is a server that speaks
-first, in XML: it is a controller, and takes every byte for a command.
+this, not even by a break. A line opened by another program is left alone. So is a server that speaks first,
+in XML: it is a controller, and takes every byte for a command.
 """
 
 from __future__ import annotations
@@ -100,7 +100,7 @@ _OPENING_BY_ERROR = {
 
 
 def check_line(endpoint: Endpoint) -> LineState:
-    """Check a serial or TCP line without ever raising for what it does; raises CFG-002 for other schemes."""
+    """Check a serial or TCP line; never raises for its behaviour, CFG-002 for other schemes."""
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)

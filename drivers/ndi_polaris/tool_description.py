@@ -95,7 +95,7 @@ class ToolDescription(Strict):
         return self
 
     def definition(self) -> ToolDefinition:
-        """Convert to a definition; raises NDI-011 for what a definition cannot express."""
+        """Convert to a definition; raises NDI-011 for content that a definition cannot express."""
         count = len(self.markers_mm)
         normals = tuple(_unit(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals

@@ -1,4 +1,4 @@
-"""A camera's own description of its features: fetched, read as strict XML, its registers decoded.
+"""Description of a camera's features: fetch it, parse it as strict XML, decode its registers.
 
 `feature_map` interprets the nodes.
 """
@@ -119,7 +119,7 @@ def _nodes(group: ElementTree.Element) -> Iterator[Node]:
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
-    """Yield the named parts of one register; a part inherits what it does not state itself."""
+    """Yield the named parts of one register; a part inherits the fields that it lacks."""
     entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
     common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:

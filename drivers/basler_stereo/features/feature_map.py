@@ -28,8 +28,8 @@ from drivers.basler_stereo.features.formula import evaluate
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
 
 DEPTH_LIMIT = 24  # nodes between a feature and its register; more is a cycle
-# What one call may cost, since nodes that each refer to two others double it with every level: fields of the
-# visited nodes and characters of formulas. Features of real cameras cost some hundreds.
+# Limit for one call, in fields of visited nodes and characters of formulas: nodes that each refer to two
+# others double the cost with every level. Features of real cameras cost some hundreds.
 COST_LIMIT = 100_000
 REGISTER_COST = 100  # for a query to the camera: a thousand of them take a second
 _WHOLE = {"IntSwissKnife", "IntConverter"}

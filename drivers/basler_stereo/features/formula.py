@@ -55,7 +55,7 @@ def _divided(first: Number, second: Number) -> Number:
 
 
 def _remainder(first: Number, second: Number) -> Number:
-    """Return what division towards zero leaves, with the sign of the first."""
+    """Return the remainder of division towards zero, with the sign of the first."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.fmod(first, second)
     return first - second * int(_divided(first, second))
@@ -145,7 +145,7 @@ def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool,
 
 
 def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
-    """Evaluate one operation, whatever the size of its value."""
+    """Evaluate one operation without checking the size of its value."""
     kind, parts = str(node.data), node.children
     if kind == "number":
         text = str(parts[0])

@@ -178,7 +178,7 @@ class FrameAssembler:
         return self._finish(block) if block.remaining == 0 else displaced
 
     def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
-        """Return packets to request again, as (block id, first, last packet id), and a frame given up."""
+        """Return packets to request again, as (block id, first, last packet id), and an abandoned frame."""
         for block in list(self._open.values()):
             if now_s - block.last_packet_s < self._pause_s(block):
                 continue

@@ -95,9 +95,9 @@ class ReceiverProcess:
             self.tell(EndKeepAlive(number))
 
     def ended(self, got: OSError | None = None) -> ReceiverEnded:
-        """Return the error for a process that no longer answers, with how it ended."""
+        """Return the error for a process that has ended, with its exit status."""
         try:
-            how = describe_exit(self._process.wait(POLL_S))  # its end follows that of its channels
+            how = describe_exit(self._process.wait(POLL_S))  # it ends shortly after its channels
         except subprocess.TimeoutExpired:
             how = str(got or "its channel is closed")
         return ReceiverEnded("the receiver process has ended", got=how)
@@ -248,6 +248,6 @@ def _size_arrives(control: ControlChannel, stream: socket.socket, size: int, dea
 
 
 def _set_packet_bytes(control: ControlChannel, size: int, deadline_s: float) -> int:
-    """Set the size; return what the camera accepted."""
+    """Set the size; return the size that the camera accepted."""
     control.write_register(Bootstrap.SCPS, size | gev.SCPS_DO_NOT_FRAGMENT, deadline_s)
     return control.read_register(Bootstrap.SCPS, deadline_s) & gev.SCPS_SIZE_MASK

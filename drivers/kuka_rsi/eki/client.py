@@ -100,7 +100,7 @@ class EkiClient:
         self._acks: dict[int, Ack] = {}
         self._states: dict[int, ControllerState] = {}
         self.latest: ControllerState | None = None  # the last one sent, requested or unsolicited
-        self.failure: RonnaError | None = None  # what broke the connection
+        self.failure: RonnaError | None = None  # cause of the loss
         self._listener: Listener | None = None
         self._closing = False
         self._reader = threading.Thread(target=self._read, name="eki reader", daemon=True)
@@ -217,7 +217,7 @@ class EkiClient:
             failure = self._lost(" closed the connection")
         except RonnaError as error:
             failure = error
-        except Exception as error:  # also a listener's: nobody would read on, and no emergency stop arrive
+        except Exception as error:  # also a listener's: without a reader no emergency stop would arrive
             failure = self._lost(f": {getattr(error, 'strerror', None) or error or type(error).__name__}")
         with self._arrived:
             self.failure = failure

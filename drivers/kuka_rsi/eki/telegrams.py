@@ -1,8 +1,7 @@
 """Telegrams of the EKI channel: split from the byte stream, and the controller's `State` read from them.
 
 EKI has no framing: a telegram ends with its root element. A truncated one is detected by the first bytes of
-the next, which would otherwise count as part of it, and the controller would go unheard until the longest
-telegram is full.
+the next. Otherwise they would count as part of it, and nothing would be read until the buffer is full.
 """
 
 from __future__ import annotations

@@ -28,7 +28,7 @@ _SCALE = 1.0 / log(RATIO)
 
 
 class Losses:
-    """Counts of lost telegrams and replies, and when the arm should slow down.
+    """Counts of lost telegrams and replies; while `degraded`, the arm slows down.
 
     A telegram that never arrived shows as a gap in the time stamps. A reply that was lost or late shows in
     the controller's own count in the next telegram. The controller also counts the cycles of a gap, since
@@ -113,7 +113,7 @@ class SenderCheck:
         self.count = 0
         self.host = ""  # of the last one
         self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
-        self.sent_last = False  # someone else has, since the controller's last telegram
+        self.sent_last = False  # a stranger sent after the controller's last telegram
 
     def count_foreign(self, host: str) -> None:
         """Count a telegram from a sender other than the controller."""

@@ -4,10 +4,10 @@ The controller sends first and clocks everything. Nothing is computed between re
 have been computed before; after a stall only the newest telegram in the queue is answered. Telegrams from
 anyone but the stream's controller are counted and otherwise ignored.
 
-This process has priority over all others. Whatever transmits the reply on this processor, such as the
-network's soft interrupt, would have to wait until the next set-point is prepared. The processor is therefore
-yielded for a moment once the reply is out. Otherwise a peer on this machine would see the preparation, 60 us
-and more, as turnaround.
+This process has priority over all others. The network's soft interrupt, which may transmit the reply on this
+processor, would have to wait until the next set-point is prepared. The processor is therefore yielded for a
+moment once the reply is out. Otherwise a peer on this machine would see the preparation, 60 us and more, as
+turnaround.
 """
 
 from __future__ import annotations

@@ -5,9 +5,9 @@ faults are checked, to decide between the point that continues and the first poi
 axes are judged once the reply is out.
 
 If the controller reports that it did not accept the last reply, the path waits: the same point is sent again,
-and the prepared ones are kept. So each effective step is one that was prepared, whatever is lost. If the
-controller reports it one telegram late, two prepared steps may take effect at once, which it accepts below an
-eighth of full speed; one that never reports it gets the path as planned.
+and the prepared ones are kept. So each effective step is a prepared one, in spite of losses. If the
+controller reports it one telegram late, two prepared steps may take effect at once; it accepts this below an
+eighth of full speed. A controller that never reports it gets the path as planned.
 """
 
 from __future__ import annotations

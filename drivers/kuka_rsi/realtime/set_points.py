@@ -1,7 +1,7 @@
 """Set-points of one stream: prepared between telegrams, judged, and one of them sent in a reply.
 
-Generator and monitor meet only here. If the monitor rejects the path's own stop, a stop computed only from
-what was actually sent replaces it: onwards along the arm's present motion.
+Generator and monitor meet only here. If the monitor rejects the path's own stop, another one replaces it,
+computed only from the points sent: onwards along the arm's present motion.
 """
 
 from __future__ import annotations

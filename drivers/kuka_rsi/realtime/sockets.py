@@ -170,7 +170,7 @@ class TelegramReceiver:
         return self._keeps_pace
 
     def note_lock_step(self) -> None:
-        """Note that it followed as soon as the reply was out: there is no schedule."""
+        """Note that the last datagram followed the reply at once: there is no schedule."""
         self._pace.forget()
         self._keeps_pace = False
 

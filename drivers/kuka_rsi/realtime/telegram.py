@@ -1,8 +1,8 @@
 """Telegrams of the real-time link: read what the controller sends, write the reply.
 
-The reader is a regular expression compiled from the agreed elements; anything that does not match goes
-through a strict XML parser, and is rejected if that fails. The reply is written in two parts: everything up
-to the IPOC can be prepared before the telegram arrives.
+The reader is a regular expression compiled from the agreed elements. Other telegrams go through a strict XML
+parser, and are rejected if that fails. The reply is written in two parts: everything up to the IPOC can be
+prepared before the telegram arrives.
 """
 
 from __future__ import annotations
