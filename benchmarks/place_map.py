@@ -1,6 +1,6 @@
 """The map of cart places against the path check, at random places, the cart also turned.
 
-Of what the map calls reachable the path check may refuse nothing; of all places it may pass at most 5 % that
+The path check may refuse no place that the map calls reachable. Of all places it may pass at most 5 % that
 the map does not allow. Scene and records are those of a simulated theatre, the head its ellipsoid.
 
     .venv/bin/python -m benchmarks.place_map
@@ -86,7 +86,7 @@ def agreement(
 
 
 def path_check_passes(case: CartCase, move: CartMove) -> bool:
-    """Whether the path check passes there, knowing nothing of other places."""
+    """Whether the path check passes there, without knowledge of other places."""
     setting = case.setting_at(move)
     return choose_free_angles(setting, case.trajectories, case.fiducials_mm, case.sight).check.passed
 

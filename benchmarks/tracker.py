@@ -158,7 +158,7 @@ def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
 
 
 def _of_unit(figure: Figure, what: str) -> Figure:
-    """The load belongs to what was measured, not to who did the work."""
+    """Name the load as part of the measured quantity, not of the worker."""
     if figure.who == CANNED:
         return replace(figure, what=what)
     return replace(figure, what=f"{what}, {figure.who}", who=UNIT)

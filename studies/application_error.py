@@ -28,7 +28,7 @@ WHOLE_HEAD = 1.0
 DEPTHS_MM: Mapping[str, tuple[float, float]] = {"0-50 mm": (0.0, 50.0), "50-120 mm": (50.0, 120.0)}
 # Strojniski vestnik 63(2017)12, 725-735: mean and quartiles, mm.
 PUBLISHED_MM = {"0-50 mm": (0.43, 0.22, 0.60), "50-120 mm": (0.88, 0.66, 1.10)}
-COMPARED = (Markers.FRAME, "thesis-ocs", 4)  # what the paper used
+COMPARED = (Markers.FRAME, "thesis-ocs", 4)  # the paper's conditions
 BLOCK_ARMS = 125
 QUARTILES = (25.0, 75.0)
 

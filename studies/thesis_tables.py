@@ -1,7 +1,7 @@
 """Tables 2, 3 and 4 of F. Šuligoj's thesis (Zagreb 2018), row by row, in mm, as printed.
 
 Table 2 contains the localization errors against the truth, table 3 the residuals of ten registrations between
-scans of four fiducials, table 4 the mean errors at the target over eight positions of the phantom.
+scans of four fiducials. Table 4 contains the mean errors at the target over eight positions of the phantom.
 """
 
 from __future__ import annotations

@@ -1,1 +1,1 @@
-"""Looks for the calibrations of reference frame and tool tip."""
+"""Simulated looks for the calibrations of reference frame and tool tip."""

@@ -1,9 +1,9 @@
 """Calibration of the guide's tip relative to the stereo head, over random arms, heads and stands, in process.
 
-`relative to the head's measurement`: against the position at which the head, with its record, would see a
-ball at the true tip, of the guide as it was seated at the stand: each mounting adds the changer's own
-repeatability. A case depends on this error, as it localizes with that head and record. `relative to the true
-tool centre` also includes the error of the head's record.
+`relative to the head's measurement`: against the position of a ball at the true tip, as seen by the head with
+its record. The guide is seated as at the stand: each mounting adds the changer's own repeatability. A case
+depends on this error, as it localizes with that head and record. `relative to the true tool centre` also
+includes the error of the head's record.
 """
 
 from __future__ import annotations

@@ -1,9 +1,9 @@
 """Calibration of the reference frame on the mount, over random arms and trackers, in process.
 
-Two references. `as on this arm` is the result of an error-free tracker with the same arm and record: this is
-the error due to the procedure itself. `as designed` is the position on the flange in the scene; it differs
-from the first by the error of the arm's last links, which no measurement with that arm can distinguish from a
-shift of the frame, and which cancels wherever the record is used with the arm.
+Two references. `as on this arm` is the result of an error-free tracker with the same arm and record:
+the error of the procedure itself. `as designed` is the position on the flange in the scene; it differs
+from the first by the error of the arm's last links. No measurement with that arm can distinguish this error
+from a shift of the frame, and it cancels in every use of the record with the arm.
 """
 
 from __future__ import annotations
@@ -188,7 +188,7 @@ def _figures(calibrated: bool) -> list[Figure]:
 
 
 def _errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
-    """Errors (mm, degrees) as this arm has the frame and as it is drawn, and the stated one (mm)."""
+    """Errors against the frame on this arm and against its drawing (mm, degrees), and the stated one (mm)."""
     cell = FrameCell.of(seed, calibrated=calibrated)
     result = calibrate_frame(cell.looks(LOOKS, VALIDATION))
     found = result.fit.flange_from_marker

@@ -25,7 +25,7 @@ MOST_TIMES_LONGER, MOST_TIMES_SLOWER = 1.05, 1.2
 
 
 def measure() -> list[Figure]:
-    """Empty without Chromium, since there is then no viewer."""
+    """Return no figures without Chromium, since there is then no viewer."""
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as place:

@@ -29,7 +29,7 @@ sys.path += map(str, (ROOT / "tests" / "support").iterdir())
 from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E402
 from scripted_engine import served_console  # noqa: E402
 
-from benchmarks.pages import console_case  # noqa: E402  # it needs what stands beside the tests as well
+from benchmarks.pages import console_case  # noqa: E402  # it also needs the modules beside the tests
 
 MEASURED_S = 8.0  # over which CPU time is counted
 SETTLED_FACTS = 8  # that a page must have shown before it counts

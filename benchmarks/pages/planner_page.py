@@ -28,7 +28,7 @@ from modest_chromium import MISSING, modest_chromium, opened_context  # noqa: E4
 from open_planner import enter_planner, make_phantom, open_planner  # noqa: E402
 from recording_cell import ENDPOINTS  # noqa: E402
 
-from benchmarks.pages.console_page import BARE, bare_page  # noqa: E402  # it needs what stands there as well
+from benchmarks.pages.console_page import BARE, bare_page  # noqa: E402  # it also needs these folders
 
 OURS = "planner"
 SCROLLS, DRAGS, DRAGS_WITH_ARM = 60, 30, 8  # with an arm each is checked for seconds

@@ -1,4 +1,4 @@
-"""A unit that knows one answer: the cost of the line, the kernel and Python, and nothing else.
+"""A unit with one fixed answer: the cost of the line, the kernel and Python, and nothing else.
 
 Argument: serial-pty, or a TCP endpoint to listen on. Every command gets the BX reply of one visible tool.
 """

@@ -1,7 +1,7 @@
 """The tracker's clients working on one unit: our driver, bare ndicapi, and scikit-surgerynditracker.
 
 Each maker loads tools, starts tracking and returns a function that takes one reading; it raises RuntimeError
-if the unit returns none. Whatever it opens is closed with the stack.
+if the unit returns none. The stack closes everything that it opens.
 """
 
 from __future__ import annotations

@@ -46,7 +46,7 @@ def measure() -> list[Figure]:
     figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
     figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
-    with peer("image_load"):  # another process decodes images as fast as it can
+    with peer("image_load"):  # another process decodes images continuously
         name = "lock-step cycles per second under an image load"
         figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
         name = "turnaround at 1 ms under an image load"
@@ -101,7 +101,7 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
 
 
 def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
-    """Cycles per second of host time among those with a changed set-point; 0 if there were none."""
+    """Cycles with a changed set-point per second of host time; 0 without such cycles."""
     gaps_ns = [
         later.received_ns - earlier.received_ns
         for earlier, later in pairwise(cycles)

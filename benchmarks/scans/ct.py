@@ -1,8 +1,8 @@
 """Spheres in phantom scans: cost compared with bare reading, error with the thesis' methods and the bound.
 
 The scans come from `ronna-sim phantom`, from families that the localizer was not tuned on, 512 x 512 x 200
-voxels in the good protocol. The bound is that of a homogeneous ball in white noise, so the effect of posts,
-film and streaks comes on top; the family `bare` has none of them, and is also compared with the bound for the
+voxels in the good protocol. The bound is that of a homogeneous ball in white noise, without the effect of
+posts, film and streaks. The family `bare` has none of them, and is also compared with the bound for the
 phantom's own noise. `ronna-campaign localization` is the same on 200 spheres and more.
 """
 

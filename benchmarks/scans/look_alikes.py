@@ -1,6 +1,6 @@
 """Look-alikes of spheres: round ends of rods, beads, domes, hollow balls next to markers in phantom scans.
 
-Scans are painted in memory. The localizer gets no hints: missed markers and whatever is taken for one
+Scans are painted in memory. The localizer gets no hints: missed markers and false ones
 count, as does the separation of their odds. Families without look-alikes are painted whole, the others in
 the box around markers and objects.
 
@@ -60,7 +60,7 @@ class Count:
     squared_mm2: float = 0.0
     largest_mm: float = 0.0
     chi2: list[float] = field(default_factory=list)  # of the markers found
-    lost: list[str] = field(default_factory=list)  # why, of the missed ones
+    lost: list[str] = field(default_factory=list)  # reasons for the missed ones
     least_true: float = 1.0  # odds of markers
     most_other: float = 0.0  # odds of everything else
 
@@ -132,7 +132,7 @@ def judge(painted: Painted, count: Count) -> None:
 
 
 def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]:
-    """Scans of a family: of all the volumes of a protocol in turn, those of this one."""
+    """Scans of one family, taken from the volumes that its protocol scans in turn."""
     protocols = list(PROTOCOLS)
     for number in range(protocols.index(protocol), volumes, len(protocols)):
         yield family_scan(family, protocol, seed=seed + number)

@@ -1,8 +1,8 @@
 """Cost of the faults of real scanners: each option of `ronna-sim phantom`, on the same markers.
 
-Errors are those of the centres directly, and after a rigid fit to the truth, which is what remains in a
-registration; a scan that is refused has none. Scans in which nobody moves and the slices are where they are
-said to be, `--quiet` of each family and protocol, give the largest values that mean nothing. `--write` stores
+Errors are those of the centres directly, and after a rigid fit to the truth, as in a
+registration; a refused scan has none. Scans without motion and with the slices where the headers
+state, `--quiet` of each family and protocol, give the largest harmless values. `--write` stores
 the figures for the reference page.
 
     python -m benchmarks.scans.scanner_faults --volumes 4 --seed 9000 --quiet 2 --write
@@ -187,7 +187,7 @@ def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
 
 @dataclass
 class Quiet:
-    """The largest values in scans in which nobody moves and the slices are where the scanner says."""
+    """The largest values in scans without motion and with the slices where the scanner states."""
 
     volumes: int = 0
     measured: int = 0  # volumes with enough markers for their shape to tell

@@ -1,6 +1,6 @@
 """Centre errors over many rendered pairs: centred, out of focus, off axis, occluded and stained, half hidden.
 
-Each row counts what the measurement accepts, and the true errors of the accepted points.
+Each row counts the accepted measurements, and the true errors of their points.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """Arm and stereo head of a simulated cell in one process: true kinematics, rendered images, no network.
 
-The two devices are behind the interfaces used by the procedure's step, so a campaign runs the step's own loop
-thousands of times at the cost of drawing and measuring the images.
+The two devices implement the interfaces used by the procedure's step. A campaign thus runs the step's own
+loop thousands of times at the cost of drawing and measuring the images.
 """
 
 from __future__ import annotations
@@ -192,8 +192,8 @@ class StereoCell:
     def draw_start(self, generator: np.random.Generator, away_mm: float, *, in_sight: bool = True) -> Start:
         """A random sphere seen from a random side, the tool truly `away_mm` from it in a random direction.
 
-        A servo begins where the path check found both lines of sight clear, so only such sides are drawn;
-        without `in_sight` only those that it refuses, because another sphere is in the way.
+        A servo begins where the path check found both lines of sight clear, so only such sides are drawn.
+        Without `in_sight` only refused sides are drawn: another sphere is in the way.
         """
         while True:
             fiducial = int(generator.integers(len(self.centres_mm)))

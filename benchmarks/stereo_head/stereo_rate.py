@@ -32,7 +32,7 @@ FULL_RATE_HZ = 50.0
 RATE_SLACK = 0.01  # of the average rate: the last frame of a round may be late
 OURS, ARAVIS = "our client", "Aravis"
 ORDINARY = ", ordinary user"
-# what an ordinary user may not do: take priority on the processor, exceed the system's largest socket buffer
+# rights of the superuser: take priority on the processor, exceed the system's largest socket buffer
 WITHOUT_RIGHTS = ["setpriv", "--bounding-set=-sys_nice,-net_admin"]
 SYSTEM_PYTHON = "/usr/bin/python3"  # the distribution's own, the only one with Aravis' bindings
 PEERS = Path(__file__).parents[1] / "peers"
@@ -70,7 +70,7 @@ def _clients() -> dict[str, list[str]]:
 
 
 def _round(line: list[str]) -> Sums | None:
-    """A client's report on one round, and what the kernel dropped in the meantime; None if it did not run."""
+    """A client's report on one round, and the kernel's drops in the meantime; None if it did not run."""
     dropped = _kernel_drops()
     try:
         ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)

@@ -20,7 +20,7 @@ from sim.basler.stream_channel import StreamChannel
 
 
 class Camera:
-    """A GigE Vision camera without its control socket: `port` answers what arrives there.
+    """A GigE Vision camera without its control socket: `port` answers its datagrams.
 
     `now_s` is the host's monotonic clock, used for the heartbeat.
     """

@@ -1,4 +1,4 @@
-"""The fault script as it acts on one camera: its packets, messages, clock and light."""
+"""Effects of the fault script on one camera: its packets, messages, clock and light."""
 
 from __future__ import annotations
 

@@ -186,7 +186,7 @@ class ControlServer:
         self._wake()
 
     def _wake(self) -> None:
-        """Make the server check what is due. May be called from another thread."""
+        """Make the server check for due work. May be called from another thread."""
         with contextlib.suppress(OSError):
             self._waker.send(b"\0")
 
@@ -241,7 +241,7 @@ class ControlServer:
 
 
 def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
-    """Yield what the active faults make of an answer: delay in host time, and datagram."""
+    """Yield the answer as altered by the active faults: delay in host time, and datagram."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer

@@ -1,4 +1,4 @@
-"""Settings of a camera, those of one frame, and the timing that follows from them."""
+"""Settings of a camera and of one frame, and the resulting timing."""
 
 from __future__ import annotations
 

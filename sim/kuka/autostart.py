@@ -9,7 +9,7 @@ from sim.kuka.controller_parameters import AUTOSTART_PAUSE_S
 class Autostart:
     """Starts the program, and restarts it some time after a run has ended or was stopped.
 
-    It also acknowledges the message of a fault or a released emergency stop: without EKI nobody could.
+    It also acknowledges the message of a fault or a released emergency stop: the only other way is EKI.
     """
 
     def __init__(self, controller: Controller, *, wanted: bool) -> None:

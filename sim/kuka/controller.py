@@ -204,7 +204,7 @@ class Controller:
         self.interlocks.mode = mode
 
     def hold_enabling_switch(self, held: bool) -> None:
-        """Hold or release the enabling switch; releasing it in a test mode stops whatever runs."""
+        """Hold or release the enabling switch; releasing it in a test mode stops the program or motion."""
         self.interlocks.enabling_switch = held
         if self.interlocks.manual and not held:
             if self.run is not None or self.motion is not None:

@@ -33,7 +33,7 @@ from sim.world.world import World
 
 IDLE_WAIT_S = 0.02  # longest wait between checks of the fault script and for the end of the process
 REPLY_WAIT_S = 2.0  # host time that lock-step waits for a reply
-READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that one's limit
+READER_WAIT_S = 1.0  # host time it waits for a client reading frame by frame; below that client's limit
 WAITER_POLL_S = 0.001  # host time between checks whether someone waits for theatre time
 SERVE_S = 0.005  # host time between checks of the EKI channels while lock-step runs at full speed
 UNCHANGED_CYCLES = 50  # without a new correction, after which lock-step is paced
@@ -169,7 +169,7 @@ class CycleLoop:
         self._serve_timers(now_s)
 
     def _send_with_faults(self, run: RsiRun, telegram: bytes) -> bool:
-        """Send what link faults leave of a telegram; returns False if the client cannot answer it."""
+        """Send a telegram as altered by link faults; returns False if the client cannot answer it."""
         assert self._rsi is not None
         link = self._link
         if link.is_active("foreign_sender"):
@@ -260,7 +260,7 @@ class CycleLoop:
         budget = STALE_LIMIT
         self._datagram = found = None
         while True:
-            # The time is taken first: whatever is in the socket at the limit has arrived in time.
+            # The time is taken first: a reply in the socket at the limit has arrived in time.
             now_s = time.monotonic()
             if self._wait_once(max(0.0, limit_s - now_s), self._rsi.socket):
                 while budget:

@@ -185,8 +185,8 @@ class Drives:
 class Supervision:
     """Drive supervision of one run: rejects steps, speeds, accelerations and angles no arm can follow.
 
-    Steps are judged from cycle to cycle, speed and acceleration only if they persist, so that one value held
-    over a lost reply, and the longer step after it, pass at the speeds of a careful client.
+    Steps are judged from cycle to cycle, speed and acceleration only if they persist. One value held over a
+    lost reply, and the longer step after it, therefore pass at the speeds of a careful client.
     """
 
     def __init__(

@@ -109,7 +109,7 @@ class ControllerFaults:
             controller.hold_start_key(key)
             turned = True
         if key and interlocks.manual:
-            # Whoever holds the start key in a test mode switches the drives on, and confirms.
+            # An operator with the start key in a test mode switches the drives on, and confirms.
             if turned and not controller.drives_on:
                 controller.switch_drives(True)
             if controller.run is not None and controller.run.awaits_confirmation:

@@ -41,7 +41,7 @@ def rsi_timeout(late: int) -> Message:
 
 
 def rsi_bad(object_name: str) -> Message:
-    """Message of an object used where it has no effect."""
+    """Message of an object without effect at its place."""
     return Message(RSI_OBJECT_ERROR, f"signal flow: object {object_name} returns error RSIBad", False)
 
 
@@ -130,7 +130,7 @@ class PendantDisplay:
         self._notice = ""
 
     def update(self, message: Message | None, notice: str) -> None:
-        """Print what is new: a message, its acknowledgement, or a text."""
+        """Print a new message, its acknowledgement, or a new text."""
         if message is not self._message:
             shown, self._message = self._message, message
             if message is not None:

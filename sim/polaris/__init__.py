@@ -1,7 +1,7 @@
 """The simulated NDI Polaris Spectra or Vicra: a separate process that speaks the unit's protocol.
 
-`tracker_unit` holds the state that commands act on, `unit` its parts and vocabulary, `measurement` turns the
-scene into frames, `handlers` executes commands, `line` carries bytes, `faults` disturbs unit and line.
+`tracker_unit` holds the state, `unit` its parts and vocabulary; `measurement` turns the scene into frames.
+`handlers` executes commands, `line` carries bytes, `faults` disturbs unit and line.
 Behaviour that no public source settles is a named parameter in `unit/behaviour.py`;
 docs/explanation/not-simulated.md lists what is not simulated.
 """

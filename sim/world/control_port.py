@@ -169,7 +169,7 @@ class _HangUp(Exception):
 class Room:
     """Carries out requests in a world; truth at a target is stored in `folder`, if given.
 
-    `devices` are those simulated here: faults of others are refused. `loaded` returns the tools that a client
+    `devices` are simulated here: faults of others are refused. `loaded` returns the tools that a client
     has loaded into the tracker, if the tracker is in this process.
     """
 

@@ -41,7 +41,7 @@ Count = Annotated[int, Field(ge=0)]
 
 
 class SavedArm(Strict):
-    """State of the robot: its encoders, and what they do not show."""
+    """State of the robot: its encoders, and the state that they do not show."""
 
     joints_rad: Numbers6 = Field(description="Encoder angles.")
     flanks: Numbers6 = Field(description="Position of each joint within its backlash, -1 to 1.")
@@ -114,7 +114,7 @@ STANDING = (*(kind for kind in ROOM_FAULTS if kind is not PUSH), TWIST, *DISPLAC
 
 
 def standing_faults(world: World) -> str:
-    """Script that reproduces what faults moved, bent or rotated, each until its own end."""
+    """Script that reproduces the displacements and bends by faults, each until its own end."""
     now_s = world.clock.now_s()
     lines = []
     for way in rolled_mm(FaultBoard(world, ROOM), now_s):

@@ -1,4 +1,4 @@
-"""The shared world: the scene, the clock, and what changes while the theatre runs.
+"""The shared world: the scene, the clock, and everything that changes in a running theatre.
 
 One block of anonymous memory (a memfd), opened by the other processes through `/proc/<pid>/fd/<n>`: it
 disappears with the last process that holds it, however that process ends. The clock has a block of its own,
@@ -28,7 +28,7 @@ from sim.world.options import OnStand
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Numbers6, Scene, parse_scene_json
 
-READ_ATTEMPTS = 100_000  # attempts to read what is being written, which takes microseconds
+READ_ATTEMPTS = 100_000  # attempts to read during a write, which takes microseconds
 LARGEST_SCENE_BYTES = 10_000_000  # a hundred times the largest scene of ours
 FAULTS_CAPACITY_BYTES = 32 * 1024
 

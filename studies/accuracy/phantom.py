@@ -1,8 +1,8 @@
 """The phantom of the accuracy studies: a head with free spheres or the x-shaped frame, and trajectories.
 
-The thesis does not publish its phantom. This one is drawn once and is the same in every study: targets in the
-middle of an ellipsoid head of normal size, tilted trajectories, and positions in front of the arm like those
-of a phantom on a table. Its frame, named CT: origin in the middle of the head, z to the vertex, mm.
+The thesis does not publish its phantom. This one is drawn once and is the same in every study. Targets are in
+the middle of an ellipsoid head of normal size, trajectories are tilted. Positions are in front of the arm, as
+for a phantom on a table. Its frame, named CT: origin in the middle of the head, z to the vertex, mm.
 """
 
 from __future__ import annotations

@@ -2,8 +2,8 @@
 
 A trial localizes, registers and goes to the target. Every random number belongs to the seed, the markers, the
 arm and the position, so an error does not depend on which arms are run together. The CT of an arm's phantom
-is scanned once and used in all positions, as in the thesis; the orientation at the target is the planned one,
-since the finer transform turns it by less than a degree.
+is scanned once and used in all positions, as in the thesis. The orientation at the target is the planned one:
+the finer transform turns it by less than a degree.
 """
 
 from __future__ import annotations

@@ -21,7 +21,7 @@ from studies.campaign.study import Study, Sums, Table, Unit
 from studies.errors import LedgerUnreadable, OtherStudy
 
 PROGRAM = "ronna-hw"
-PACKAGES = ("procedures", "ronna_hw", "sim", "studies")  # what results may depend on
+PACKAGES = ("procedures", "ronna_hw", "sim", "studies")  # packages that may affect results
 FILE = "units.jsonl"
 MOST_DAMAGED_LINES = 1000  # crashes leave a few; each is parsed in vain
 RESULTS, REPORT = "results.json", "report.md"
@@ -81,7 +81,7 @@ class Ledger:
         return [unit for key, unit in self._units.items() if key not in self.finished]
 
     def results(self) -> Iterator[tuple[Unit, Sums]]:
-        """Finished units in the order of the study, whatever the order they finished in."""
+        """Finished units in the order of the study, not of their completion."""
         for key, unit in self._units.items():
             if key in self.finished:
                 yield unit, self.finished[key]

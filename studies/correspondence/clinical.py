@@ -255,7 +255,7 @@ def _whole_reading(read_at: Callable[[Array], Array], frame_mm: Array, random: n
         place_mm = _place(random)
         seen_mm = read_at(place_mm)
         if len(seen_mm) == SPHERES:
-            # The order is what pairing must find; here it is known from the frame's position.
+            # Pairing must find the order; here it is known from the frame's position.
             away_mm = np.linalg.norm(seen_mm[:, None] - (frame_mm + place_mm)[None], axis=2)
             return np.asarray(seen_mm[away_mm.argmin(axis=0)])
     raise TrackerNotSimulated(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")

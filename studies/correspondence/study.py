@@ -1,7 +1,7 @@
 """The thesis' correspondence protocol: 3 patients, 3 to 8 fiducials, 0 to 4 outliers, both noise models.
 
-Each method solves every run on the same points. A run is successful if exactly the true pairs are returned,
-false if a wrong pair is among them, partial if they are right but incomplete, and otherwise lost. The thesis
+Each method solves every run on the same points. A run is successful if exactly the true pairs are returned.
+It is false with a wrong pair, partial if the pairs are right but incomplete, and otherwise lost. The thesis
 counts a partial result as unsuccessful (success is exact count and exact order), our goals count it as false.
 """
 

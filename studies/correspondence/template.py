@@ -1,7 +1,7 @@
 """Three and four markers implanted with a template: do they match five to eight without one?
 
-The thesis' protocol (5.3.1) on its three heads, except for the sites: those of the template that `ronna-plan
-template` makes for each head, each sphere slightly off, instead of random ones displaced by up to 10 mm.
+The thesis' protocol (5.3.1) on its three heads, except for the sites. They are not random and displaced by up
+to 10 mm, but from the template that `ronna-plan template` makes for each head, each sphere slightly off.
 """
 
 from __future__ import annotations

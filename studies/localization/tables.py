@@ -123,7 +123,7 @@ def goals(sums: Mapping[str, Sums]) -> Table | None:
 
 
 def _scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
-    """Return the sums of the scans by condition, and those of all sets of the frame."""
+    """Return the sums of the scans by condition, and the sums of all sets of the frame."""
     scans: dict[Condition, Sums] = {}
     frames: Counter[str] = Counter()
     for condition, content in sums.items():

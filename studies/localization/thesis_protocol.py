@@ -35,7 +35,7 @@ PROTOCOL = "usual"
 PATIENT_FAMILIES = ("narrow", "broad", "clamp", "electrodes", "bandage", "streaks")
 # A pixel is too large or too small by one factor in rows and columns, the table feed by another; all values
 # up to 1 mm over the width of a head are equally likely. The thesis states nothing about its scanners: this
-# is what it takes to come near both of its tables, and more than a scanner in good order has.
+# is needed to come near both of its tables, and more than a scanner in good order has.
 LARGEST_SCALE_ERROR = 1.0 / 150.0
 SCALE_DRAWS = 100
 AXES = "LPS"

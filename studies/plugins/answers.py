@@ -158,10 +158,10 @@ def call_plugin(
     passed: tuple[type[Exception], ...] = (),
     **named: object,
 ) -> Any:
-    """The answer to these arguments; raises STU-013 for anything the method raises, except `passed`.
+    """The answer to these arguments; raises STU-013 for every error of the method, except `passed`.
 
     The global generators are seeded before each call, so that a unit's result does not depend on its worker.
-    What the method prints goes to standard error: standard output is for results.
+    Prints of the method go to standard error: standard output is for results.
     """
     random.seed(GLOBAL_SEED)
     np.random.seed(GLOBAL_SEED)  # for methods that use it

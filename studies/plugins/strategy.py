@@ -23,7 +23,7 @@ from studies.plugins.method import PluginMethod
 LARGEST_TURN_RAD = 2.0 * math.pi  # a whole turn: more means degrees
 MOST_SHOWN = 10**6  # a whole number may be too large for a float
 AT_SPHERE_MM = 1e-3  # between a sphere and the tool origin: rounding, far below any error of the study
-OUT_OF_REACH = (LimitError, NoNearbyJoints)  # what a strategy may raise for a turn: the next is tried
+OUT_OF_REACH = (LimitError, NoNearbyJoints)  # errors that a strategy may raise for a turn: the next is tried
 FLAGS = ("localizes_per_trajectory", "controls_approach")
 CALLS = ("localized_along", "localization_poses", "turns_rad")
 

@@ -2,9 +2,9 @@
 
 A trial is arm x position of the phantom x target x strategy x number of spheres, with a fine CT. Each arm is
 identified once, at the phantom's first position, and used at all positions. Identification measures the
-phantom's own spheres with the simulator's true arm, the procedure's choice of poses and its fit, all in this
-process, without protocols or images. The controller then uses the identified arm in place of the true one,
-including the side of its backlash on which each joint rests.
+phantom's own spheres with the simulator's true arm, and uses the procedure's choice of poses and its fit. All
+is in this process, without protocols or images. The controller then uses the identified arm in place of the
+true one, including the side of its backlash on which each joint rests.
 """
 
 from __future__ import annotations
@@ -105,7 +105,7 @@ class IdentifiedStudy:
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
-    """Tabulate the errors at the targets and those that identification leaves."""
+    """Tabulate the errors at the targets and the errors after identification."""
     errors = _errors(sums)
     arms, predicted = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():

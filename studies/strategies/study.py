@@ -2,7 +2,7 @@
 
 A trial is arm x position of the phantom x target x strategy x number of spheres. Parameter set S of the arm's
 errors; our own phantom. In addition to the trials: the effect of each source alone, whether predicted regions
-contain the errors, and what other interpretations of the protocol would change.
+contain the errors, and the effect of other interpretations of the protocol.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from studies.plugins.strategy import PluginStrategy
 
 STRATEGIES = ("nos", "ocs", "thesis-ocs", "jdms", "improved", "best")
 BESIDE_OWN = ("nos", "ocs", "thesis-ocs", "jdms")  # the thesis' own
-ALONE = STRATEGIES[:-1]  # those with poses of their own
+ALONE = STRATEGIES[:-1]  # strategies with poses of their own
 PLACES, TARGETS = 8, 10
 DEPTHS_MM = (30.0, 120.0)
 BLOCK_ARMS = 125

@@ -23,10 +23,10 @@ from studies.worlds.world import MINI, World, draw_world
 LIMIT_S = 900.0  # host time of a case, on a busy machine
 VERIFY_LIMIT_S = 120.0
 NO_TARGET = "SIM-006"
-BY_THE_PROCEDURE = (EXIT_REFUSED, EXIT_SAFETY_STOP)  # not a link that was lost or a device that failed
+BY_THE_PROCEDURE = (EXIT_REFUSED, EXIT_SAFETY_STOP)  # neither a lost link nor a failed device
 FINISHED = ("done", "in doubt")  # outcomes of a case whose steps were all done
 SCRIPT_FILE, CASE_FILE, RUN_FOLDER = "faults.txt", "case.json", "run"
-KEPT = RANKS[Verdict.FALSE_FINDING]  # from here on the run is worth reading
+KEPT = RANKS[Verdict.FALSE_FINDING]  # runs with this verdict or a worse one are kept
 WORST = 15  # rows of the table
 MOST_SILENT = 0.05  # share of cases with an error beyond its limit and no finding
 SILENT = (Verdict.SILENT, Verdict.SILENT2)

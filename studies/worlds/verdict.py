@@ -1,9 +1,9 @@
 """The verdict on a case: its journal and its predictions against the truth.
 
-A target is warned of when, since the change, the journal has a finding, a failed or refused step, or results
-voided or doubted, that names it. An entry that names no trajectory touches that of its step, or else all.
-Superseded results touch only the trajectories that they belong to. That the arm hid the spheres in a pose is
-noted in honest cases as well: it warns of nothing unless the entry states its `targets`.
+A target is warned of if the journal names it since the change: in a finding, a failed or refused step, or
+voided or doubted results. An entry without a trajectory concerns the one of its step, or else all. Superseded
+results concern only their own trajectories. Spheres hidden by the arm in a pose are noted in honest cases as
+well: this warns of nothing unless the entry states its `targets`.
 """
 
 from __future__ import annotations
@@ -20,12 +20,12 @@ from ronna_hw.evidence.journal_reading import Entry, Line, theatre_time_s
 from ronna_hw.wire.room_tasks import INSERT
 
 WARNINGS = (Entry.FINDING, Entry.FAILED, Entry.REFUSED, Entry.VOIDED, Entry.DOUBTED)
-SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # these name all that they touch
+SUPERSEDING = (Entry.VOIDED, Entry.DOUBTED)  # entries that name every target concerned
 # Of sight in one pose, not of a result; these are findings of honest cases too.
 SIGHT = re.compile(
     r"fewer than three known spheres in this pose|not see the frame on the arm|has not seen the head for"
 )
-GROSS = 2.0  # times the limit, which no error may exceed unseen
+GROSS = 2.0  # times the limit: no larger error may go unnoticed
 LAST_LOCALIZATION = "relocalization"
 UNUSUAL_TOPICS = frozenset(
     {
@@ -43,7 +43,7 @@ class Verdict(StrEnum):
     WARNED = "warned"
     REFUSED = "refused"
     FALSE_FINDING = "FALSE FINDING"
-    NO_VERDICT = "NO VERDICT"  # the case broke off without a word of the procedure
+    NO_VERDICT = "NO VERDICT"  # the case ended without a finding of the procedure
     SILENT = "SILENT"  # an error beyond its limit without a finding
     SILENT2 = "SILENT2"  # beyond twice its limit
 
@@ -98,7 +98,7 @@ def worst_of(targets: Iterable[Target]) -> Target | None:
 
 
 def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
-    """The limit that held for each target when an instrument went in, by the predictions of each record."""
+    """The valid limit of each target at the insertion of an instrument, by the predictions of each record."""
     standing: dict[str, float] = {}
     used: dict[str, float] = {}
     for line in lines:
@@ -122,7 +122,7 @@ def judge(
 ) -> Judgement:
     """Judge a case by its journal; `change` is the step it began in and the time since, None in a quiet case.
 
-    `errors_mm` are the true errors of the targets that were reached, `error` is what ended a case that is
+    `errors_mm` are the true errors of the targets reached, `error` is the reason of a case that is
     not `done`.
     """
     since_s = _localization_time_s(lines) if change is None else _change_time_s(lines, *change)

@@ -35,7 +35,7 @@ class What(StrEnum):
 
 @dataclass(frozen=True)
 class Change:
-    """A lasting change and what hides it from the tracker; `lines` form a fault script."""
+    """A lasting change and its concealment from the tracker; `lines` form a fault script."""
 
     what: What
     step: str

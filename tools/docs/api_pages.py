@@ -1,6 +1,6 @@
 """Pages of the Python API: signatures and docstrings, as they stand in the modules.
 
-A member without a docstring has that of the interface it fulfils: drivers inherit nothing but the words.
+A member without a docstring gets the docstring of its interface: drivers inherit nothing else.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class Part:
-    """Names of one module; of a driver, the interfaces whose words it inherits."""
+    """Names of one module; for a driver, the interfaces whose docstrings it inherits."""
 
     module: str
     objects: Sequence[Any]
@@ -118,7 +118,7 @@ def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
 
 
 def _members(one: type) -> dict[str, Any]:
-    """Members of a class, for a driver with those of its base classes."""
+    """Members of a class; for a driver also the members of its base classes."""
     bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
     return {name: member for base in bases for name, member in vars(base).items()}
 
@@ -136,7 +136,7 @@ def _fields(one: type[DataclassInstance]) -> Iterator[str]:
 
 
 def _signature(function: Any) -> str:
-    """Return the signature without `self` and types: those are in the module and in the words."""
+    """Return the signature without `self` and types, which are in the module and the docstring."""
     given = inspect.signature(function)
     kept = [
         one.replace(annotation=one.empty, default=_default(one.default))
@@ -151,7 +151,7 @@ def _default(value: Any) -> Any:
 
 
 class _Unsaid:
-    """Stands for a default that is a function: its words say what it does."""
+    """Stands for a default that is a function; its docstring describes it."""
 
     def __repr__(self) -> str:
         return "..."

@@ -26,7 +26,7 @@ async () => {
   for (let frame = 0; frame < 8; frame++) await new Promise(requestAnimationFrame);
 }
 """  # software graphics have drawn the scene, and every picture is there
-AT_TARGET = "the instrument is at depth"  # what is asked while it is at its target
+AT_TARGET = "the instrument is at depth"  # text of the question at the target
 WIDE, PHONE = (1280, 720), (390, 844)
 
 

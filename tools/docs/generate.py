@@ -53,7 +53,7 @@ MARK = "<!-- below this line: written by tools/docs/generate.py; do not edit -->
 
 
 def tables() -> dict[str, str]:
-    """File name -> what stands below the mark."""
+    """Return the content below the mark, by file name."""
     return {
         "answers.md": table(
             ("topic", "words", "on real devices"),
@@ -90,7 +90,7 @@ def tables() -> dict[str, str]:
 
 
 def with_table(page: str, content: str) -> str:
-    """The page with this content below its mark."""
+    """Return the page with this content below its mark."""
     return page.partition(MARK)[0] + MARK + content
 
 

@@ -1,6 +1,6 @@
 """The trace matrix: each hazard with its control, and the tests that would detect the loss of the control.
 
-Tests are parsed, not run: what counts is a `hazard` mark on a test that is expected to pass.
+Tests are parsed, not run: a `hazard` mark counts if its test is expected to pass.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def bound_tests(tests: Path = TESTS) -> list[BoundTest]:
 
 
 def hazard_table() -> str:
-    """The matrix, below the number of hazards of each status."""
+    """Compose the matrix, below the number of hazards of each status."""
     hazards, tests = read_hazards(), bound_tests()
     statuses = [hazard.status for hazard in hazards]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)

@@ -40,7 +40,7 @@ def main() -> None:
                 page.get_by_label("crosshair to the target").click()
                 if page.locator("[data-distance]").count() == 0:
                     _draw(page)
-                page.mouse.move(0, 0)  # no words of a button that is pointed at
+                page.mouse.move(0, 0)  # no tooltip of a button under the pointer
                 page.evaluate("window.scrollTo(0, 0)")
                 page.wait_for_timeout(DRAWN_MS)
                 page.screenshot(path=str(out / f"planner-{scheme}-{width}.png"))

@@ -23,7 +23,7 @@ RowT = TypeVar("RowT")
 
 
 def read_rows(path: Path, key: str, row: type[RowT]) -> list[RowT]:
-    """The tables `[[key]]` of a file as rows; raises TypeError for surplus or missing fields."""
+    """Read the tables `[[key]]` of a file as rows; raises TypeError for surplus or missing fields."""
     entries = tomllib.loads(path.read_text(encoding="utf-8"))[key]
     return [
         row(**{name: tuple(value) if isinstance(value, list) else value for name, value in one.items()})
@@ -32,7 +32,7 @@ def read_rows(path: Path, key: str, row: type[RowT]) -> list[RowT]:
 
 
 def table(headings: Sequence[str], rows: Iterable[Sequence[object]]) -> str:
-    """A table of these rows."""
+    """Format rows as a Markdown table."""
     lines = [headings, ["---"] * len(headings), *rows]
     return "".join(f"| {' | '.join(map(str, cells))} |\n" for cells in lines)
 
@@ -54,12 +54,12 @@ class Disturbance:
 
 
 def read_disturbances() -> list[Disturbance]:
-    """The disturbances of the data file."""
+    """Read the disturbances of the data file."""
     return read_rows(REFERENCE / "link-disturbances.toml", "disturbance", Disturbance)
 
 
 def files_of_tests() -> dict[str, tuple[Path, ...]]:
-    """The files that define a test function, by its name."""
+    """Find the files that define a test function, by its name."""
     found: dict[str, tuple[Path, ...]] = {}
     for path in sorted(TESTS.rglob("test_*.py")):
         for name in _TEST.findall(path.read_text(encoding="utf-8")):
@@ -68,7 +68,7 @@ def files_of_tests() -> dict[str, tuple[Path, ...]]:
 
 
 def disturbances() -> str:
-    """The table. Raises KeyError for a test that does not exist."""
+    """Tabulate the disturbances. Raises KeyError for a test that does not exist."""
     files = files_of_tests()
     return table(
         ("disturbance", "the arm", "message", "within", "injected by `ronna-sim fault`", "tests"),
@@ -105,7 +105,7 @@ class Question:
 
     @property
     def answers(self) -> Iterator[str]:
-        """The names that set the answer, as the page shows them."""
+        """Names of the settings for the answer, as shown on the page."""
         yield from (f"`{name}`" for name in self.parameters)
         yield from (f"`{name}` of the context" for name in self.context)
         yield from (f"`arm.{name}` of the scene" for name in self.scene)
@@ -115,12 +115,12 @@ class Question:
 
 
 def read_questions() -> list[Question]:
-    """The questions of the data file."""
+    """Read the questions of the data file."""
     return read_rows(REFERENCE / "robot-open-questions.toml", "question", Question)
 
 
 def robot_parameters() -> str:
-    """The questions, then all parameters."""
+    """Tabulate the questions, then all parameters."""
     questions = [(one.subject, one.question, ", ".join(one.answers)) for one in read_questions()]
     return (
         table(("", "open question", "set by"), questions)
@@ -130,7 +130,7 @@ def robot_parameters() -> str:
 
 
 def parameter_table(rows: Iterator[tuple[str, object, str]]) -> str:
-    """Parameters of a simulator that stand for behaviour nobody has confirmed."""
+    """Parameters of a simulator for unconfirmed behaviour."""
     return table(
         ("parameter", "best estimate", "meaning"),
         [(f"`{name}`", value, meaning) for name, value, meaning in rows],
@@ -183,7 +183,7 @@ def _outcome(row: dict[str, Any]) -> str:
 
 
 def checklist(generic: Suite, wire_protocol: str) -> str:
-    """The checklist of a protocol, with the cases of its suite."""
+    """Compose the checklist of a protocol, with the cases of its suite."""
     protocol = load_protocol(wire_protocol)
     cases, lines = compose_suite(generic, protocol).cases, protocol.checklist
     assert lines is not None, f"{wire_protocol} has a checklist"

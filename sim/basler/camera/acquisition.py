@@ -271,7 +271,7 @@ class TriggerCounter:
         self._started = False
 
     def next(self, view: object) -> int:
-        """Number a trigger. `view` is what the image depends on, for comparison; None if unknown."""
+        """Number a trigger. `view` holds all that the image depends on, for comparison; None if unknown."""
         if self._started:
             self._number += 1
         elif view is None or view != self._view:

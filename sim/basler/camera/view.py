@@ -31,8 +31,8 @@ SECONDS_PER_MINUTE = 60.0
 class View:
     """The spheres in front of one camera.
 
-    In the scene `bench`, until an arm moves the head, the first fiducial is at the tool centre point with its
-    post along the tool's z axis, so that any client sees a sphere in both images.
+    In the scene `bench`, until an arm moves the head, any client sees a sphere in both images: the first
+    fiducial is at the tool centre point with its post along the tool's z axis.
     """
 
     def __init__(self, world: World, camera: CameraTruth) -> None:

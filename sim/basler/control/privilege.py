@@ -65,7 +65,7 @@ class Privilege:
             self._refreshed_s = self._now_s()
 
     def seize(self, wanted: bool) -> None:
-        """Put another application in control while `wanted`, whatever the previous state."""
+        """Put another application in control while `wanted`, regardless of the previous state."""
         if wanted and self.owner != OTHER_APPLICATION:
             self.drop()
             self.owner, self.value = OTHER_APPLICATION, CCP_CONTROL

@@ -1,4 +1,4 @@
-"""The light on one camera's sensor: spheres from far to near, blurred by depth, and what disturbs them."""
+"""The light on one camera's sensor: spheres from far to near, blurred by depth, and disturbances."""
 
 from __future__ import annotations
 
@@ -198,7 +198,7 @@ def _drawable(sphere: Sphere) -> bool:
 
 
 def _composite(behind: Image, cover: Image, light: Image) -> None:
-    """Composite light over what is behind it, in place."""
+    """Composite light over the background, in place."""
     behind += cover * (light - behind)
 
 

@@ -1,8 +1,8 @@
 """The image of one retro-reflective sphere, exact at the rim, and of the stalk that carries it.
 
 Lit from around the lens, the film returns light to the camera from everywhere, a quarter less at the limb.
-Inside, one ray per pixel; in a band along the rim each pixel is sampled by 4 x 4 exact rays, each weighted by
-its distance inside the outline, so the rim is accurate to about 0.001 px.
+Inside, one ray per pixel; in a band along the rim 4 x 4 exact rays per pixel, each weighted by its distance
+inside the outline. The rim is therefore accurate to about 0.001 px.
 
 The stalk extends from below into the sphere. Seen from the side its flange covers part of the rim; seen from
 above it is behind the sphere and its outer edge touches the image of the rim. All of it is darker than film.

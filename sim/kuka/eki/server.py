@@ -125,12 +125,12 @@ class EkiServer:
             self._write()
 
     def flush(self) -> None:
-        """Read and write what is due."""
+        """Carry out due reads and writes."""
         self._dispatch()
         self._write()
 
     def _write(self) -> None:
-        """Write what is due, one system call per telegram."""
+        """Write due telegrams, one system call each."""
         while self._outgoing and self._client is not None:
             now_s = time.monotonic()
             if now_s < self._next_s:

@@ -1,6 +1,6 @@
 """KUKA's Ethernet file: layout of the telegrams, and address of the client.
 
-The file does not say what the channels feed. That is in the RSI context; without one it is inferred from
+The wiring of the channels is not in the file but in the RSI context; without one it is inferred from
 the commonly used tags.
 """
 

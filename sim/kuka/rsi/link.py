@@ -98,10 +98,10 @@ class RsiSocket:
 
 
 class LinkFaults:
-    """The fault script as it acts on telegrams and replies; one object per controller.
+    """Effects of the fault script on telegrams and replies; one object per controller.
 
     Counted in cycles, so that in lock-step, too, a reply is dropped or late by the controller's own time.
-    Random draws depend on the cycle number only: the same cycles are hit whatever was hit before.
+    Random draws depend on the cycle number only: the same cycles are hit regardless of earlier hits.
     """
 
     def __init__(self, seed: int, hit: Callable[[str], None], *, takes_second: bool = False) -> None:
@@ -176,7 +176,7 @@ class LinkFaults:
         if self._strikes("reorder_replies"):
             self._in_transit += [(self.cycle + 1, copy) for copy in copies]
             return before
-        # overtaken datagrams come after those that overtook them
+        # a datagram comes after the ones that overtook it
         return [*copies, *before]
 
     def _alter(self, datagram: bytes) -> bytes:

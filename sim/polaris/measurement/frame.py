@@ -85,8 +85,8 @@ class Measurer:
     def begin_tracking(self) -> None:
         """Start a tracking session; each after the first has its own noise.
 
-        A guard that reads the tracker between the steps of a case therefore changes none of its numbers, and
-        does not repeat the noise of an earlier session.
+        A guard that reads the tracker between two steps therefore changes no number of the case, and does not
+        repeat the noise of an earlier session.
         """
         self._sessions += 1
         if self._sessions > 1:

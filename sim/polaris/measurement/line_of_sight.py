@@ -1,8 +1,8 @@
 """Occlusion by the head (an ellipsoid) and the arm (capsules) between marker and sensor.
 
 Tracker frame, mm. A marker inside a body's hull is mounted on that body and protrudes from it, so that body
-never hides it. The capsules are roughly the hull of a KR 6 R900 and its tools, with the joints of the nominal
-arm, which is millimetres off the true one. Head and guide share one mount, which keeps clear of the patient:
+never hides it. The capsules are roughly the hull of a KR 6 R900 and its tools. Their joints are those of the
+nominal arm, millimetres off the true one. Head and guide share one mount, which keeps clear of the patient:
 a plate on the flange, a riser at its end, away from the patient, and a bridge from its top to the tool's
 axis.
 

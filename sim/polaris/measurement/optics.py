@@ -1,7 +1,7 @@
 """Optics of the tracker: noise and bias of a single marker, phantom markers, additional strays.
 
-Tracker frame, mm. With a stereo base of half a metre, depth is measured three to four times worse than the
-other two axes, and both degrade with the square of the distance. Phantom markers are intersections of the
+Tracker frame, mm. The stereo base is half a metre. The error in depth is three to four times that of the
+other two axes; all grow with the square of the distance. Phantom markers are intersections of the
 rays of different markers: stereo matching cannot distinguish two markers in one epipolar plane, and finds up
 to two positions besides the true ones.
 """

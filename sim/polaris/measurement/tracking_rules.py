@@ -1,7 +1,7 @@
 """Determine a tool's pose from its measured markers, or the reason why there is none.
 
-In the unit's order: choose the face, fit at least three markers, drop those beyond the maximum angle, out of
-the volume, and beyond the maximum 3D error, then test the spread of the rest; enough markers must remain
+In the unit's order: choose the face, fit at least three markers, drop markers beyond the maximum angle, out
+of the volume or beyond the maximum 3D error, test the spread of the rest. Enough markers must remain
 after each step. A reply reports a tool outside the volume only if requested: `as_requested`.
 """
 

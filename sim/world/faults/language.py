@@ -86,7 +86,7 @@ COMMENT: /#[^\n]*/
 
 
 def parse_faults(text: str) -> tuple[Fault, ...]:
-    """Parse a script; raises SIM-003 with every invalid line, and what the first probably meant."""
+    """Parse a script; raises SIM-003 with every invalid line, and the probable meaning of the first."""
     from lark.exceptions import UnexpectedInput
 
     if len(text) > LONGEST_SCRIPT:
@@ -179,7 +179,7 @@ def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[st
 
 
 class Mistake(NamedTuple):
-    """Mistake in a line, with an example of a valid line, and what this one probably meant.
+    """Mistake in a line, with an example of a valid line, and the probable meaning.
 
     Only the first mistake of a script gives advice.
     """

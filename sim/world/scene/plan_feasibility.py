@@ -1,9 +1,9 @@
 """Feasibility of a drawn plan for the arm: every drawn scene must be feasible.
 
-A trajectory is feasible if some turn about its axis brings the tool to every sphere in the orientation of the
-trajectory, then to where the guide is held before the entry, and the stereo head to the target, for a phantom
-with a ball there; each from a point above, with all poses in one arm posture. At that turn no sphere may be
-in front of or behind another one in either camera. Robot frame, mm.
+A trajectory is feasible if, at some turn about its axis, the arm reaches all poses in one posture, each from
+a point above. The poses: the tool at every sphere in the orientation of the trajectory, the guide before the
+entry, and the stereo head at the target, for a phantom with a ball there. At that turn no sphere may be in
+front of or behind another one in either camera. Robot frame, mm.
 """
 
 from __future__ import annotations
