@@ -298,7 +298,7 @@ def _require_both_sides(fit: ArmFit) -> None:
 def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
     """Error that the fit leaves in every usual orientation, whether or not one like it was measured.
 
-    Held-out measurements are where the others are: of an arm measured in one orientation they say nothing.
+    Held-out measurements share the orientations of the others, so they reveal nothing about the rest.
     """
     model, near = fit.model, looks.joints_rad[0]
     reference = Rotation.from_matrix(model.rotations(looks)).mean()

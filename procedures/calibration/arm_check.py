@@ -66,7 +66,7 @@ def require_record(record: ArmCalibration | None) -> ArmCalibration:
 def check_arm(observed: ArmLooks) -> ArmCheck:
     """Compare measurements with the record in use. Raises CAL-002, CAL-014.
 
-    The spheres' positions are not known.
+    The spheres' positions need not be known.
     """
     record = require_record(observed.arm_record)
     looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
@@ -97,7 +97,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
 def _left_by_calibration(record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array) -> Array:
     """Displacement (m, 3, k) of each measured place by the k independent errors that the record leaves.
 
-    They are equal in all measurements, not new in each: one link is too long throughout.
+    They are equal in all measurements: a link that is too long stays too long.
     """
     sizes = ErrorSizes.stated(ProcedureSettings(), record)
     spheres, last = (

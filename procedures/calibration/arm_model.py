@@ -243,8 +243,8 @@ def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray
 
     Returns their indices.
 
-    Each pose adds the information that it provides beyond what is already known; the one that adds most is
-    next. Initially only the prior of an uncalibrated arm is known. Fewer if there are not enough candidates.
+    The next pose is the one that adds most to the present information, initially the prior of an uncalibrated
+    arm. Returns fewer indices if there are not enough candidates.
     """
     values = np.zeros(model.size + 3 * candidates.spheres)
     slopes = model.slopes(values, candidates) / LOOK_SIGMA_MM

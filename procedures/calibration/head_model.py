@@ -70,7 +70,7 @@ class FlangeCamera:
         return distorted(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Derivative (n, 2, 3) of `seen` by the point, without distortion: only used for weighting."""
+        """Derivative (n, 2, 3) of `seen` by the point, without distortion: for weighting only."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z

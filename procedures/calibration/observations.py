@@ -71,7 +71,7 @@ def require_same_theatre(
 
 
 def stamp(created: datetime) -> str:
-    """End the identifier of every record that is computed from measurements of this time."""
+    """Return the end of the identifiers of records computed from measurements of this time."""
     return f"-{created:%Y%m%dT%H%M%S}"
 
 

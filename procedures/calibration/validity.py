@@ -24,7 +24,7 @@ DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated re
 
 
 def options_of(theatre_file: Path) -> str:
-    """Options that give those commands a theatre file, and that file the record."""
+    """Return the options with which those commands read a theatre file and write the record into it."""
     file = shlex.quote(str(theatre_file))
     return f"--config {file} --write {file}"
 
@@ -69,8 +69,8 @@ def require_valid(
 def require_together(calibrations: Calibrations, options: str = "") -> None:
     """Raise CAL-020 or CAL-021 for an arm that was not calibrated with this head and tip.
 
-    The calibration of an arm finds the place of the head anew, and moves the tip with it; both keep their
-    dates. One of the head that comes later attributes the nominal arm's errors to its place on the flange.
+    An arm calibration also determines the head's place and moves the tip with it; both keep their dates. A
+    later head calibration attributes the nominal arm's errors to the head's place on the flange.
     """
     arm, head = calibrations.arm, calibrations.stereo_head
     if arm is None:

@@ -86,12 +86,12 @@ def postoperative(
 
 
 def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
-    """Warnings when it cannot be told; raises POST-005."""
+    """Return a warning if an identifier is missing; raises POST-005 if they differ."""
     from procedures.imaging.dicom.slice_headers import patient_identifier
     from procedures.postoperative.errors import OtherPatient
 
     before, after = patient_identifier(pre_dir), patient_identifier(post_dir)
-    if before and after and before != after:  # who they are is not for messages
+    if before and after and before != after:  # messages never name patients
         raise OtherPatient("the two CTs have different patient identifiers")
     if before and after:
         return ()
@@ -99,7 +99,7 @@ def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 
 
 def _require_same_plan(run: Path, plan: Plan) -> None:
-    """Raises POST-008 when the run did not follow this plan, PRO-033 for a run that was changed."""
+    """Raise POST-008 if the run followed another plan, PRO-033 for a run that was changed."""
     from procedures.engine.run_folder import read_run
     from procedures.postoperative.errors import RunOfAnotherPlan
     from procedures.steps.clinical.plan_check import CheckedPlan

@@ -1,8 +1,8 @@
 """The results of one run: immutable records in its folder, each with its parents.
 
-RUN/journal.jsonl            what was intended and what came of it
+RUN/journal.jsonl            intents and outcomes
 RUN/records/05-....json      one result each
-RUN/theatre/, RUN/case/      what the run worked with, when it brought it along
+RUN/theatre/, RUN/case/      inputs that the run brought along
 """
 
 from __future__ import annotations
@@ -59,7 +59,7 @@ class Case:
     """The run folder and its results: the valid ones, and those that a repeated step has superseded."""
 
     def __init__(self, folder: Path, run: str | None = None) -> None:
-        """`run` is the name of the run at its beginning, if its folder has another one by now."""
+        """`run` is the run's original name, if its folder was renamed."""
         self.folder = folder
         self.run = run or folder.name
         self._standing: dict[StepKey, Stored[StepResult]] = {}
@@ -100,7 +100,7 @@ class Case:
         if former is None:
             return ()
         reached = {former.record.identifier}
-        # A result may descend by way of one that stands no more; a parent has the lower number.
+        # A result may descend through one that is no longer valid; a parent has the lower number.
         for record in self.records:
             if not reached.isdisjoint(record.parents):
                 reached.add(record.identifier)
@@ -160,7 +160,7 @@ class Case:
         path = self.folder / RECORDS_FOLDER / f"{stored.record.identifier}.json"
         if has_file(path, stored.file_sha256):
             return stored
-        if read_record(path).sha256 != stored.record.sha256:  # which says what is wrong with it
+        if read_record(path).sha256 != stored.record.sha256:  # it raises if the file is damaged
             raise BadRecord(f"{path.name} is not the record that this run wrote")
         return stored
 
@@ -169,7 +169,7 @@ class Case:
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
-        """Have the operator asked whether that step's valid result is kept."""
+        """Put that step's valid result in doubt: the operator is asked whether it is kept."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
 

@@ -34,7 +34,7 @@ class CaseProgress:
 
     @property
     def _all_finished_before(self) -> bool:
-        """Whether every target was finished before something moved: the steps would lead to none."""
+        """Whether every target was finished before something moved: no step would lead to one."""
         return self.case.past_trajectories.issuperset(self.order.trajectories or ("",))
 
     @property
@@ -145,8 +145,8 @@ class CaseProgress:
 def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:
     """Return why a step cannot read its inputs; empty if it can.
 
-    Results of a trajectory that was finished before something moved are only shown: nothing moves by them
-    again.
+    Results of a trajectory that was finished before something moved are only shown; they guide no further
+    motion.
     """
     found = {model: case.find(model, key.trajectory) for model in spec.reads}
     where = f" for {key.trajectory}" if key.trajectory else ""

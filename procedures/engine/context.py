@@ -86,7 +86,7 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault that has the operator asked whether a result is kept, or None; see `result`."""
+        """Return the fault that puts a result in doubt, or None; see `result`."""
         return self._case.doubt_of(self._read_result(model).record)
 
     def keep(self, model: type[R]) -> None:
@@ -161,7 +161,7 @@ class StepContext:
         return self._checkpoint.watching(what, False)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record a finding that stops nothing; of `targets`, with them."""
+        """Record a finding that stops nothing, with the `targets` that it concerns."""
         self._find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
@@ -171,8 +171,8 @@ class StepContext:
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
         """Return the one that `pick` chooses of a step's valid results, of any trajectory, the last one last.
 
-        It need not be declared in the reads, which say what must come first: there may be none. A result that
-        is not chosen is no parent, as nothing of it is used. See `stands` for which are valid. Raises
+        It need not be declared in the reads, because there may be none. Only the chosen result becomes a
+        parent. See `stands` for which are valid. Raises
         REC-001.
         """
         standing = self._standing(model)
@@ -211,7 +211,7 @@ class StepContext:
         read_back: ReadBack | None = None,
         evidence: tuple[Evidence, ...] = (),
     ) -> None:
-        """Have the operator confirm a value, and record both; raises PRO-002 unless the answer is yes."""
+        """Ask the operator to confirm a value, and record both; raises PRO-002 unless the answer is yes."""
         question = Question(
             topic, subject, value, trajectory=trajectory, read_back=read_back, evidence=evidence
         )
@@ -219,7 +219,7 @@ class StepContext:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have the room's staff do a task, and record the readings; raises PRO-002 without them."""
+        """Assign a task to the room's staff and record the readings; raises PRO-002 without them."""
         return self._questions.have_done(task)
 
     def have_instrument_out(self) -> None:
@@ -227,5 +227,5 @@ class StepContext:
         self._questions.have_instrument_out()
 
     def choose(self, question: Question) -> str:
-        """Have the operator choose one of a question's answers, and record it."""
+        """Ask the operator a question and record the answer."""
         return self._questions.ask(question).word

@@ -59,7 +59,7 @@ def summarize_fault(role: str, seen: LastKnown[object]) -> str:
 
 
 def _cause_of(seen: LastKnown[object]) -> str:
-    """Return the fault without advice: it is kept, and read when it is over."""
+    """Return the fault without advice, for records that outlast it."""
     return UNKNOWN if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
 
 
@@ -137,7 +137,7 @@ class DeviceFaults:
         workcell, done = self._workcell, dict[str, str]()
         self.doubt_results()
         for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
-            # First: it is recovered, also when that cannot be written.
+            # First: the device is recovered even if this cannot be written.
             self._acknowledged.append((fault.partition(": ")[0], by))
             if role == ARM:
                 self.doubt_tool(fault, self._course.order.localizations)
@@ -148,10 +148,10 @@ class DeviceFaults:
 
     @contextmanager
     def none_acknowledged(self) -> Iterator[None]:
-        """Have a step begin again if faults were acknowledged while the block rested.
+        """Require the step to begin again if faults were acknowledged during the block.
 
-        Raises PRO-001 at its end: only a step that begins asks which results are kept and which tool is
-        mounted.
+        Raises PRO-001 at its end: only at its beginning does a step ask which results are kept and which tool
+        is mounted.
         """
         before = len(self._acknowledged)
         yield
@@ -180,7 +180,7 @@ class DeviceFaults:
     def doubt_results(self) -> None:
         """Put results in doubt that were localized or checked before the arm was in fault.
 
-        This is in the journal before the fault can be gone, so that no restart forgets it.
+        The journal has this before the fault can end, so that no restart loses it.
         """
         if (fault := self.now.get(ARM)) is not None:
             when = f"theatre time {self._clock.now_s():.0f} s"

@@ -131,9 +131,9 @@ class BodyView:
         return pose.model_copy(update=changes)
 
     def publish(self, events: EventStream, *, last: bool = False) -> None:
-        """Publish the bodies if they have changed, and now and then the health of the link.
+        """Publish the bodies if they have changed, and the health of the link at intervals.
 
-        The latter also once its stream has ended, and at the `last` look while it has not.
+        The latter also when its stream has ended, and at the `last` look while it runs.
         """
         if self._current() is not self._published:
             self._published = self._current()
@@ -223,8 +223,8 @@ class DeviceWatch:
         self._now_s = now_s
         self._period_s = period_s
         self._states: dict[str, DeviceState] = {}
-        self._bounded: set[str] = set()  # trackers whose volume was told
-        self._last_problem = ""  # what it could not see last
+        self._bounded: set[str] = set()  # trackers whose volume was published
+        self._last_problem = ""  # the latest failure to look
         self._ending = threading.Event()
         self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
 

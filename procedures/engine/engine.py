@@ -37,7 +37,7 @@ _log = logger(part="engine")
 class Engine:
     """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
 
-    `on_ending` is called before the arm is stopped for good; what `before_result` returns goes with a result.
+    `on_ending` is called before the arm is stopped for good; `before_result` returns data for each result.
     """
 
     def __init__(
@@ -74,7 +74,7 @@ class Engine:
         self.recorders = list(recorders)
         self.running: StepKey | None = None
         self.compare_place = setting.workcell.compare_place  # before a step begins
-        self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # somebody agreed that it does
+        self.goes_on: Callable[[RonnaError], bool] = lambda _problem: False  # by somebody's consent
         setting.workcell.supervised.ask_before(self.checkpoint, self.ask)
 
     @property
@@ -88,7 +88,7 @@ class Engine:
         return self.setting.workcell.place.instrument_may_be_inside
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
-        """Everything that keeps a step from beginning now; empty when it may begin."""
+        """Return all obstacles to beginning a step now; empty when it may begin."""
         if self.machine.ended:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
@@ -101,7 +101,7 @@ class Engine:
         return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
-        """Run one step; raises PRO-001 while it is refused, and whatever the step raises."""
+        """Run one step; raises PRO-001 while it is refused, and the errors of the step."""
         with suppress(RonnaError):  # an arm that reports no joints is where the journal has it
             self.compare_place()
         if unmet := self.why_refused(key):
@@ -128,7 +128,7 @@ class Engine:
             self.setting.workcell.stop()
             self.machine.abort()
             self._show_state()
-            with suppress(JournalNotWritable):  # who interrupts is obeyed
+            with suppress(JournalNotWritable):  # an interruption takes precedence
                 self._write(Entry.INTERRUPTED, step=str(key))
             self.events.publish(StepState(step=str(key), state="interrupted"))
             _log.warning("step interrupted", step=self._logged(str(key)))
@@ -168,14 +168,14 @@ class Engine:
             except RonnaError as problem:
                 if not self.goes_on(problem):
                     raise
-                key = last or key  # an order ends here: the steps that come now were not meant
+                key = last or key  # an order ends here: it did not mean the steps that follow now
             if key == last or (last is not None and self.course.settled(last)):
                 return
 
     # While a step runs
 
     def context(self, key: StepKey) -> StepContext:
-        """A step's view of the case."""
+        """Build a step's view of the case."""
         return StepContext(
             key=key,
             reads=self.order.spec(key).reads,
@@ -191,11 +191,11 @@ class Engine:
         )
 
     def ask(self, question: Question) -> str:
-        """The word of the operator's answer, recorded."""
+        """Ask the operator, record the answer and return its word."""
         return self.questions.ask(question).word
 
     def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
-        """Record something that the operator should know and that stops nothing; of `targets`, with them."""
+        """Record a finding for the operator that stops nothing, with the `targets` that it concerns."""
         if targets:
             more["targets"] = list(targets)
         self._write(Entry.FINDING, text=text, **more)
@@ -203,16 +203,16 @@ class Engine:
         _log.warning("finding", text=self._logged(text))
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
-        """A standing result no longer holds, nor what descends from it; but for finished trajectories."""
+        """Void a valid result and its descendants, except those of finished trajectories."""
         gone = [record.identifier for record in self.course.records_voided_by(key)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
         self.course.void(key)
         self._tell_gone(key, gone, reason.summary)
 
     def doubt_tool(self, found: str) -> None:
-        """Another tool was found than the checked one, which may be mounted again, but not seated as before.
+        """Put the tool check in doubt: a tool other than the checked one was found.
 
-        Raises PRO-027 in a step whose check is void with that: nothing is led on before it is repeated.
+        Raises PRO-027 in a step whose check this voids: the check must be repeated first.
         """
         standing = self.case.standing
         self.faults.doubt_tool(found)
@@ -225,7 +225,7 @@ class Engine:
         """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
 
         Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, PRO-004 where they end the
-        case on the way, and what a motion raises.
+        case on the way, and the errors of motions.
         """
         workcell = self.setting.workcell
         self.faults.require_arm_moves()
@@ -287,7 +287,7 @@ class Engine:
         _log.warning("case aborted")
 
     def seated(self, session: str, name: str, since_s: float | None) -> None:
-        """Record who operates from a console, since when; without a name nobody does any more."""
+        """Record who operates from a console, and since when; an empty name frees the seat."""
         self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
@@ -376,7 +376,7 @@ class Engine:
         self.events.publish(Fault(code=code, what=str(problem), advice=advice))
         self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
         self._show_state(str(problem))
-        with suppress(JournalNotWritable):  # what the step met is told
+        with suppress(JournalNotWritable):  # the step's own error is reported
             self.faults.doubt_results()
             if isinstance(problem, WrongTool):
                 self.faults.doubt_tool(problem.summary)

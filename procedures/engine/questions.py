@@ -42,7 +42,7 @@ class Questions:
         self._journal = journal
         self._events = events
         self._count = 0
-        self.unanswered_s: float | None = None  # the time limit in which the last question had no answer
+        self.unanswered_s: float | None = None  # the time limit that the last question exceeded
 
     def ask(self, question: Question) -> Answer:
         """Return the operator's answer; a word that is no answer counts as silence."""
@@ -67,7 +67,7 @@ class Questions:
                 **signed,
                 asked_s=asked_s,
             )
-        except BaseException:  # nobody answers it any more, or its answer is not kept and does not count
+        except BaseException:  # nobody answers any more, or the answer was not recorded and does not count
             self._events.publish(Answered(question=numbered.number, answer=""))
             raise
         self._events.publish(Answered(question=numbered.number, answer=answer.word, by=signed.get("by", "")))
@@ -80,10 +80,10 @@ class Questions:
         )
 
     def have_done(self, task: Task) -> tuple[float, ...]:
-        """Have a task done and return its readings; raises PRO-002 if they are missing or no numbers."""
+        """Assign a task and return its readings; raises PRO-002 if they are missing or no numbers."""
         began_s = self._setting.clock.now_s()
         readings = self._setting.room.work(task)
-        if not all(map(math.isfinite, readings)):  # no limit holds against what is no number
+        if not all(map(math.isfinite, readings)):  # no limit rejects what is no number
             raise NotConfirmed(
                 f"the readings are not finite numbers: {task.subject}",
                 expected=", ".join(task.reads),
@@ -130,7 +130,7 @@ class Questions:
 
 
 def taking_out(place: str) -> str:
-    """Return the words for the work by hand before the arm may leave a place."""
+    """Describe the manual work before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
     return f"remove the {_instrument_at(place)} from {place} and from the guide"

@@ -45,7 +45,7 @@ class RunFolder:
 
     @property
     def name(self) -> str:
-        """That the run was begun with; its folder may have another one by now."""
+        """Original name of the run; its folder may have been renamed."""
         return str(self.opened.get("run") or self.path.resolve().name)
 
     def lines(self, entry: Entry) -> tuple[Line, ...]:
@@ -160,9 +160,9 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
 
 
 def lineage_text(run: RunFolder) -> str:
-    """Every result with the results it was made from, each with its own further in.
+    """Draw every result with its parents, indented by depth.
 
-    A result that was drawn before is only named again: what it was made from stands where it came first.
+    A result that was drawn before is only named again.
     """
     parents_of = {record.identifier: tuple(record.parents) for record in run.records}
     used = {name for parents in parents_of.values() for name in parents}

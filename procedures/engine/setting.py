@@ -76,7 +76,7 @@ class CaseSetting:
     surroundings: CollisionConfig  # the theatre file's bodies around the arm
     clinical: ClinicalInput | None = None
     memory: CaseMemory = field(default_factory=CaseMemory)
-    arm_not_home: str | None = None  # that another run left the arm away from home, and what brings it there
+    arm_not_home: str | None = None  # where another run left the arm, and how to bring it home
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
-    began: datetime = field(default_factory=this_second)  # what a calibration observes is dated so
+    began: datetime = field(default_factory=this_second)  # date of a calibration's observations

@@ -74,7 +74,7 @@ def named_spheres(markers: Iterable[M]) -> dict[str, M]:
 
 
 def pick_allowed(content: Mapping[str, Any], allowed: Mapping[str, str]) -> dict[str, Any]:
-    """The listed fields, in the order of the list; all others are dropped."""
+    """Return the listed fields in the order of the list; drop all others."""
     return {name: content[name] for name in allowed if name in content}
 
 

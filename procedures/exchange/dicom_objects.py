@@ -61,7 +61,7 @@ def fiducial_uid(origin: Origin, name: str) -> str:
 
 
 def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
-    """The object for the spheres of one CT series, M1, M2, ... in their order."""
+    """Build the object for the spheres of one CT series, M1, M2, ... in their order."""
     points = [
         _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
         for name, marker in named_spheres(markers).items()
@@ -104,7 +104,7 @@ def spatial_registration(
     description: str = "",
     fiducial_uids: Sequence[str] = (),
 ) -> Dataset:
-    """The object for a pose robot <- CT.
+    """Build the object for a pose robot <- CT.
 
     Its own frame of reference is the robot's; the pose maps the CT's into it. `fiducial_uids` name the
     spheres used by the fit, in the fiducials object of the origin `spheres` (by default the same). All
@@ -131,7 +131,7 @@ def frames_registration(
     label: str,
     description: str,
 ) -> Dataset:
-    """The object for the pose (4, 4) mm of a second CT in the frame of reference of the origin's CT."""
+    """Build the object for the pose (4, 4) mm of a second CT in the origin's frame of reference."""
     items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
@@ -213,7 +213,7 @@ def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Datase
 
 
 def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
-    """An object complete except for its content."""
+    """Build an object that lacks only its content."""
     instance = instance_uid(origin, modality)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class

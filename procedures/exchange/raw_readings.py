@@ -115,7 +115,7 @@ class RawExtent(BaseModel):
 
 
 def write_extent(folder: Path, extent: RawExtent) -> None:
-    """Write it into a folder of raw readings. Raises OSError."""
+    """Write the extent into a folder of raw readings. Raises OSError."""
     (folder / EXTENT_FILE).write_text(f"{extent.model_dump_json(by_alias=True)}\n", encoding="utf-8")
 
 

@@ -47,7 +47,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     """Write the exportable results of a run into `out`; returns the files.
 
     Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written. EXC-002 also for a
-    folder with a registration that is not of this run: nobody would see whose it is.
+    folder with registrations of another run.
     """
     folder = run_of(inspected(run).require_whole())
     imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)

@@ -49,9 +49,10 @@ class GuideAtRest:
 
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
     tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
-    in the frame on the mount; `on_guide` names the frame on the guide, if any. `worked` says that somebody
-    works through it now, `left` that somebody did. `now_mm` is its last known displacement, `looked_s` the
-    theatre time of the last look; `unseen` says that this look did not show the frame.
+    in the frame on the mount; `on_guide` names the frame on the guide, if any.
+    `worked`: somebody works through it now; `left`: somebody did.
+    `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `unseen` says that
+    this look did not show the frame.
     """
 
     trajectory: str

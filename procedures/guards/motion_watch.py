@@ -88,7 +88,7 @@ class MotionWatch:
             yield
         except RonnaError as error:
             seen = thread.end()
-            # The arm refuses a motion after an alarm before its begin: the alarm is what must be reported.
+            # After an early alarm the arm refuses the motion: the alarm must be reported.
             if isinstance(error, MotionInterrupted | WrongState) or seen.moved_mm is not None:
                 self._conclude(seen, what)
             raise

@@ -182,7 +182,7 @@ class RoomWatch:
         *,
         agree: bool,
     ) -> BaseShifted | PatientMoved | PatientUnseen | None:
-        """Error for what has moved, or for what hides it; None if nothing has.
+        """Return the error that names a move, or hidden spheres; None if nothing has moved.
 
         `head_mm` (3,) is the displacement of the head in the robot frame. If arm and head `agree`, only the
         tracker has moved.
@@ -203,7 +203,7 @@ class RoomWatch:
     def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
-        """Error from fewer than three known spheres in view; None if none of them has moved."""
+        """Return the error from fewer than three known spheres; None if none of them has moved."""
         few = shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
@@ -216,7 +216,7 @@ class RoomWatch:
         return None
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """A shift of the frame beyond its limit, else that with the narrowest; None without a reference."""
+        """Return a shift beyond its limit, else the one with the narrowest; None without a reference."""
         if reading.frame_mm is None:
             return None
         shifts = [

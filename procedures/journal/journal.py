@@ -45,7 +45,7 @@ __all__ = [
     "theatre_time_s",
 ]
 
-TORN_FILE = "journal.torn"  # what a crash left at the end of the journal, cut off when it is taken up again
+TORN_FILE = "journal.torn"  # torn end of a journal, cut off when the run is resumed
 ROOM_BYTES = 1 << 20  # a last line names every file of the run and every slice of its CT, some 150 bytes each
 BLOCK_BYTES = 4096  # what a power loss may tear or empty at the end of a file
 # A result, or where an instrument is, must not share a block with lines that follow it: spaces fill the rest.
@@ -85,7 +85,7 @@ class Journal:
         with journal._close_on_error():
             if chain.torn:
                 journal._cut_off(chain.torn)
-            journal._hold_room()  # what is taken up can be closed again
+            journal._hold_room()  # a resumed run can be closed again
         return journal
 
     @contextlib.contextmanager
@@ -130,7 +130,7 @@ class Journal:
     def note(self, entry: Entry, theatre_time_s: float, **data: JournalValue) -> None:
         """Append one line that reaches the disk with the next one that is written; raises PRO-003.
 
-        Enough for what has happened, never for what is about to.
+        Sufficient for past events, never for intents.
         """
         self._append(entry, theatre_time_s, data, durable=False)
 

@@ -116,7 +116,7 @@ class Checkpoint:
             return self._abort or self._pause is not None
 
     def here(self, where: str) -> None:
-        """Rest here if somebody wants it or a guard is unmet.
+        """Rest here if a rest is requested or a guard is unmet.
 
         Raises PRO-004 when the case is to end, and PRO-017 when a guard is not restored and the operator
         leaves the step.

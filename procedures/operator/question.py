@@ -79,7 +79,7 @@ DELIBERATE = frozenset(
         Topic.UNVERIFIED,
     }
 )
-# What no file answers on real devices: also what hands have done to the patient, though nothing moves then.
+# Topics that no file answers on real devices, including manual work on the patient.
 FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DURA}
 
 
@@ -99,7 +99,7 @@ READ, NOBODY = "read", "nobody"  # to a question for readings
 
 @dataclass(frozen=True)
 class ReadBack:
-    """A value that a person types after the answer that goes on: only who looked knows it.
+    """A value to type after the first answer, known only to somebody who looked.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
     `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
@@ -132,7 +132,7 @@ class Signature:
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer, whoever gives it: its word, and what belongs to it."""
+    """An answer: its word, and what came with it."""
 
     word: str
     typed: str | None = None  # what was read back

@@ -78,7 +78,7 @@ class RecordFigures(Figures):
 
 
 def expected_mm(value_mm: float, predicted_mm: float) -> str:
-    """An rms error in millimetres next to the one that was predicted."""
+    """Format an rms error next to its prediction, in millimetres."""
     return f"{millimetres(value_mm)}, expected {millimetres(predicted_mm)}"
 
 
@@ -365,7 +365,7 @@ KINDS: dict[str, type[Figures]] = {
 
 
 def write_figures(figures: Figures, folder: Path) -> None:
-    """Write them for the report."""
+    """Write the figures for the report."""
     content = json.dumps(figures.as_json(), indent=1, allow_nan=False)
     write_whole(folder / RESULT_FILE, content.encode())
 

@@ -29,7 +29,7 @@ class Ending:
 
 
 def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """The ending according to the journal; `error` is the command line's, if known."""
+    """Return the ending according to the journal; `error` is the command line's, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)

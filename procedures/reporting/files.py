@@ -39,7 +39,7 @@ def store_truth(run: Path, truth: Truth) -> Path:
 
 
 def drop_unconfirmed_truth(run: Path) -> bool:
-    """Remove the errors that are kept unless the seal confirms them: the next seal would cover them."""
+    """Remove the stored truth unless the seal confirms it: the next seal would cover it."""
     found = inspected(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
     if changed:
@@ -72,7 +72,7 @@ class ReportFiles:
         return path
 
     def targets(self, rows: Sequence[TargetRow]) -> None:
-        """Error, prediction and its budget at each target, one column per source."""
+        """Write error, prediction and its budget at each target, one column per source."""
         sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
         lines: list[dict[str, object]] = []
         for row in rows:
@@ -93,7 +93,7 @@ class ReportFiles:
         self.text("targets.csv", _csv(lines))
 
     def looks(self, looks_px: Sequence[tuple[float, bool]]) -> None:
-        """Rms residual of each view of a calibration."""
+        """Write the rms residual of each view of a calibration."""
         rows = [
             {"look": number, "rms_px": rms_px, "used": used}
             for number, (rms_px, used) in enumerate(looks_px, start=1)
@@ -101,11 +101,11 @@ class ReportFiles:
         self.text("looks.csv", _csv(rows))
 
     def timeline(self, spans: Sequence[Span]) -> None:
-        """Every step, motion and pause with its theatre time."""
+        """Write every step, motion and pause with its theatre time."""
         self.text("timeline.csv", _csv(list(map(asdict, spans))))
 
     def clearance(self, trajectory: str, motions: Sequence[MotionRow]) -> None:
-        """Clearance of each checked motion, to the head and to anything else."""
+        """Write the clearance of each checked motion, to the head and to anything else."""
         rows = [
             {"start": one.start, "end": one.end, "kind": one.kind, "head_mm": one.head_mm}
             | {name: getattr(one.closest, name, None) for name in ("first", "second", "distance_mm", "at")}
@@ -127,7 +127,7 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
-    """A picture's file; None, and with a note, for one that is too large or cannot be read."""
+    """Load a picture; None, with a note, if it is too large or cannot be read."""
     try:
         return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
     except (OSError, InputRefused):
@@ -136,7 +136,7 @@ def load_picture(reading: RunReading, path: Path) -> bytes | None:
 
 
 def data_url(picture: bytes) -> str:
-    """A PNG as the address of an image."""
+    """Encode a PNG as the address of an image."""
     return "data:image/png;base64," + base64.b64encode(picture).decode()
 
 
@@ -155,7 +155,7 @@ class PostoperativeResult:
 
 
 def store_check(folder: Path, after: PostoperativeResult) -> None:
-    """Store it in this folder, creating it if missing. Raises OSError."""
+    """Store the check in this folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
     for name, picture in after.pictures.items():

@@ -44,7 +44,7 @@ class AskedQuestion:
 
 
 def questions(journal: Sequence[Line]) -> tuple[AskedQuestion, ...]:
-    """Every question with its answer, in order."""
+    """Return every question with its answer, in order."""
     return tuple(
         AskedQuestion(
             clock_time(line),

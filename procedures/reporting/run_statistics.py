@@ -43,7 +43,7 @@ class Span:
 
 
 def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
-    """The spans in order of their beginning; one that never ended lasts until its program's last line."""
+    """Return the spans in order of beginning; one that never ended lasts until its program's last line."""
     spans: list[Span] = []
     open_now: dict[str, int] = {}  # open spans by key: index in `spans`
     row, last_s = BETWEEN_STEPS, 0.0
@@ -159,7 +159,7 @@ def _host_s(begin: Line, end: Line) -> float:
 
 
 def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
-    """Device, how often it was active, and its counters of all that time in words."""
+    """Return each device, its number of active periods, and its summed counters as text."""
     totals: dict[str, _Totals] = {}
     for line in log:
         if "device" not in line:

@@ -44,7 +44,7 @@ class TargetRow:
 
 
 def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
-    """A row for each registered target, with the prediction of its registration."""
+    """Return a row for each registered target, with the prediction of its registration."""
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
     true = {one.id: one for one in truth.targets}
@@ -108,7 +108,7 @@ class PlanRow:
 
 
 def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
-    """A row for each planned trajectory."""
+    """Return a row for each planned trajectory."""
     checked, paths = reading.find(CheckedPlan), reading.find(CheckedPaths)
     if checked is None:
         return ()

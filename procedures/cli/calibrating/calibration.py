@@ -50,7 +50,7 @@ NOT_COMPARED = (
 def calibrate(
     kind: CalibrationKind[Looks, Result], recipe: Recipe, asked: CalibrationOptions, theatre: RunRequest
 ) -> None:
-    """Measure in the theatre or read, compute, leave the files and show the figures.
+    """Measure in the theatre or read recorded looks, compute, write the files and show the figures.
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
@@ -78,7 +78,7 @@ def calibrate(
 def resume_calibration(
     request: RunRequest, interrupted: InterruptedRun, *, accepted: bool, as_json: bool
 ) -> None:
-    """Finish the looks, compute and leave the files; a finished calibration is shown.
+    """Finish the looks, compute and write the files; only show a finished calibration.
 
     Raises the errors of `resume`, and those of the calibration itself.
     """
@@ -139,7 +139,7 @@ def check_calibration(
     *,
     as_json: bool,
 ) -> None:
-    """Measure, then leave and show the figures that `judge` returns, also if its verdict raises."""
+    """Measure, then write and show the figures from `judge`, even if its verdict raises."""
     found: list[F] = []
 
     def conclude(case: Case) -> None:

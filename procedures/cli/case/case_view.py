@@ -1,4 +1,4 @@
-"""A case as a person follows it: the outcome of each step, and the present state, from its events."""
+"""View of a case for a person: step outcomes and present state, from its events."""
 
 from __future__ import annotations
 
@@ -36,13 +36,13 @@ LAST_ERRORS = 2
 ACKNOWLEDGED = "acknowledged"  # an entry of the journal
 MARKS = {"done": ("✓", "green"), "superseded": ("~", "yellow")}
 FAILED = ("✗", "red")
-ENDING_S = 2.0  # host time to show the last of it
+ENDING_S = 2.0  # host time to show the last events
 Show = Callable[[Sequence[Event]], None]
 
 
 @dataclass(frozen=True)
 class Entry:
-    """One line that a person reads afterwards."""
+    """One line of a case's history."""
 
     mark: str
     style: str
@@ -84,12 +84,12 @@ def done_or_note(event: Event) -> str | None:
 
 
 def in_words(case: CaseState) -> str:
-    """Return a state and its reason; the failed step has already given the reason of a held case."""
+    """Describe a state and its reason, except for a held case: its failed step gave the reason."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
 def describe_loss(lost: SignalsLost) -> str:
-    """Return how many signals a follower missed."""
+    """Describe how many signals a follower missed."""
     return f"{lost.count} poses and other signals are not in the file of events; no fact is missing"
 
 
@@ -98,14 +98,14 @@ class CaseView:
 
     def __init__(self) -> None:
         self.state = "starting"
-        self._step = ""  # that began last
+        self._step = ""  # the one that began last
         self._lost = ""
         self.share = 0.0
         self.doing = ""
         self._devices: dict[str, DeviceState] = {}
         self._ages_s: dict[str, float] = {}
         self._journal: deque[str] = deque(maxlen=LAST_LINES)
-        self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step, and what was wrong with it
+        self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step and error text
 
     def take_in(self, event: Event) -> None:
         """Update the view by an event."""

@@ -115,7 +115,7 @@ def _repeat(engine: Engine, key: StepKey, say: Say) -> None:
 
 
 def why_not_skipped(engine: Engine, step: str) -> str:
-    """Return why no step can be skipped, in the words for this one. Raises PRO-005 for an unknown step."""
+    """Explain why this step cannot be skipped. Raises PRO-005 for an unknown step."""
     key = _step_named_or_next(engine, step or None)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]

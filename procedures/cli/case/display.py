@@ -50,7 +50,7 @@ class Interrupts:
     def __init__(self) -> None:
         self._engine: Engine | None = None
         self._count = 0
-        self._at_question: int | None = None  # how often since a question stands
+        self._at_question: int | None = None  # interrupts at the open question, if any
         self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
@@ -61,7 +61,7 @@ class Interrupts:
     def asking(self) -> Iterator[WritePrompt]:
         """Let Ctrl-C show the prompt again while a question is open, and end the command the second time.
 
-        Nothing moves meanwhile. A terminal throws away what it has not yet shown when Ctrl-C is typed.
+        Nothing moves meanwhile. On Ctrl-C a terminal discards output that it has not shown yet.
         """
         self._at_question, self._prompt = 0, ""
         try:
@@ -94,7 +94,7 @@ class Interrupts:
 
 @contextlib.contextmanager
 def pause_on_interrupt() -> Iterator[Interrupts]:
-    """Let Ctrl-C ask for a pause while the block runs, if a person sits at a terminal."""
+    """Request a pause on Ctrl-C while the block runs, if a person sits at a terminal."""
     interrupts = Interrupts()
     if not (on_terminal(sys.stdin) and on_terminal(sys.stderr)):
         yield interrupts
@@ -161,7 +161,7 @@ def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
 
 
 def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
-    """Write one line for each event that a person reads afterwards."""
+    """Write one line for each finished step, voided result and finding."""
     for event in events:
         if (line := done_or_note(event)) is not None:
             write(line)
@@ -211,7 +211,7 @@ def _show_table(outcome: FinishedRun) -> None:
 def follow_case(
     request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
-    """Run a case in a new folder in `out` and show it; with JSON one object, however it ended."""
+    """Run a case in a new folder of `out` and show it; with JSON, print one object however it ends."""
     check_case(request)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.config is not None
@@ -227,7 +227,7 @@ def follow(
     as_json: bool,
     waits: bool,
 ) -> None:
-    """Show a case while it runs and its outcome, and leave its report.
+    """Show a case while it runs, then its outcome, and write its report.
 
     With a console that `waits`, nothing is done until someone has taken the operator's seat.
     """

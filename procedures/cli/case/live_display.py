@@ -22,7 +22,7 @@ class LiveDisplay:
     """Shows events; `shown` keeps it on the terminal, `hidden` takes it away while something else writes."""
 
     def __init__(self, console: Console, *, errors: bool) -> None:
-        """With `errors` it shows them; otherwise the operator of the case is told, with the way on."""
+        """With `errors`, show them; otherwise the operator of the case gets them, with advice."""
         self.view = CaseView()
         self._errors = errors
         self._console = console
@@ -36,15 +36,15 @@ class LiveDisplay:
         self._live = self._picture()
 
     def _picture(self) -> Live:
-        """Make a picture that is not on the terminal yet; an old one would hide what was written since."""
+        """Build a picture that is not on the terminal yet; a reused one would hide later output."""
         return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
-        """Show what is done before there is a case."""
+        """Show the progress before the case exists."""
         self._bar.update(self._task, description=printable(text))
 
     def tell(self, text: str) -> None:
-        """Print one line that stays as it is: it may be copied."""
+        """Print one line without wrapping or markup, so that it can be copied."""
         self._console.print(printable(text), soft_wrap=True, markup=False, highlight=False)
 
     def show(self, events: Sequence[Event]) -> None:

@@ -25,18 +25,18 @@ if TYPE_CHECKING:
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
 MEANS = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
 WritePrompt = Callable[[str], None]  # a prompt
-Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question stands
+Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
 AGAIN = "again"
 CONTROL = "RONNA_CONTROL"  # in the environment: the control port, for commands that are given none
 UNIT = "mm"  # of every reading; it may be typed with the number
 SMALL_MM = 0.01  # as a dial shows it
-MOST_MISREAD = 3  # wrong values, after which nobody is taken to have read the right one
+MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 class Alarms:
     """Devices in fault, as last seen, for a person at a question or prompt. Asks no device.
 
-    An answer may rely on an arm that moves.
+    A person may answer in the belief that the arm can move.
     """
 
     def __init__(self, means: str = MEANS) -> None:
@@ -57,7 +57,7 @@ class Alarms:
         """Return one line for each device in fault that this question has not shown yet."""
         faults = self._faults()
         lines = [f"{what}. {self._means}" for role, what in faults.items() if role not in self._reported]
-        self._reported = set(faults)  # one that comes again is shown again
+        self._reported = set(faults)  # a recurring fault is shown again
         return lines
 
     @property
@@ -131,9 +131,9 @@ class TerminalOperator:
         self._alarms = Alarms() if alarms is None else alarms
 
     def ask(self, question: Question) -> Answer:
-        """Show the value and wait for one of the answers, typed whole; other input is asked again.
+        """Show the value and wait for one of the answers, typed in full; repeat after other input.
 
-        The answer that goes on counts only with the value to be read back, within the same time.
+        The first answer counts only with the value to be read back, within the same time limit.
         """
         silence = Answer(question.silence)
         if not sys.stdin.isatty():
@@ -216,7 +216,7 @@ class TerminalRoom:
 
 
 def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """Return the typed readings; several are shown back before they count. Empty if nobody reads."""
+    """Return the typed readings, confirmed if there are several; empty if nobody reads."""
     while True:
         readings: list[float] = []
         for what in task.reads:
@@ -241,7 +241,7 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
 def _read_plausible_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
-    """Return a plausible number; others are asked again. None if nobody reads it or the terminal ends.
+    """Read a number until it is plausible; None if nobody reads it or the terminal ends.
 
     `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
@@ -278,7 +278,7 @@ def _emphasize_read_back(question: Question) -> str:
 def _read_typed(
     write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False
 ) -> str:
-    """Return typed input without surrounding space; a blank line is asked again.
+    """Read typed input without surrounding space; repeat after a blank line.
 
     Empty if time is out or the terminal is gone. Input typed before the question, or before a device was
     reported in fault, is discarded, unless it may be typed `ahead`.

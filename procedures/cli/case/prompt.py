@@ -42,7 +42,7 @@ AT_PAUSE_CHOICES = " | ".join(
         *(f"{name} {rule.argument}".strip() for name, rule in AT_PAUSE.items() if name not in ENDING_PAUSE),
     )
 )
-MEANT = {"exit": "quit", "continue": "resume"}  # else the nearest might move the arm
+MEANT = {"exit": "quit", "continue": "resume"}  # without these the nearest match might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
@@ -63,7 +63,7 @@ class Prompt:
         """`words` is shown on a terminal; `after` is called when a command is done.
 
         `meanwhile` returns when something can be read; until then the case may be operated from elsewhere.
-        `piped` is where the lines come from that are not typed at a terminal.
+        `piped` supplies the lines when the input is not a terminal.
         With `resumes`, `resume` leaves the prompt and the case continues.
         """
         self._resumes = resumes
@@ -86,8 +86,8 @@ class Prompt:
     def follow(self, engine: Engine) -> bool:
         """Carry out commands until `quit` or the end of the input; return whether the case goes on.
 
-        Failures are shown and leave the case held. With `resumes`, a case that has finished goes on: nobody
-        needs to be asked any more. Raises what ended the case.
+        Failures are shown and leave the case held. With `resumes`, a finished case goes on without further
+        commands. Raises the error that ended the case.
         """
         self.attach(engine)
         while (line := self._command(engine)) is not None:
@@ -140,7 +140,7 @@ class Prompt:
 
     def _unknown(self, name: str, argument: str, known: Iterable[str], choices: str) -> str:
         """Return the reply to an unknown word."""
-        if name == "skip" and self._engine is not None:  # is often expected: every result is needed later
+        if name == "skip" and self._engine is not None:  # often expected, but every result is needed later
             try:
                 return f"there is no command 'skip': {why_not_skipped(self._engine, argument)}"
             except RonnaError as mistake:
@@ -178,7 +178,7 @@ class Prompt:
         for fault in faults.values():
             if fault not in str(error):
                 self._say(fault)
-        self._alarms.new()  # are said with this
+        self._alarms.new()  # shown here already
         self._say(f"{HELD}; {self._way_on}")
 
     @property

@@ -22,7 +22,7 @@ from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, ToolRecord
 
-SOON = timedelta(days=3)  # before it expires a record is worth a word
+SOON = timedelta(days=3)  # before its expiry a record is mentioned
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
@@ -59,7 +59,7 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
 
 
 def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Return the errors of arm and tool frame behind predictions, and why they are larger than stated."""
+    """Report the arm and tool frame errors behind predictions, and why they exceed the stated ones."""
     if theatre.calibration is None:
         return
     settings, arm = theatre.procedure, theatre.calibration.arm

@@ -1,4 +1,4 @@
-"""Inspection of each device for all that a case needs, while the driver's probe has it connected.
+"""Inspection of each device for the needs of a case, while its driver's probe holds the connection.
 
 The facts come through the typed interfaces of the devices, so they are the same for every driver. Nothing
 moves: an arm is configured, which takes its port, and never activated.
@@ -45,7 +45,7 @@ def camera_endpoint(device: DeviceConfig, side: str) -> str:
 def advise_on_serials(
     found: Sequence[Diagnostic], device: DeviceConfig, head: StereoHeadCalibration
 ) -> tuple[Diagnostic, ...]:
-    """The findings at the cameras; a refused one gets the verdict on the serial number of its side.
+    """Advise on refused cameras by the serial number of their side.
 
     The refusal of the whole pair repeats the advice of its first refused camera, if there is one.
     """
@@ -80,7 +80,7 @@ def _verdict(
     device: DeviceConfig,
     head: StereoHeadCalibration,
 ) -> str:
-    """State what is wrong with the camera of a side; empty if nothing is, or the driver says where it is."""
+    """Describe the fault of a side's camera; empty if there is none, or if the driver locates it."""
     there = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
     configured = str(device.options.get(f"{side}_serial") or recorded[side])
@@ -119,7 +119,7 @@ def _differ_by_a_typing_error(one: str, other: str) -> bool:
 
 
 def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], Iterator[Diagnostic]]:
-    """How the device of that table is looked at; its refusals become diagnostics, one by one."""
+    """Return the inspection of that table's device; each refusal becomes a diagnostic."""
     calibrations, driver = theatre.calibration, theatre.devices[name].driver
 
     def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
@@ -184,7 +184,7 @@ def _check_records(
 
 
 def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Tools and spheres in sight now, after the unit has let its poses out."""
+    """Diagnose which tools and spheres are in sight now."""
     try:
         with tracker.active():
             frames = [tracker.read_frame() for _ in range(FRAMES_LOOKED_AT)]

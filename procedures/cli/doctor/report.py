@@ -72,7 +72,7 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All diagnostics in the order in which they are shown: first what nobody may miss."""
+        """All diagnostics in the order of display: an instrument in the head comes first."""
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 

@@ -34,7 +34,7 @@ NO_RECORDS = (
     "No case and no calibration starts without these records. Enter each from the drawing of your "
     "mount, created and expiring on the date of the drawing, then measure: "
 )
-TOOLS = "tools"  # option of a tracker: definitions of what it is to see
+TOOLS = "tools"  # option of a tracker: definitions of the tools to see
 # Only in a simulated theatre may records last longer than a year: judged when the devices are known.
 ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 

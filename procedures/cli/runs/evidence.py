@@ -94,7 +94,7 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
 
     Raises PRO-024, and PRO-025 for records that are not confirmed.
     """
-    # Of readings that were edited a replay tells more: which results they change.
+    # For edited readings a replay tells more: which results they change.
     run = run_of(inspected(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
     given = _default_to_recorded_set_up(run, _replay_input(run_folder, answers))

@@ -169,7 +169,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 def _require_own_fault(theatre: Path, run: Path | None) -> None:
     """Raise PRO-044 if another run that can be resumed had the devices last.
 
-    Only its own journal can say that what it localized before the fault is in doubt.
+    Only that run's journal can put its earlier localizations in doubt.
     """
     if (last := resumable_run(theatre, run)) is not None:
         raise FaultOfRun(
@@ -199,7 +199,7 @@ def _recover_all(
 ) -> None:
     """Connect to every device, which moves nothing, and recover faults seen then or once configured.
 
-    A device that does not respond keeps no other from being recovered; its error is raised at the end.
+    A device that does not respond does not block the others; its error is raised at the end.
     """
     problems: dict[str, RonnaError] = {}
     for name, device in devices.items():

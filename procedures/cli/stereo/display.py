@@ -32,7 +32,7 @@ def print_check(figures: HeadCheckFigures) -> None:
 def show_look(seen: Look, *, as_json: bool) -> BallFigures:
     """Print the ball in both images and in the tool frame; return the figures.
 
-    Raises the error that kept the look from giving a point.
+    Raises the look's error if it has no point.
     """
     point = seen.point
     if seen.left is None or seen.right is None:

@@ -88,7 +88,7 @@ def _numbers(where: str, line: str) -> tuple[str, list[float]]:
 def record_of(
     config: Path, given: dict[str, Any], name: str, readings: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return a record as the file holds it, with its flange and tip, and the tables that it has no longer.
+    """Return a record in the form of the file, with flange and tip, and the tables that it lost.
 
     `readings` are those of its gauge.
 

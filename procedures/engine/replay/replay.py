@@ -164,7 +164,7 @@ class _Replay:
         self._answers = answers
         self._operator = RecordedOperator()
         self._room = RecordedRoom()
-        self._uncomputed = Verdict.DIFFERENT  # what was said of the last step that could not be computed
+        self._uncomputed = Verdict.DIFFERENT  # verdict on the last step that could not be computed
         clock = RecordedClock(answers)
         self._theatre = theatre = Theatre(given.theatre, clock, make)
         journal = Journal(folder)
@@ -193,7 +193,7 @@ class _Replay:
         self._engine.compare_place = lambda: None  # what was measured between steps is in the journal
 
     def run(self) -> Iterator[ReplayedRecord]:
-        """Everything that began in the run, one after the other."""
+        """Replay every section of the run in order."""
         records = {record.identifier: record for record in self._run.records}
         for begin, line, following in self._sections():
             self._answers.begin(begin)
@@ -233,20 +233,20 @@ class _Replay:
         except NotRecorded as error:
             self._uncomputed = Verdict.NOT_RECORDED
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (error.summary,))
-        except Exception as error:  # whatever a step makes of other numbers than it met
+        except Exception as error:  # other numbers may fail anywhere in a step
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
         return compared(step, recorded, again)
 
     def _rest(self) -> None:
-        """Every device that was opened as it is when just configured; the next motion is a first one."""
+        """Reset every opened device to configured; the next motion is a first one."""
         for device in self._theatre.devices.values():
             if device.state is not Lifecycle.DISCONNECTED:
                 device.recover("")
         self._engine.setting.workcell.stop()
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
-        """Each line that something begins with, after its number, and the lines up to the next such one."""
+        """Yield number and first line of each section, and the lines up to the next section."""
         lines = self._run.journal
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
