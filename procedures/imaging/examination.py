@@ -88,8 +88,8 @@ class Sphere:
     `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the surface
     too close to metal to be used. `stretch` is None if too little of the surface shows to determine it from
     the voxels. `cleaned` is the region without its streaks, if they had to be removed; `edge` is then the
-    edge in it. `evident` streaks also show away from the edge and may excuse its shape. `contrast_hu` is the
-    detector's. A `picked` sphere counts as a marker despite its doubts.
+    edge in it. `evident` says that streaks also show away from the edge; they may excuse its shape.
+    `contrast_hu` is the detector's. A `picked` sphere counts as a marker despite its doubts.
     """
 
     edge: RadialEdge

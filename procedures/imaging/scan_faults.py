@@ -38,7 +38,7 @@ BACKWARDS = -0.7  # correlation of a change with those around it: slices that re
 THICKEST_MM = 3.0  # between thicker slices a head changes too much
 AROUND = 6  # slices: three changes in a row, with one between them and those compared
 
-# What shows without motion is on the reference page of scanner faults. A move of 1 mm costs 0.8 mm rms at the
+# Values without motion are on the reference page of scanner faults. A move of 1 mm costs 0.8 mm rms at the
 # markers, and 0.3 mm after a rigid fit.
 WARNED_MM, REFUSED_MM = 0.4, 1.0
 

@@ -85,7 +85,7 @@ class Volume:
 
     `voxels` is int16 HU, shape (slices, rows, columns), read-only. `patient_position` is the scanner's code
     for the patient's position (`HFS` is head first, supine), empty if not stated. `warnings` are sentences
-    for the user on what limits the accuracy. Raises CT-022 for other voxels.
+    for the user on limits of the accuracy. Raises CT-022 for other voxels.
     """
 
     voxels: NDArray[np.int16]

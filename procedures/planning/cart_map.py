@@ -63,7 +63,7 @@ class PlaceMap:
         return inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """The position farthest from any that does not serve, and its tolerance in mm; or None."""
+        """Return the position farthest from any that does not serve, and its tolerance in mm; or None."""
         if not self.allowed.any():
             return None
         # nothing is known beyond the map
@@ -160,7 +160,7 @@ def _middles(i: int, j: int, size: int) -> list[Node]:
 
 @contextmanager
 def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
-    """Judges many positions at once; with `workers` 1 in this process, None uses every processor.
+    """Provide a judge of many positions; `workers` 1 uses this process, None every processor.
 
     Raises PRC-001 when the processes halt.
     """
@@ -200,7 +200,7 @@ class PlaceProposal:
         return self.places.verdicts[(0, 0)]
 
     def as_payload(self) -> dict[str, Any]:
-        """Plain values for a file or a script; rows of the map run along x, starting from the lowest y."""
+        """Return plain values for a file or a script; rows of the map run along x, from the lowest y."""
         places = self.places
         return {
             "best_mm": [self.best.x_mm, self.best.y_mm],
@@ -225,7 +225,7 @@ class PlaceProposal:
 
 
 def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
-    """The best position. Raises PLAN-020 when none serves."""
+    """Propose the best position. Raises PLAN-020 when none serves."""
     found = places.best()
     if found is None:
         why = Counter(one.reason for one in places.verdicts.values() if one.reason)
@@ -257,7 +257,7 @@ def _neighbours(best: CartMove, way_mm: float, way: tuple[float, float], turn_de
 
 
 def place_picture(found: PlaceProposal, case: CartCase) -> bytes:
-    """An SVG: the reachable area, the assumed position, the best one and its tolerance."""
+    """Draw an SVG: the reachable area, the assumed position, the best one and its tolerance."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

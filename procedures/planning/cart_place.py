@@ -1,4 +1,4 @@
-"""Judgement of one cart position, as by the path check: can the whole procedure be done from there?"""
+"""Judge one cart position as the path check does: can the whole procedure be done from there?"""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class CartMove:
     turn_rad: float = 0.0
 
     def seen_from_cart(self, in_robot: RigidTransform) -> RigidTransform:
-        """A pose in the assumed $ROBROOT, transformed to that of the moved cart."""
+        """Transform a pose from the assumed $ROBROOT to that of the moved cart."""
         moved = RigidTransform.from_components(
             [self.x_mm, self.y_mm, 0.0], Rotation.from_rotvec([0.0, 0.0, self.turn_rad])
         )
@@ -75,7 +75,7 @@ class CartCase:
 
     Fiducials (n, 3) are in CT mm; `robot_from_tracker` is the tracker's pose, None if it does not matter, and
     `stereo_from_marker` that of the frame on the arm.
-    Whatever the cell describes in the robot frame is assumed to move with the cart.
+    Bodies that the cell describes in the robot frame are assumed to move with the cart.
     """
 
     setting: ArmSetting
@@ -105,7 +105,7 @@ class CartCase:
         return _verdict(turned.check, dict(turned.turns_rad))
 
     def setting_at(self, move: CartMove) -> ArmSetting:
-        """The arm relative to the head, from this position."""
+        """Return the arm relative to the head, from this position."""
         pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 
@@ -125,7 +125,7 @@ class CartCase:
         return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
-        """First axis with a pose that no branch reaches at any turn; cheap, hence before the search."""
+        """Find the first axis with an unreachable pose at every turn; cheap, hence before the search."""
         own = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(own)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
@@ -163,7 +163,7 @@ class CartCase:
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
     def _unseen_by_tracker(self, setting: ArmSetting, move: CartMove) -> str:
-        """Frame or spheres that the tracker cannot see with the arm at home; empty if none."""
+        """Describe frame or spheres that the tracker cannot see with the arm at home; empty if none."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene

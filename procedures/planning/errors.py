@@ -246,5 +246,5 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
 
 
 def brief(finding: RonnaError, with_code: bool) -> str:
-    """Summary of a finding with its values, without the advice."""
+    """Summarize a finding with its values, without the advice."""
     return f"{finding.code} {finding.summary}" if with_code else finding.summary

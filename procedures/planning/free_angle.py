@@ -6,8 +6,8 @@ The choice is a result, not a change of the plan: entry, target and axis stay as
 other strategies may.
 
 Near the wrist's singularity, small pose errors become large turns of two joints, and the effect of joint
-errors on the tool varies from pose to pose. Registration removes what localizations and target have in
-common, so the wrist should have the same configuration at both.
+errors on the tool varies from pose to pose. Registration removes errors common to localizations and
+target, so the wrist should have the same configuration at both.
 """
 
 from __future__ import annotations
@@ -53,7 +53,7 @@ def choose_free_angles(
 ) -> TurnedPaths:
     """Find an angle for each axis at which everything is visible and one branch reaches everything.
 
-    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState.good`) is
+    Trajectories and fiducials (n, 3) are in CT mm. A turn with a good wrist (see `WristState`) is
     preferred to one that merely passes. If there is none, `check` lists what fails at the planned angles, or
     at the nearest ones with visibility.
     """
@@ -93,7 +93,7 @@ def choose_free_angles(
 
 @dataclass(frozen=True, eq=False)
 class _Search:
-    """The search for turns that serve, with what it keeps constant; fiducials (n, 3) in CT mm."""
+    """Search for turns that serve, with its constant inputs; fiducials (n, 3) in CT mm."""
 
     setting: ArmSetting
     fiducials_mm: Array
@@ -102,7 +102,7 @@ class _Search:
     def in_branch(
         self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
     ) -> TurnedPaths | None:
-        """The best turns in this branch, one axis after the other; None if it cannot serve."""
+        """Find the best turns in this branch, one axis after the other; None if it cannot serve."""
         ranked = {name: self._searched(axes.only(name), turns, branch) for name, turns in options.items()}
         chosen: dict[str, float] = {}
         for name, turns in ranked.items():
@@ -124,7 +124,7 @@ class _Search:
                 chosen[name] = other
 
     def _searched(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
-        """The turns that serve in this branch, then smaller steps next to those that nearly do."""
+        """Yield the turns that serve in this branch, then smaller steps next to near misses."""
         nearly = yield from self._ranked(axis, turns, branch)
         between = (
             turn for turn in intermediate_turns_rad(nearly) if not self.hidden(_turn(axis, turn), branch)
@@ -134,7 +134,7 @@ class _Search:
     def _ranked(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
-        """The turns that serve in this branch: those with a good wrist in order, then the others, best first.
+        """Yield the turns that serve in this branch: good wrists in order, then the others, best first.
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
@@ -156,7 +156,7 @@ class _Search:
         return nearly
 
     def seen_along(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
-        """Turns in which every sphere is visible, by axis and in the strategy's order.
+        """Find turns in which every sphere is visible, by axis and in the strategy's order.
 
         Usually the first will do, and checking the others takes most of the time: each is computed on demand.
         """
@@ -227,7 +227,7 @@ def alternatives(
     sight: StereoSight,
     tried: Collection[str] = (),
 ) -> tuple[Strategy, ...]:
-    """Strategies with which this trajectory alone is visible, reachable and clear, best first.
+    """Find strategies that make this trajectory alone visible, reachable and clear, best first.
 
     The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
@@ -245,7 +245,7 @@ def alternatives(
 
 
 def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
-    """The trajectories that a check does not reach, with the first reason for each.
+    """Find the trajectories that a check does not reach, with the first reason for each.
 
     A failure that belongs to none of them, such as in a neutral orientation, applies to all.
     """
@@ -260,7 +260,7 @@ def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str,
 
 
 def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Advice naming strategies that would serve, by trajectory; None, for the usual advice, if none would."""
+    """Name the strategies that would serve, by trajectory; None, for the usual advice, without any."""
     reaching = [
         f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
     ]

@@ -29,13 +29,13 @@ SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard 
 
 
 def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
-    """The trajectory with the position on it of the tip frame of the held guide."""
+    """Add the position of the held guide's tip frame to a trajectory."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
     return planned.trajectory.held(beyond_mm, plan.standoff_mm)
 
 
 def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
-    """Trajectories of a plan with the positions of the held guide."""
+    """Add the positions of the held guide to all trajectories of a plan."""
     return tuple(held_trajectory(plan, one, bore) for one in plan.trajectories)
 
 
@@ -45,7 +45,7 @@ def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> fl
 
 
 def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """Trajectories whose depth stop would be beyond the instrument's end, with its position."""
+    """Find trajectories whose depth stop would be beyond the instrument's end, with its position."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:

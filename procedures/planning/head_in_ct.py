@@ -56,7 +56,7 @@ class HeadEllipsoid(Strict):
     semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
 
     def side_of(self, entry_mm: Numbers3, target_mm: Numbers3) -> str:
-        """The patient's side of a trajectory in this head: `right`, or `left to right` if it crosses over."""
+        """Name the patient's side of a trajectory: `right`, or `left to right` if it crosses over."""
         return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
 
     def _side(self, x_mm: float) -> str:
@@ -67,7 +67,7 @@ class HeadEllipsoid(Strict):
 
 
 def head_shape(volume: Volume) -> HeadEllipsoid:
-    """The smallest ellipsoid along the CT's axes that contains the whole head. Raises PLAN-014.
+    """Fit the smallest ellipsoid along the CT's axes around the whole head. Raises PLAN-014.
 
     A head cut off by the CT is used as far as the CT shows it.
     """
@@ -134,7 +134,7 @@ def _three(values: Any) -> Numbers3:
 
 
 def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[NotIntoHead | None, str]:
-    """Finding that refuses the trajectory, or None, and a warning, or ''. Both points must be in the CT.
+    """Return a finding against the trajectory, or None, and a warning, or ''. Both points must be in the CT.
 
     Anything beyond the CT is unknown and refuses nothing; a line before the entry that is entirely outside it
     is a warning, as is an entry out in the air.
@@ -171,7 +171,7 @@ def _entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[s
 
 
 def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
-    """Warning of an entry farther in front of the skin than `OFF_SKIN_MM`, or ''."""
+    """Warn of an entry farther in front of the skin than `OFF_SKIN_MM`; else return ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
     off_mm = _first_run_mm(steps, sample_hu(volume, places) >= AIR_BELOW_HU, SKIN_RUN_MM)
@@ -186,7 +186,7 @@ def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
 def standoff_in_skin(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
-    """Finding that a guide held this far before the entry would end inside the skin, or None.
+    """Return a finding if a guide held this far before the entry would end inside the skin.
 
     Unknown if the CT ends before the skin does.
     """

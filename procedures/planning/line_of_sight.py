@@ -49,7 +49,7 @@ class StereoSight:
         return cls(_centre(calibration.left), _centre(calibration.right))
 
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
-        """Localizations in which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
+        """Find localizations in which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
 
         Row k of the spheres is the one measured by a visit with `fiducial` k.
         """
@@ -109,7 +109,7 @@ class TrackerSight:
 def frame_unseen(
     robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
 ) -> str:
-    """Why the tracker cannot see the frame on the arm, which faces along its z axis; empty if it may."""
+    """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if it may."""
     marker = robot_from_tracker.inverse() @ robot_from_marker
     x_mm, y_mm, z_mm = marker.translation_mm.tolist()
     depths_mm, *halves_mm = np.transpose(VOLUME_MM)

@@ -99,7 +99,7 @@ def propose_markers(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> ProposedMarkers:
-    """Positions for `count` spheres with the least mean square error over the targets.
+    """Propose positions for `count` spheres with the least mean square error over the targets.
 
     On the skin shown by the CT, or on the ellipsoid without one; clear of the trajectories and of one
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
@@ -173,7 +173,7 @@ def propose_template(
     volume: Volume | None = None,
     seed: int = 0,
 ) -> MarkerTemplate:
-    """Positions for `markers` spheres (3 or 4) whose distances differ by at least `margin_mm`.
+    """Propose positions for `markers` spheres (3 or 4) whose distances differ by at least `margin_mm`.
 
     On the skin shown by the CT, or on the ellipsoid without one. Raises PLAN-015 with the
     largest margin found.
@@ -322,7 +322,7 @@ class _Head(Strict):
 
 
 def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
-    """The head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 if none of its targets is planned."""
+    """Read the head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 without a planned target."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
     except OSError as error:

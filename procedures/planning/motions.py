@@ -30,8 +30,8 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 class Motion:
     """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
 
-    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `clear` says that another sweep
-    covers it: the one that chose it, or that of the line it retraces (`back`).
+    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `clear` says that another
+    sweep covers it: the one that chose it, or that of the line it retraces (`back`).
     """
 
     start: str
@@ -71,7 +71,7 @@ def unclear(
     *,
     first_only: bool = False,
 ) -> tuple[Unmet, ...]:
-    """The motions of a procedure that are not clear, given that all its poses are reached; empty if all are.
+    """Find the motions of a procedure that are not clear, once all its poses are reached.
 
     With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
@@ -93,7 +93,7 @@ def unclear(
 
 
 def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """Reasons why home or gauge cannot be reached, whatever the trajectories' angles."""
+    """Find reasons why home or gauge cannot be reached at any angle of the trajectories."""
     for name, joints_rad in _fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
@@ -117,7 +117,7 @@ def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
 
 
 def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
-    """The motions of the tool check, from home and back."""
+    """Plan the motions of the tool check, from home and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
@@ -129,7 +129,7 @@ def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
 def previews_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
-    """Motions of the procedure in order, with previews."""
+    """Preview the motions of the procedure in order."""
     return tuple(_preview(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
 
 
@@ -143,7 +143,7 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
 def motions_of(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
-    """The motions from home through all visits and back home."""
+    """Plan the motions from home through all visits and back home."""
     by_name = {one.identifier: one for one in trajectories}
     here: tuple[str, JointVector] = (HOME, setting.start_rad)
     kind: VisitKind | None = None
@@ -193,7 +193,7 @@ def _to(
 
 
 def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """The line in reverse, with the same poses and speed limits."""
+    """Reverse the line, with the same poses and speed limits."""
     began = setting.kinematics.forward(line.start_rad)
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
 

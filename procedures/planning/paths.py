@@ -1,4 +1,4 @@
-"""Whether the arm can execute the whole procedure: every pose, approach and line in one branch.
+"""Check that the arm can execute the whole procedure: every pose, approach and line in one branch.
 
 Poses are checked in the order of the procedure: all localizations, then every target.
 """
@@ -59,7 +59,7 @@ def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> Path
 
 
 def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
-    """Branches in order of promise for these axes."""
+    """Order the branches by promise for these axes."""
     own = setting.kinematics.branch_of(setting.start_rad)
     try:
         visits = visits_of(setting, axes, fiducials_mm, own)
@@ -77,7 +77,7 @@ def drive(
     *,
     first_only: bool = False,
 ) -> PathCheck:
-    """Joints for every pose in order, in this branch, and what fails in it.
+    """Find the joints for every pose in order, in this branch, and its failures.
 
     Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
     stops at the first failure.
@@ -105,7 +105,7 @@ def drive(
 def _visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, unmet: list[Unmet]
 ) -> Iterator[Visit]:
-    """Visits in order; adds to `unmet` the axes for which the strategy finds no poses in this branch."""
+    """Yield visits in order; add to `unmet` the axes for which the strategy finds no poses in this branch."""
     for axis in axes.localized:
         try:
             yield from localizations_along(setting, axis, fiducials_mm, branch)
@@ -124,7 +124,7 @@ def _tool(setting: ArmSetting, visit: Visit) -> Transform:
 def rank_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
-    """Branches ordered by how many of the flange poses they reach; the start's own wins a tie.
+    """Order the branches by how many of the flange poses they reach; the start's own wins a tie.
 
     Among others that reach equally many, the one whose joints stay closest to the start comes first.
     """
@@ -150,7 +150,7 @@ def place(
     near_rad: JointVector,
     limits: MotionLimits,
 ) -> Reached:
-    """Joint angles in `branch` at both ends of the approach line, choosing turns nearest to `near_rad`.
+    """Solve for the joints in `branch` at both ends of the approach line, nearest to `near_rad`.
 
     Raises ARM-001 to ARM-005 when an end or a point of the line is not drivable
     within the arm's limits, or leaves no room for the joints to stand back before they settle there.

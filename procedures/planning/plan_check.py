@@ -308,7 +308,7 @@ def _unknown_tools(plan: Plan) -> list[RonnaError]:
 
 
 def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
-    """Trajectories whose depth stop does not fit on the instrument."""
+    """Find trajectories whose depth stop does not fit on the instrument."""
     return [
         StopBeyondInstrument(
             f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
@@ -320,7 +320,7 @@ def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
 
 
 def _points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
-    """Points outside the CT, beyond the outer faces of the outermost voxels."""
+    """Find points outside the CT, beyond the outer faces of the outermost voxels."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5
     for one in plan.trajectories:
@@ -354,7 +354,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
 
 
 def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
-    """Warnings of an ambiguous layout of fiducials (n, 3) in mm."""
+    """Warn of an ambiguous layout of fiducials (n, 3) in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)
         if smallest >= LEAST_SIDE_DIFFERENCE_MM:

@@ -1,4 +1,4 @@
-"""The plan file `plan.toml`: new, read, written and seal_plan. All mistakes in a file are reported at once.
+"""The plan file `plan.toml`: new, read, written and sealed. All mistakes in a file are reported at once.
 
 Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
 must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
@@ -50,9 +50,9 @@ if TYPE_CHECKING:
 LEAST_GAP_MM = 1.0  # between skin and guide; 0 is a guide that touches it
 LEAST_TARGET_MARGIN_MM = 0.05  # a third of the smallest predicted error
 UNSEALED = "0" * 64  # replaces a plan's digest while that is computed
-# What an item of a list is called, and the key with its name.
+# Noun for an item of a list, and the key of its name.
 NAMED = {"trajectories": ("trajectory", "id"), "structures": ("structure", "name")}
-# What plans of earlier versions lack, and what to write.
+# Keys that plans of earlier versions lack, with advice.
 ADDED = {
     "standoff_mm": "add `standoff_mm = 30.0`: from the entry to the lower end of the guide, outside the skin",
     "instrument_length_mm": "add `instrument_length_mm = 250.0`: its length from the tip to the end that "
@@ -88,7 +88,7 @@ def parse_plan_bytes(content: bytes, name: str) -> Plan:
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
     """Check the content of a plan. Raises PLAN-002, PLAN-004, PLAN-005, PLAN-023, listing every mistake.
 
-    Without `sealed_only`, a plan altered since it was seal_plan is still read, for viewing.
+    Without `sealed_only`, a plan altered since it was sealed is still read, for viewing.
     """
     if "theatre" in content and "trajectories" not in content:
         raise PlanUnreadable(f"{name} is a theatre file, not a plan", action="Give the path of a plan.toml.")
@@ -157,7 +157,7 @@ def _ids(content: dict[str, Any]) -> Counter[str]:
 
 
 def in_another_unit(plan: Plan) -> list[PlanMistakes]:
-    """Mistakes for values of a plan that are typical of another unit."""
+    """List values of a plan that are typical of another unit."""
     found = [
         PlanMistakes(
             f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
@@ -185,7 +185,7 @@ def in_another_unit(plan: Plan) -> list[PlanMistakes]:
 
 
 def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
-    """Mistakes for values of a structure that are typical of another unit."""
+    """List values of a structure that are typical of another unit."""
     found = []
     if structure.margin_mm < LEAST_MARGIN_MM:
         found.append(
@@ -220,7 +220,7 @@ def require_unaltered(plan: Plan, name: str) -> None:
 
 
 def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
-    """Finding that a seal_plan plan was made on other voxels, or None."""
+    """Return a finding if a sealed plan was made on other voxels, else None."""
     if plan.seal is None:
         return None
     digest = ct_digest(volume)
@@ -261,7 +261,7 @@ def _plan_digest(plan: Plan) -> str:
 def new_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """Text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
+    """Compose the text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
     return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

@@ -235,7 +235,7 @@ class Plan(Strict):
         return self.table_position or self.patient_orientation
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
-        """The trajectory with this id; raises KeyError."""
+        """Return the trajectory with this id; raises KeyError."""
         for one in self.trajectories:
             if one.id == identifier:
                 return one

@@ -31,20 +31,20 @@ class PlanningScene:
     head_reserve_mm: float = 0.0
 
     def with_reserve(self, reserve_mm: float) -> PlanningScene:
-        """This scene with additional clearance required while the stereo head is mounted."""
+        """Require additional clearance while the stereo head is mounted."""
         return replace(self, head_reserve_mm=reserve_mm)
 
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:
-        """The surroundings while spheres are localized, or a ball at the target of a trajectory."""
+        """Return the surroundings while spheres are localized, or a ball at the target of a trajectory."""
         around = self._around(self.surroundings.stereo_head, robot_from_ct, flange_from_tool, trajectory)
         return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
-        """The surroundings while the guide is mounted, with this trajectory's corridor into the head open."""
+        """Return the surroundings while the guide is mounted, with this trajectory's corridor open."""
         return self._around(self.surroundings.guide, robot_from_ct, flange_from_tool, trajectory)
 
     def _around(
@@ -72,7 +72,7 @@ class PlanningScene:
 
 
 def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
-    """Rods of the x-shaped frame, CT frame; none for free spheres. Raises REG-012 if it is not found."""
+    """Place the rods of the x-shaped frame in the CT; none for free spheres. Raises REG-012 if not found."""
     if fiducials is not FiducialKind.XFRAME:
         return ()
     place = find_layout(SPHERE_CENTRES_MM, spheres_ct_mm).scan_from_layout

@@ -41,7 +41,7 @@ MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its 
 class StructureDistance:
     """Least distance of a trajectory's axis from a structure, and the structure's nearest point.
 
-    What may be between the points is subtracted: half the widest gap, and the effect of thinning.
+    Half the widest gap between points, and the effect of thinning, are subtracted.
     """
 
     structure: str
@@ -92,7 +92,7 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
 
 
 def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
-    """A structure of any number of points (n, 3), thinned to as many as a plan stores.
+    """Build a structure from any number of points (n, 3), thinned to as many as a plan stores.
 
     All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
     that a plan does not accept.
@@ -120,7 +120,7 @@ def _left_out_mm(points: Array, kept: Array) -> float:
 def read_structure(
     content: bytes, file_name: str, name: str, margin_mm: float, geometry: VoxelGeometry
 ) -> Structure:
-    """The structure described by the content of a point file. Raises PLAN-006, PLAN-028.
+    """Read a structure from the content of a point file. Raises PLAN-006, PLAN-028.
 
     Also pydantic's ValidationError, for a name that a plan does not accept.
     """

@@ -46,7 +46,7 @@ USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 def predict_by_markers(
     markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
 ) -> TargetPrediction:
-    """Error at a target from CT and seating of the markers (n, 3), with covariances (n, 3, 3); CT frame."""
+    """Predict the error at a target from CT and seating of markers (n, 3), covariance (n, 3, 3); CT frame."""
     return predict_target_error(
         markers_mm, target_mm, [ct_errors(covariances_mm2), _seating(len(markers_mm), USUAL_SEATING_MM)]
     )
@@ -55,7 +55,7 @@ def predict_by_markers(
 def predict_with_arm(
     theatre: TheatreArm, plan: Plan, covariances_mm2: Array, check: PathCheck, identifier: str
 ) -> TargetPrediction:
-    """Error at a target including arm, tool frame, calibrations and instrument, for a passed check."""
+    """Predict the error at a target with arm, tool frame, calibrations and instrument, for a passed check."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
     looks, target = poses_for(setting, check, identifier)
@@ -75,7 +75,7 @@ def predict_with_arm(
 
 
 def poses_for(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
-    """The localizations that serve a target, and the target, from a passed check."""
+    """Select the localizations that serve a target, and the target, from a passed check."""
     target = next(
         one
         for one in check.reached
@@ -126,7 +126,7 @@ def _guide(
 def choose_best_strategies(
     setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, sight: StereoSight
 ) -> ArmSetting:
-    """The setting with the strategy `best` resolved for each trajectory; other strategies are unchanged.
+    """Resolve the strategy `best` for each trajectory; other strategies are unchanged.
 
     Trajectories and fiducials (n, 3) are in CT mm. Candidates must be visible, reachable and clear.
     """

@@ -48,7 +48,7 @@ class TheatreArm:
     at_target_mm: tuple[tuple[str, float], ...]  # stated by calibrations, 3-D rms, by source
 
     def in_its_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
-        """The arm with its surroundings and the head and markers of this CT. Raises PLAN-014."""
+        """Add the surroundings, and head and markers of this CT, to the arm. Raises PLAN-014."""
         try:
             frame = frame_bodies(fiducials, markers_mm)
         except LayoutNotFound:  # refused by the check itself

@@ -111,7 +111,7 @@ class PathCheck:
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
     def at(self, identifier: str) -> Reached:
-        """The visit with this identifier; raises KeyError."""
+        """Return the visit with this identifier; raises KeyError."""
         for one in self.reached:
             if one.visit.identifier == identifier:
                 return one
@@ -155,7 +155,7 @@ class ArmSetting:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def in_branch(self, branch: Branch) -> ArmInBranch:
-        """This arm in a branch, for strategies."""
+        """Return this arm in a branch, for strategies."""
         return ArmInBranch(
             self.kinematics,
             flange_from_guide=self.flange_from_tool,
@@ -178,7 +178,7 @@ class Axes:
 
     @classmethod
     def of(cls, setting: ArmSetting, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike) -> Self:
-        """Axes as chosen by the strategy, at the planned free angles."""
+        """Take the axes chosen by the strategy, at the planned free angles."""
         along = setting.strategy.localized_along(trajectories, fiducials_mm, setting.robot_from_ct)
         return cls(along, tuple(trajectories))
 
@@ -188,14 +188,14 @@ class Axes:
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
-        """The part of the procedure along one axis."""
+        """Return the part of the procedure along one axis."""
         return Axes(
             tuple(one for one in self.localized if one.identifier == identifier),
             tuple(one for one in self.targeted if one.identifier == identifier),
         )
 
     def turned(self, turns_rad: Mapping[str, float]) -> Axes:
-        """Each axis turned about itself by the angle under its name."""
+        """Turn each axis about itself by the angle under its name."""
 
         def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
             return tuple(
@@ -206,7 +206,7 @@ class Axes:
 
 
 def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
-    """Poses in the order of the procedure: localizations, then, after the tool change, targets.
+    """List poses in the order of the procedure: localizations, then, after the tool change, targets.
 
     Raises the strategy's errors when it finds no poses in this branch.
     """
@@ -219,7 +219,7 @@ def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: 
 def localizations_along(
     setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """Poses of all fiducials (n, 3) in CT mm along one axis. Raises like `visits_of`."""
+    """List the poses of all fiducials (n, 3) in CT mm along one axis. Raises like `visits_of`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)

@@ -1,4 +1,4 @@
-"""Compare the plan with what the postoperative CT shows, trajectory by trajectory.
+"""Compare the plan with the postoperative CT, trajectory by trajectory.
 
 Instruments and holes found near the trajectories are assigned to them, at most one each.
 """
@@ -152,7 +152,7 @@ def _candidates(
 
 
 def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
-    """The errors of an instrument or a hole against its planned trajectory."""
+    """Measure an instrument or a hole against its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
     at_target = point_mm
@@ -216,7 +216,7 @@ class Candidate:
 def assign(
     lines: Mapping[str, PlannedLine], candidates: Mapping[str, Sequence[Candidate]]
 ) -> tuple[dict[str, Candidate], dict[str, str]]:
-    """Assign candidates to trajectories by least total distance; also tell who took another's candidate.
+    """Assign candidates to trajectories by least total distance; also name the winner of a lost candidate.
 
     `lines` are the planned ones, `candidates` those found along each; both by name.
     """

@@ -42,9 +42,9 @@ HARMONICS = 8  # of the angle about the rod: up to so many bright rays
 COLUMNS = 2 * 2 * HARMONICS  # sine and cosine, constant and linear in the distance from the rod
 LEAST_VOXELS = 5 * COLUMNS  # to determine them
 LEAST_STEEP = 0.3  # sine of the angle between rod and slices: a flatter rod crosses too few
-PART_MM = 0.5  # beyond the slice itself, along the rod: so far metal is blurred into it
+PART_MM = 0.5  # reach of blurred metal beyond the slice itself, along the rod
 HALF_STRENGTH = 0.5
-ALONG_MM = 1.5  # by which the place that the streaks of a slice come from is uncertain, either way
+ALONG_MM = 1.5  # uncertainty of the origin of a slice's streaks along the rod, either way
 MOST_STRENGTH = 1.5
 REWEIGHTED = 3
 

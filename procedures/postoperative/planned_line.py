@@ -139,7 +139,7 @@ class ExpectedFit:
     radius_mm: tuple[float, float]
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """List why position and direction are unknown."""
+        """List reasons why position and direction are unknown."""
         why = []
         if not quality.whole:
             why.append("the CT ends there")
@@ -150,7 +150,7 @@ class ExpectedFit:
         return tuple(why)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
-        """List why they may be wrong."""
+        """List reasons why they may be wrong."""
         why = []
         if quality.residual_hu > self.residual_hu:
             why.append(

@@ -31,9 +31,7 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """Explain why this pose (3, 3) and (3,) is impossible for these paired points (k, 3); empty if
-        not.
-        """
+        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); empty without one."""
         ...
 
 

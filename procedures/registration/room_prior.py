@@ -102,7 +102,7 @@ class RoomPrior:
         return self.against_position(rotation, middle_mm) or seen
 
     def against_position(self, rotation: Array, middle_mm: Array) -> str:
-        """State evidence against how the patient would lie, from orientation and middle of the head."""
+        """State evidence against the patient's position, from orientation and middle of the head."""
         return self._against_gravity(rotation) or self._in_the_body(rotation, middle_mm)
 
     def _against_gravity(self, rotation: Array) -> str:

@@ -105,9 +105,7 @@ class _Readings:
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Return the outcomes of settled readings and of those with too few points; drop a point of the
-        others.
-        """
+        """Return outcomes of settled and of too small readings; drop a point of the others."""
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)

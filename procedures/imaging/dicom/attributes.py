@@ -20,7 +20,7 @@ LONGEST_VALUE = 65_536  # of an attribute other than pixels; none in use exceeds
 DEFLATED = b"1.2.840.10008.1.2.1.99"  # everything after the meta header is deflated (PS3.5 A.5)
 EXPLICIT = b"1.2.840.10008.1.2.1".ljust(len(DEFLATED), b"\0")  # the equivalent syntax once inflated
 
-LONGEST_SHOWN = 80  # characters of a value that is not as it should be
+LONGEST_SHOWN = 80  # characters quoted of an unusable value
 LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
 
 

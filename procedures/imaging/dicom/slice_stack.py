@@ -72,7 +72,7 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
 
 
 def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """List what limits the accuracy of localization, one sentence each; empty for a good protocol."""
+    """List the limits of localization accuracy, one sentence each; empty for a good protocol."""
     sentences = []
     spacing_mm = float(geometry.spacing_mm[0])
     thickness_mm = max((one.thickness_mm or 0.0 for one in slices), default=0.0)

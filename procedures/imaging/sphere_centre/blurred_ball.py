@@ -1,7 +1,7 @@
 """Second estimator of a sphere's centre: a blurred ball fitted to the voxels themselves.
 
 The parameters are the centre, both intensities, both blurs, the radius and the background. Voxels near metal
-are excluded. A robust fit, insensitive to post and skin, finds what does not belong to the ball; a fit with a
+are excluded. A robust fit, insensitive to post and skin, finds voxels foreign to the ball; a fit with a
 model of noise and streaks then makes full use of the rest.
 
 The noise spectrum is measured on the residuals of a fit with an unconstrained background bend. The size of

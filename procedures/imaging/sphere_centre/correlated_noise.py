@@ -121,8 +121,7 @@ class CorrelatedNoise:
 
     @classmethod
     def of_fit(cls, grid: VoxelGrid, pull: Array, taken: Spectrum, least: float) -> Self:
-        """Measure the noise on a fit's weighted residuals (n,); its derivatives have spectra `taken` (m,
-        ...).
+        """Measure the noise on a fit's weighted residuals (n,) and derivatives' spectra `taken`.
 
         No frequency counts as less noisy than `least`, relative to the variance.
         """

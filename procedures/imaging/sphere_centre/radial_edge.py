@@ -1,4 +1,4 @@
-"""First estimator of a sphere's centre: where rays from the centre cross the edge.
+"""First estimator of a sphere's centre: crossings of rays from the centre with its edge.
 
 Rays are cast in many directions. On each, the edge is where the intensity falls through the midpoint between
 polymer and surroundings. A sphere of free radius is fitted to the edge points with Cauchy weights, so that a

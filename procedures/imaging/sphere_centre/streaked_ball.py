@@ -307,7 +307,7 @@ def _floor_hu(region: Region) -> float | None:
 def _as_if_known(
     values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
-    """Values and weights (n,) that make least squares equivalent to censored regression (Fisher scoring)."""
+    """Return values and weights (n,) that make least squares a censored regression (Fisher scoring)."""
     working, known = values.copy(), np.ones(len(values))
     if floor_hu is None or not censored.any():
         return working, known
