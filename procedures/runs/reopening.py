@@ -1,4 +1,4 @@
-"""Reopening a run: its request, its folder held and made writable, and the end of one that only lacks it."""
+"""Reopening of a run: its request, the lock and repair of its folder, and a missing end."""
 
 from __future__ import annotations
 
@@ -143,7 +143,7 @@ def close_complete(
 
 
 def close_again(interrupted: InterruptedRun) -> InterruptedRun:
-    """Write the end of a closed but unsealed run again, naming the files that lie there unconfirmed."""
+    """Write the end of a closed but unsealed run again, with the names of its unconfirmed files."""
     last = interrupted.run.journal[-1]
     journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())
