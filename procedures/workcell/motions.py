@@ -73,7 +73,7 @@ class MotionFacts:
         return self.in_words(", ", self.near())
 
     def in_words(self, apart: str, near: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after `apart`, the rest with the clearances `near`."""
+        """State the moving tool and its travel, then, after `apart`, the rest with the distances `near`."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
