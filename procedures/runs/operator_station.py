@@ -402,7 +402,7 @@ class OperatorStation:
             return self._pending is not None and self._pending.aborts
 
     def is_occupied_since(self, vacated: int) -> bool:
-        """Whether somebody is in the seat, and it has become free no more often than `vacated` times."""
+        """Whether somebody is in the seat, and it became free no more than `vacated` times."""
         with self._changed:
             self._notice_lapse()
             return bool(self._seat.holder) and self._vacated == vacated

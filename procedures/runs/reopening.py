@@ -31,7 +31,7 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 def read_reopened_request(
     folder: Path, *, accept: bool = False, answers: Path | None = None, as_before: bool = False
 ) -> RunRequest:
-    """Read the request of a run, with that file of answers; without one with the run's own, if `as_before`.
+    """Read the request of a run with these answers; without any, with the run's own if `as_before`.
 
     Raises CLI-001, CFG-001, PRO-026, 031 and 034.
     """

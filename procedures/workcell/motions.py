@@ -23,7 +23,7 @@ from ronna_hw.vectors import JointVector
 class PlannedMotion:
     """One motion of the workcell from the arm's present position: legs in turn, all but the last joint moves.
 
-    If its first leg is not clear, the motions of `otherwise` replace it, if there are any. They are separate
+    If its first leg is not clear, any motions of `otherwise` replace it. They are separate
     motions, so that the journal has the arm's actual way.
     """
 
@@ -73,7 +73,7 @@ class MotionFacts:
         return self.in_words(", ", self.near())
 
     def in_words(self, apart: str, near: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after `apart`, the rest with the distances `near`."""
+        """State the moving tool and its travel, then, after `apart`, the rest with `near`."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)

@@ -128,7 +128,7 @@ def arm_covariance_mm2(arm_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide at a target: rotation robot <- tool, joints and tip (3,) mm, after the head `turned` (3, 3)."""
+    """Guide at a target after `turned` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
 
     rotation: Array
     joints_rad: Numbers6
