@@ -8,8 +8,7 @@ A file of answers is a scripted operator, for rehearsals, tests and demonstratio
     "approach:T1" = "no"
 
 Without `default`, topics that are not listed are answered as without the file. On real devices a person
-answers what a slip must not: what moves the arm or lets a result count, a pause, what is read back, and what
-hands have done to the patient.
+answers what no slip may decide: motions, validity of results, pauses, read-back values, work on the patient.
 """
 
 from __future__ import annotations
@@ -96,14 +95,14 @@ def _mistake(key: str, word: str) -> str | None:
 class ScriptedOperator:
     """Gives the first answer to every question.
 
-    When a guard's question comes again after a wait, it is left: nobody is there to restore its condition.
+    A guard's question that comes again after a wait is left: nobody can restore its condition.
     """
 
     def __init__(self) -> None:
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> Answer:
-        """Return the first answer, or silence to a guard that was waited for in vain."""
+        """Return the first answer, or silence to a guard after a wait in vain."""
         if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:
@@ -113,15 +112,15 @@ class ScriptedOperator:
 
 
 class SilentOperator:
-    """Nobody: every question is met with silence, which never continues."""
+    """An operator who is silent on every question, which never continues."""
 
     def ask(self, question: Question) -> Answer:
-        """Return what silence means."""
+        """Return the answer that silence means."""
         return Answer(question.silence)
 
 
 class ByTopic:
-    """Has each topic answered by an operator of its own."""
+    """An operator with a separate operator for each topic."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators
@@ -132,7 +131,7 @@ class ByTopic:
 
 
 class AnsweringOperator:
-    """Answers from a file; `otherwise` answers the rest, and `person` what only a person may."""
+    """Answers from a file; `otherwise` answers the rest, and `person` the questions for a person."""
 
     def __init__(self, answers: Answers, otherwise: Operator, person: Operator | None = None) -> None:
         """Without a `person`, as in a simulated theatre, the file answers these questions as well."""
@@ -141,7 +140,7 @@ class AnsweringOperator:
         self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer in the file, or that of the operator who answers in its place."""
+        """Return the answer in the file, else that of the operator in its place."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)

@@ -63,7 +63,7 @@ def finished_figures(folder: Path) -> RecordFigures:
 def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
     """Write the theatre file `source` with new calibration records as `target`; comments stay.
 
-    A record that was not `measured` then but only moved keeps its dates from `source`. Records of tools stay
+    A record that was only moved, not `measured` then, keeps its dates from `source`. Records of tools stay
     as they are: a person must say that a tool's gauge still fits its new tip.
     """
     former = read_toml(source, BadTheatreFile).get("calibration", {})

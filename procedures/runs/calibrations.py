@@ -1,4 +1,4 @@
-"""Calibrations: what each kind observes, its computation, and the records and figures that it leaves."""
+"""Kinds of calibration: their observations, computations, records and figures."""
 
 from __future__ import annotations
 
@@ -67,9 +67,9 @@ MOUNT_THE_HEAD = "the guide is on the arm: mount the stereo head before the next
 class CalibrationKind(Generic[Looks, Result]):
     """One kind of calibration: its observations, its fit, and the records it stores.
 
-    The looks, and remarks that the operator should know, stand in the results of two of its steps. `records`
+    The looks, and remarks for the operator, stand in the results of two of its steps. `records`
     are fields of its result by their names in the theatre file; one that is None was not made. `in_use`
-    selects the records that its steps work with, given those of the theatre.
+    selects the records for its steps from those of the theatre.
 
     OUT/<name>-<id>/<looks file>    the observations, kept before anything is computed, for `--from`
     """

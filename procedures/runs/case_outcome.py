@@ -1,4 +1,4 @@
-"""A case run or resumed to its end, and its outcome, by its records and by the truth if there is one."""
+"""Run or resume a case to its end; its outcome by its records, and by the truth if there is one."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def run_case(
 def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
-    """Finish an interrupted case; one of which only the last line is missing needs no theatre."""
+    """Finish an interrupted case; if only its last line is missing, no theatre is needed."""
     from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_complete
@@ -62,7 +62,7 @@ def finish_case(
 
 
 def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:
-    """Return the outcome of a finished case from its folder, with the report that is there."""
+    """Return the outcome of a finished case from its folder, with its report if any."""
     from procedures.reporting.files import load_truth
     from ronna_hw.evidence.manifest import is_sealed
 

@@ -1,8 +1,8 @@
 """Comparison of a resumed run with its records: devices, calibrations, tool, CT, plan, patient, robot base.
 
-It connects and reads; nothing here can move the arm. The tracker measures the room again as a step does at
-rest: the spheres on the head as far as it sees them, and the robot's base by the reference frame on the arm,
-in poses with the orientation in which both were recorded.
+It connects and reads; nothing here can move the arm. The tracker measures the room again at rest: the visible
+spheres on the head, and the robot's base by the reference frame on the arm. The base is compared only in the
+recorded orientation of that frame.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""The console's process, fed with events and heard for orders. Whatever happens to it, the case continues."""
+"""Link to the console's process: events out, orders in. Whatever happens to it, the case continues."""
 
 from __future__ import annotations
 
@@ -87,7 +87,7 @@ class ConsoleLink:
     def await_ready(self) -> None:
         """Wait until the console is ready or has failed.
 
-        It starts alongside the theatre; a case that does not wait may be over before anybody can look at it.
+        It starts alongside the theatre. Without this wait, a short case may be over before anybody sees it.
         """
         self._answered.wait(READY_S)
 

@@ -56,7 +56,7 @@ MOST_MOVES = 3  # per program of a run: a cart that keeps moving needs another l
 
 @dataclass(frozen=True)
 class EngineInput:
-    """The steps that an engine is to run, and what they work on.
+    """The steps for an engine to run, and their inputs.
 
     `calibrations` replace those of the theatre file. A replay makes a calibration's steps from its `recipe`.
     """
@@ -90,7 +90,7 @@ def build_engine(
 ) -> Engine:
     """Build the engine with its journal in `folder`, unconnected; `stack` ends its recorders.
 
-    `prepare` is called with the theatre before the journal is opened, so that its errors leave none.
+    `prepare` is called with the theatre before the journal is opened: its errors leave no journal.
     `opening` goes into the journal's first line; `arm_not_home` says that another run left the arm away.
     """
 
@@ -182,7 +182,7 @@ def build_engine(
 
 
 def theatre_inputs(folder: Path, left: InterruptedRun | None) -> dict[str, JournalValue]:
-    """Return hashes of the theatre in a run's folder, without files changed or added since it was left."""
+    """Return hashes of the theatre in a run's folder, without files changed or added since its end."""
     known = () if left is None else left.not_as_left
     hashes = input_hashes(folder, theatre_files(folder))
     return {name: sha256 for name, sha256 in hashes.items() if name not in known}

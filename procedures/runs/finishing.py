@@ -1,4 +1,4 @@
-"""The end of a run, however it came: its report, its seal and the way on. None of these hides the cause."""
+"""The end of a run, for any cause: its report, its seal and advice. None of these hides the cause."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class Finalized:
 
 @contextlib.contextmanager
 def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = True) -> Iterator[Finalized]:
-    """Leave report and seal of the run in `folder` at the end of the block, however that ends."""
+    """Write report and seal of the run in `folder` at the end of the block, even after an error."""
     final = Finalized()
     try:
         yield final
@@ -72,7 +72,7 @@ def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = T
 
 
 def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
-    """Leave report and seal of a run that `problem` ended, or no folder if it never began."""
+    """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
     forget_if_refused(folder, problem)
     forget_if_empty(folder)
     report = leave_report(folder, error_of(problem))
@@ -83,7 +83,7 @@ def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
 
 @contextlib.contextmanager
 def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
-    """Leave report and seal of a finished run that was killed before its seal, after the block."""
+    """Write report and seal, after the block, of a finished run that was killed before its seal."""
     from procedures.runs.reopening import close_again, make_ready
 
     if is_sealed(interrupted.folder):
@@ -96,7 +96,7 @@ def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
 
 
 def begin_report(folder: Path) -> None:
-    """Write a page that says that the run is not finished, in case it is killed.
+    """Write a page for an unfinished run, in case it is killed.
 
     A failure is not reported: nothing depends on it, and the end of the run writes there too.
     """
@@ -128,7 +128,7 @@ def leave_report(
 
 
 def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
-    """The report of any run folder, rebuilt; with `after`, the check after the operation is added to it.
+    """Rebuild the report of any run folder; `after` adds the check after the operation.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
@@ -254,7 +254,7 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
 
 
 def _theatre_again(folder: Path) -> str:
-    """Return what must come first if a simulated theatre has ended; empty for the run's own theatre."""
+    """Return advice to restart a simulated theatre that has ended; empty for the run's own theatre."""
     config = read_request(folder).config
     if config is None:
         return ""
@@ -274,7 +274,7 @@ def _another_left_arm_away(folder: Path) -> bool:
 
 
 def _take_over(made: Path, run: Path) -> None:
-    """Move a report into a run. The seal goes first: killed meanwhile it waits for its seal, and is whole."""
+    """Move a report into a run. The seal goes first: a run killed meanwhile is whole, and lacks only it."""
     if is_sealed(run):
         (run / SEAL_FILE).unlink()
     for path, *_ in sorted(walk(made)):

@@ -1,4 +1,4 @@
-"""Folders of runs: made, found, and held by one program at a time, until it ends or is killed."""
+"""Folders of runs: creation, search, and the lock of one program at a time."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, 
 
 
 def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
-    """Make `OUT/<id>`, with the request in it if it is one that can be resumed.
+    """Make `OUT/<id>`, with the request in it if the run can be resumed.
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
@@ -50,7 +50,7 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
 
 @contextmanager
 def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
-    """Make a new case's folder for the length of the block; nothing is left of one that was removed in it."""
+    """Make a new case's folder for the block; if the block removes it, remove its new parents as well."""
     made = [path for path in (out, *out.parents) if not path.exists()]
     folder = new_run_folder(request, out)
     try:

@@ -1,4 +1,4 @@
-"""A run as it ended or was killed: valid results, the last step, and a step that began and never ended."""
+"""A run that has ended or was killed: its valid results, its last step, and an unfinished step."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from ronna_hw.records import BadRecord, Record
 
 @dataclass(frozen=True)
 class InterruptedRun:
-    """The folder of a run that has ended or was killed, read back for whoever resumes it."""
+    """The folder of a run that has ended or was killed, as read back to resume it."""
 
     run: RunFolder
     chain: Chain
@@ -40,7 +40,7 @@ class InterruptedRun:
         return (self.folder / JOURNAL_FILE).exists()
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Return what was left unfinished, for the journal that is continued."""
+        """Return the unfinished parts, for the continued journal."""
         plain: dict[str, JournalValue] = {
             "begun": None if self.begun is None else str(self.begun),
             "torn_bytes": len(self.chain.torn),
@@ -51,7 +51,7 @@ class InterruptedRun:
 
     @property
     def arm(self) -> ArmHistory:
-        """How the run left arm and instrument. Raises PRO-011 for a line that another version wrote."""
+        """History of arm and instrument at its end. Raises PRO-011 for a line of another version."""
         return history_left_by(self.chain)
 
     @property
@@ -83,7 +83,7 @@ class InterruptedRun:
 
     @property
     def latest(self) -> StepKey | None:
-        """The step that was done last; a step that may only follow it may still come."""
+        """The last completed step; a step that may only follow it can still run."""
         done = self.run.lines(Entry.RESULT)
         return step_key(done[-1]) if done else None
 
@@ -101,13 +101,13 @@ class InterruptedRun:
 
     @property
     def orphans(self) -> tuple[str, ...]:
-        """Records that never came into the journal: they are not valid, and are kept."""
+        """Records without a line in the journal: not valid, but kept."""
         named = {record.identifier for record in self.run.records}
         folder = self.folder / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
 
     def restored(self, order: CaseOrder) -> Case:
-        """Return the case as it stood. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
+        """Restore the case. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
         case = Case(self.folder, self.run.name)
         course = CaseProgress(order, case)
         records = iter(self.run.records)

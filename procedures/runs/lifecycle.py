@@ -1,7 +1,7 @@
-"""One lifecycle for every run: its theatre is opened, its steps are run, and everything ends with it.
+"""One lifecycle for every run: open its theatre, run its steps, close everything.
 
-Cases, calibrations and measurements differ in the steps that they prepare and in what they conclude; see
-`case` and `calibrations`.
+Cases, calibrations and measurements differ only in their steps and conclusions; see `case` and
+`calibrations`.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room
 def open_run(
     request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
 ) -> Iterator[Engine]:
-    """Open the engine of a run, ready for its first step. Whatever happens, everything ends with the block.
+    """Open the engine of a run, ready for its first step; everything is closed with the block.
 
     With `resumption` the folder is that of the interrupted run. The plan of a case is held meanwhile.
     """
@@ -87,7 +87,7 @@ def _prepare(
 
 
 def _patient_to_make(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
-    """Return the folder in which a simulated patient is still to be made; removes half of one."""
+    """Return the folder for a missing simulated patient; remove an incomplete one."""
     from procedures.runs.case import case_folder
 
     patient = case_folder(case, folder)
@@ -221,7 +221,7 @@ def _device_watch(engine: Engine, *, often: bool) -> contextlib.AbstractContextM
 
 
 def ignore_further_signals() -> None:
-    """Ignore signals from here on: everything ends anyway, and a second one would only cut that short."""
+    """Ignore signals from here on: a second one would only cut the orderly end short."""
     if threading.current_thread() is threading.main_thread():
         for number in ENDING_SIGNALS:
             signal.signal(number, signal.SIG_IGN)
@@ -236,7 +236,7 @@ def run_steps(
 ) -> tuple[Engine, float]:
     """Run every step without a valid result, then `conclude`; return the engine and the theatre time.
 
-    An error of `conclude` is how the run has ended. With `resumption`, nothing moves until the findings are
+    An error of `conclude` ends the run. With `resumption`, nothing moves until the findings are
     accepted. Raises the errors of steps, and PRO-032 for a run that is not resumed.
     """
     with open_run(request, folder, observers, resumption) as engine:
@@ -253,9 +253,9 @@ def run_steps(
 
 
 def run_to_end(engine: Engine, observers: RunObservers) -> None:
-    """Run to the end; a step that fails is put before the person at the prompt, if there is one.
+    """Run to the end; the person at the prompt, if any, decides about a failed step.
 
-    A case that is refused only because a device is still in fault ends with that fault.
+    A case refused only because of a device in fault ends with that fault.
     """
     held, executor = observers.held, observers.executor
     failure: RonnaError | None = None

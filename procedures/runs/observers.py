@@ -1,4 +1,4 @@
-"""People and displays that take part in a run, and who answers each of its questions."""
+"""People and displays in a run, and the operator of each of its questions."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ class HeldPrompt(Protocol):
     """A prompt at which a person decides how a held case continues."""
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """Show what holds the case, and how to continue."""
+        """Show the reason why the case is held, and the ways to continue."""
         ...
 
     def follow(self, engine: Engine) -> bool:
@@ -78,8 +78,8 @@ def operator_selection(
 ) -> Operator:
     """Select the operator of each topic, and of the topics that a file of answers does not list.
 
-    On real devices the person answers what is deliberate or read back, whatever the file says. An operator at
-    the console takes the place of all of them while the console is in charge.
+    On real devices the person answers deliberate and read-back questions, whatever the file says. While the
+    console is in charge, its operator replaces all of them.
     """
     answers, person, prompt = request.answers, observers.person, observers.at_pause
     configured = request.config is not None
@@ -116,6 +116,6 @@ def operator_selection(
 
 
 def _first_of(rules: Iterable[Rule]) -> Operator:
-    """Return an operator by whom each topic is answered by the first rule that applies to it."""
+    """Return an operator that answers each topic by the first rule for it."""
     present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
     return ByTopic({topic: next(one for one, topics in present if topic in topics) for topic in Topic})

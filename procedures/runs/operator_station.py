@@ -1,4 +1,4 @@
-"""The operator's station at the console: one thread takes orders, the engine's own carries them out.
+"""The operator's station at the console: one thread takes orders, the engine's thread carries them out.
 
 Only a stop reaches the arm from here. Everything else waits until the engine asks for it: between steps, at a
 checkpoint or with a question.
@@ -262,7 +262,7 @@ class OperatorStation:
     def _steer(
         self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
     ) -> str:
-        """Have a pause met, or note the order for when the engine next waits between steps."""
+        """Answer an open pause, or keep the order until the engine next waits between steps."""
         asked, state = self._question, self._state
         match order:
             case Pause():
@@ -343,7 +343,7 @@ class OperatorStation:
     def ask(self, question: Question, acknowledge: Callable[[str], None] = lambda _by: None) -> Answer | None:
         """Return the answer from the console: silence if the time ran out, None if the console has ended.
 
-        `acknowledge` is called, at a pause, with the name of who acknowledges faults.
+        At a pause, `acknowledge` is called with the name of the person who acknowledges faults.
         """
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
@@ -402,7 +402,7 @@ class OperatorStation:
             return self._pending is not None and self._pending.aborts
 
     def is_occupied_since(self, vacated: int) -> bool:
-        """Whether somebody is in the seat, and it has become free no more often than `vacated` times."""
+        """Whether somebody is in the seat, and it became free no more than `vacated` times."""
         with self._changed:
             self._notice_lapse()
             return bool(self._seat.holder) and self._vacated == vacated

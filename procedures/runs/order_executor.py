@@ -30,7 +30,7 @@ def _input_is_ready(timeout_s: float) -> bool:
 
 
 class ConsoleOperator:
-    """Asks at the console while it is in charge, else the operator who would be asked without it.
+    """Asks at the console while it is in charge, else the operator without it.
 
     A script does not answer after a person stopped the arm: that waits for somebody in the seat.
     """
@@ -44,7 +44,7 @@ class ConsoleOperator:
         self._script_at_pause = script_at_pause
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer; if the console ends meanwhile, that of the operator who takes its place."""
+        """Return the answer; if the console ends meanwhile, that of its replacement."""
         self._executor.note_seat()
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
         if waits:
@@ -112,7 +112,7 @@ class OrderExecutor:
         return answer.readings
 
     def acknowledge(self, by: str) -> None:
-        """Recover the devices that are in fault; tell of those that cannot be recovered yet."""
+        """Recover the devices in fault; report those that cannot be recovered yet."""
         if self._engine is None:
             return
         try:
@@ -140,7 +140,7 @@ class OrderExecutor:
     def run_to_end(self, engine: Engine) -> None:
         """Run the case as ordered, and home.
 
-        If the console ends, a case that does not continue by itself is left; one that waits for the operator
+        If the console ends, a case that does not continue by itself is left. One that waits for the operator
         rests until it is continued without the console. Raises OperatorAborted, and the errors of steps and
         of the way home while nobody operates.
         """

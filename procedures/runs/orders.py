@@ -1,7 +1,7 @@
 """Orders of an operator to a case: one vocabulary for prompt, script and page. `RULES` says which count when.
 
-A session of the console sends an order together with what that session saw. If that is out of date, nothing
-is done; only a stop needs nothing. Each order sent has a nonce of its own and is carried out once.
+A session of the console sends an order with the state that it saw. If that is out of date, nothing is done;
+only a stop needs no state. Each order sent has its own nonce and is carried out once.
 """
 
 from __future__ import annotations

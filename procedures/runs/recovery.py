@@ -1,4 +1,4 @@
-"""Recovery of an interrupted run: everything is read again, compared and accepted before anything moves.
+"""Recovery of an interrupted run: all inputs are read, compared and accepted before anything moves.
 
 Then an instrument is taken out by hand, the guide retreats along its axis, and the arm goes home. There the
 tracker has a clear view, and the rest is compared. Then every step without a valid result is run, re-planned
@@ -44,7 +44,7 @@ LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must ha
 
 
 def recover(engine: Engine, left: InterruptedRun) -> None:
-    """Bring an engine in recovery to where its next step may begin.
+    """Bring an engine in recovery to the start of its next step.
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
@@ -86,7 +86,7 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
 def bring_home(engine: Engine, left: InterruptedRun) -> bool:
     """Have the instrument taken out and bring the arm home; return whether anything moved.
 
-    The run stays as it is. Only the arm is needed, and only what the way home depends on is compared. Raises
+    The run stays as it is. Only the arm is needed, and only conditions of the way home are compared. Raises
     PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
     """
     comparison = Comparison()
@@ -139,7 +139,7 @@ def _take_up_arm(
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
-    """Refuse an arm that another run left away: only that run knows its instrument and its way home.
+    """Refuse an arm left away by another run: only that run knows its instrument and its way home.
 
     An arm that is at this run's home has been jogged there since.
     """
@@ -154,7 +154,7 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
 
 
 def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
-    """Have the operator accept the findings and what will be done; raises PRO-032."""
+    """Have the operator accept the findings and the next actions. Raises PRO-032."""
     for begun in work_begun_elsewhere(engine):
         comparison.warn(begun)
     if head_moved_since(engine):

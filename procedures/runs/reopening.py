@@ -1,4 +1,4 @@
-"""Reopening a run: its request, its folder held and made writable, and the end of one that only lacks it."""
+"""Reopening of a run: its request, the lock and repair of its folder, and a missing end."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 def read_reopened_request(
     folder: Path, *, accept: bool = False, answers: Path | None = None, as_before: bool = False
 ) -> RunRequest:
-    """Read the request of a run, with that file of answers; without one with the run's own, if `as_before`.
+    """Read the request of a run with these answers; without any, with the run's own if `as_before`.
 
     Raises CLI-001, CFG-001, PRO-026, 031 and 034.
     """
@@ -143,7 +143,7 @@ def close_complete(
 
 
 def close_again(interrupted: InterruptedRun) -> InterruptedRun:
-    """Write the end of a closed but unsealed run again, naming the files that lie there unconfirmed."""
+    """Write the end of a closed but unsealed run again, with the names of its unconfirmed files."""
     last = interrupted.run.journal[-1]
     journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())

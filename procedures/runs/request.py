@@ -28,7 +28,7 @@ FREE = "free"  # screws of their own
 
 @dataclass(frozen=True)
 class SceneChoice:
-    """Choices from which both the simulated theatre and its phantom are drawn."""
+    """Choices for the simulated theatre and its phantom."""
 
     scene: str = "default"
     seed: int = 0
@@ -133,13 +133,13 @@ class RunRequest:
 
     @property
     def case(self) -> CaseProcedure:
-        """The procedure of a case; only for code that is reached by cases alone."""
+        """The procedure of a case; only for code of cases."""
         assert isinstance(self.procedure, CaseProcedure), "this is not a case"
         return self.procedure
 
     @property
     def calibration(self) -> CalibrationProcedure:
-        """The procedure of a calibration; only for code that is reached by calibrations alone."""
+        """The procedure of a calibration; only for code of calibrations."""
         assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
         return self.procedure
 

@@ -1,4 +1,4 @@
-"""A simulated theatre with its patient and staff, started as commands, and the truth about a run in it."""
+"""A simulated theatre, its patient and staff as child processes, and the truth about a run in it."""
 
 from __future__ import annotations
 
@@ -175,7 +175,7 @@ def truth_of(folder: Path) -> Truth:
 
 
 def truth_if_any(folder: Path) -> Truth | None:
-    """Return the truth of a run; None without a simulated theatre, or if there is nothing yet to compare."""
+    """Return the truth of a run; None without a simulated theatre, or with nothing to compare yet."""
     if not (folder / THEATRE_FOLDER).is_dir():
         return None
     try:

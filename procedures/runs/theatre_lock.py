@@ -1,6 +1,6 @@
 """The lock on the devices of a theatre: one program at a time, for the run that its note names.
 
-Note and theatre file are both locked: the note belongs to the arm, whatever the file is called; the file
+Note and theatre file are both locked. The note belongs to the arm, whatever the file is called. The file
 serves a user who can neither write nor create the note.
 """
 
@@ -29,7 +29,7 @@ WRITABLE_BY_ALL = 0o1777  # a folder in which everyone may make files, and remov
 
 @dataclass(frozen=True)
 class TheatreUser:
-    """The program that has the devices, as far as this user may see it."""
+    """The program that holds the devices, as far as this user may see it."""
 
     run: Path | None
     holder: PortUser | None
@@ -41,7 +41,7 @@ class TheatreUser:
         return f"{'another program' if self.run is None else self.run.name}{number} is using this theatre"
 
     def advice(self, then: str) -> str:
-        """Return advice in place of ending that program; `then` follows when it has ended."""
+        """Return advice not to end that program; `then` follows its end."""
         alone = "Leave it alone: its arm may be at a patient."
         if self.run is None:
             return f"{alone} {then.capitalize()} when it has ended."
@@ -51,7 +51,7 @@ class TheatreUser:
 
 @contextmanager
 def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False) -> Iterator[TheatreNote]:
-    """Hold the devices of a theatre file for a run; yield how the runs before it left the arm.
+    """Hold the devices of a theatre file for a run; yield the note of the runs before it.
 
     Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
     With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
@@ -123,7 +123,7 @@ def _write_note(file: int | None, note: TheatreNote) -> bool:
 
 
 def theatre_user(theatre: Path) -> TheatreUser | None:
-    """Return who has the devices of a theatre file now, as far as this user may see."""
+    """Return the present user of a theatre file's devices, as far as this user may see."""
     if user := _user_of_own_run(theatre):
         return user
     path = note_file(theatre)
@@ -139,7 +139,7 @@ def theatre_user(theatre: Path) -> TheatreUser | None:
 
 
 def last_moved(theatre: Path) -> TheatreNote:
-    """Return how the arm of a theatre file was left, whether or not a program has its devices."""
+    """Return the note of the arm of a theatre file, whether or not a program has its devices."""
     return read_note(note_file(theatre)).settled()
 
 

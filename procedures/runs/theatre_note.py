@@ -1,4 +1,4 @@
-"""The note of an arm: which run has its devices, and how the last run that moved it left it.
+"""The note of an arm: the run that has its devices, and the place where the last run left it.
 
 The address of the arm's controller selects the note: a copy of the theatre file, or one with other records,
 is the same arm. A simulated theatre has an identity instead, as another one may get its address next.
@@ -44,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def settled(self) -> TheatreNote:
-        """Return the note with the end of `run`, by its journal; one that is gone may have done anything."""
+        """Return the note with the end of `run`, by its journal; a missing run may have done anything."""
         home = (
             None if self.pid is None or self.run is None else _brought_arm_home(self.run, self.lines_before)
         )
@@ -98,8 +98,7 @@ def _controller(theatre: Path) -> str:
 def read_note(path: Path) -> TheatreNote:
     """Read a note; a missing one is empty.
 
-    Nothing is known from a note that is damaged, or that an account which does not use the arm may have
-    written.
+    A note is not believed if it is damaged, or if an account that does not use the arm may have written it.
     """
     try:
         if not _is_trusted(path):

@@ -1,8 +1,8 @@
 """The way out of an interrupted run: the head to keep clear of, and an instrument that may be in the guide.
 
-The head is where the valid registration has it, or else the last valid one. A lost block of the journal may
-have contained the lines about an instrument. So if the arm carries the guide, its position is compared with
-the axis of every registered trajectory, and its joints with those at the gauge.
+The valid registration gives the place of the head, or else the last valid one. A lost block of the journal
+may have contained the lines about an instrument. So the position of a mounted guide is compared with the axis
+of every registered trajectory, and the joints with those at the gauge.
 """
 
 from __future__ import annotations
@@ -88,7 +88,7 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
 
 
 def guide_in_gauge(engine: Engine) -> bool:
-    """Whether the arm carries the guide to where the mandrel is put into the gauge."""
+    """Whether the arm holds the guide over the gauge, where the mandrel is inserted."""
     workcell = engine.setting.workcell
     if workcell.tool is not MountedTool.GUIDE:
         return False
@@ -97,7 +97,7 @@ def guide_in_gauge(engine: Engine) -> bool:
 
 
 def guide_at_divot(engine: Engine) -> bool:
-    """Whether the arm carries the guide with its tip where the divot is raised to it."""
+    """Whether the arm holds the tip of the guide at the place of the raised divot."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
         return False
@@ -124,7 +124,7 @@ def surround_calibration(engine: Engine) -> None:
 
 @dataclass(frozen=True)
 class _Led:
-    """The registration by which the guide was led, or would have been."""
+    """The registration that leads, or would lead, the guide."""
 
     key: StepKey  # of the step that positions the guide
     robot_from_ct: Transform

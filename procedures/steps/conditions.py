@@ -13,7 +13,7 @@ LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, sk
 
 
 def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
-    """The arm carries this tool and is on no axis; an unchecked tool is identified first.
+    """Require that the arm carries this tool and is on no axis; an unchecked tool is identified first.
 
     `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
     """
@@ -32,7 +32,7 @@ def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tupl
 
 
 def exchangeable(context: StepContext) -> tuple[str, ...]:
-    """The arm carries the stereo head; or an exchange was begun, and the arm is parked and cannot move."""
+    """Require the stereo head on the arm, or after a begun exchange an arm that is parked and cannot move."""
     workcell = context.workcell
     unmet = carries(MountedTool.STEREO_HEAD)(context)
     if not unmet or context.done_before:
@@ -41,7 +41,7 @@ def exchangeable(context: StepContext) -> tuple[str, ...]:
 
 
 def localizable(context: StepContext) -> tuple[str, ...]:
-    """Refuse to repeat what localizations depend on while the guide is mounted: they could not be redone."""
+    """Require the guide unmounted: localizations that depend on the repeated step could not be redone."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
             "the arm carries the guide: if this result changed, the spheres could not be localized again; "
@@ -51,7 +51,7 @@ def localizable(context: StepContext) -> tuple[str, ...]:
 
 
 def away_from_head(context: StepContext) -> tuple[str, ...]:
-    """The arm is home: nobody works at cart or clamp while it reaches over the head."""
+    """Require the arm at home: nobody works at cart or clamp while it reaches over the head."""
     place = context.workcell.place
     if place.is_home:
         return ()
@@ -59,7 +59,7 @@ def away_from_head(context: StepContext) -> tuple[str, ...]:
 
 
 def inserted(context: StepContext) -> tuple[str, ...]:
-    """The guide is held before this step's entry."""
+    """Require the guide in front of this step's entry."""
     if (on := context.workcell.place.trajectory) == context.trajectory:
         return ()
     where = "on no axis" if on is None else f"held in front of the entry of {on}"
@@ -67,7 +67,7 @@ def inserted(context: StepContext) -> tuple[str, ...]:
 
 
 def is_inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
-    """The guide is held before this step's entry, or came back from it and went nowhere else."""
+    """Require the guide in front of this step's entry, or last withdrawn from it."""
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return inserted(context)

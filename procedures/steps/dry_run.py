@@ -1,4 +1,4 @@
-"""Dry run: the motions that a step would make, from the previews of the path check, and those over the gauge.
+"""Dry run of a step: its motions from the previews of the path check, and those over the gauge.
 
 Nothing is asked or moved.
 """

@@ -1,1 +1,1 @@
-"""How the arm is oriented while it localizes the fiducials and when it is at a target. Pure numerics."""
+"""Orientation of the arm at the fiducials and at a target. Pure numerics."""

@@ -1,4 +1,4 @@
-"""All strategies by name, and those that combine others: one per trajectory, or the best of each."""
+"""All strategies by name, with combinations: one per trajectory, or the best of each."""
 
 from __future__ import annotations
 

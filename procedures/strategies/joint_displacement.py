@@ -6,11 +6,11 @@ differ slightly, so a tool frame error does not cancel entirely. The thesis stat
 We use the Euclidean norm of the six angles, and the free angle that minimises its root mean square over the
 fiducials.
 
-The improved JDMS also weighs how each joint turns the tool. The orientation at each fiducial makes the
-displacement of the tool by all known errors of the arm together (links, offsets, harmonics, gravity, tool
-frame; each with its size) as similar as possible to that at the target. The registration removes the common
-part. With a poorly known tool frame the result is close to OCS, on a calibrated arm close to JDMS. It
-minimises over the rotation w of the tool about the fiducial the sum over the errors k of
+The improved JDMS also weighs how each joint turns the tool. It considers all known errors of the arm
+together: links, offsets, harmonics, gravity, tool frame, each with its size. The orientation at each fiducial
+makes their displacement of the tool as similar as possible to that at the target. The registration removes
+the common part. With a poorly known tool frame the result is close to OCS, on a calibrated arm close to JDMS.
+It minimises over the rotation w of the tool about the fiducial the sum over the errors k of
 
     |d_k(q(w)) - d_k(q_target)|^2,   d_k: displacement of the tool by one standard deviation of error k
 

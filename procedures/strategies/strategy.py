@@ -1,8 +1,8 @@
 """Interface of a localization strategy, the arm it plans for, its turns, and the approach to a pose.
 
 A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
-tool the same way at a target, see `target_pose`: its axis is the trajectory's, and only the free angle about
-it is chosen.
+tool the same way at a target, see `target_pose`. Its axis is the trajectory's; only the free angle about it
+is chosen.
 
 Backlash shows on the side that a joint comes from. The same arrival direction at fiducials and target makes
 it equal at all of them, so the registration removes it.

@@ -2,7 +2,7 @@
 
 Five numbers of a trajectory are set by the surgeon, one angle is free. The tool's z axis is along the
 trajectory. At free angle 0, tool x points horizontally and as nearly as possible radially away from the z
-axis of the robot's base, so the arm reaches over the patient with the mount turned outwards from either side.
+axis of the robot's base. So the arm reaches over the patient with the mount turned outwards from either side.
 The free angle turns about tool z, right-handed.
 """
 

@@ -1,4 +1,4 @@
-"""The workcell: the only way in which procedures look and move."""
+"""The workcell: the only access of procedures to looks and motions."""
 
 from procedures.workcell.arm_history import Insertion
 from procedures.workcell.tools import MountedTool

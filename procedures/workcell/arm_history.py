@@ -1,4 +1,4 @@
-"""History of an arm and of the work through its guide: where it is, how it came there, what was done.
+"""History of an arm and of the work through its guide: its place, its way there, its stages.
 
 Folded line by line from the journal: by `ArmLog` while the case runs, afterwards from the file. A resumed
 case therefore knows what the running one knew.
@@ -50,7 +50,7 @@ class JournalledAxis(Values):
 class Insertion:
     """The line along which a guide may move near the head.
 
-    `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin; `travel_mm` the distance
+    `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin. `travel_mm` is its distance
     along the axis from the start of the approach, where the retreat ends. `arriving` (+1 or -1) is the
     direction in which each joint arrives there, if known.
     """
@@ -61,7 +61,7 @@ class Insertion:
     arriving: tuple[int, ...] | None = None
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Plain values for the journal: all that is needed to find the way out again."""
+        """Plain values for the journal: enough to find the way out again."""
         axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm, arriving=self.arriving)
         return axis.model_dump(mode="json")
 
@@ -123,9 +123,9 @@ class Where(StrEnum):
 class ArmPlace:
     """Place of one arm, folded from the journal by `ArmHistory`.
 
-    `axis` is set from the intent to insert the guide to the end of its withdrawal, also during these motions
-    and after a kill in one. `instrument_may_be_inside` names a trajectory, the gauge or the divot; `assumed`
-    says that no line of the journal put it there.
+    `axis` is set from the intent to insert the guide to the end of its withdrawal. That includes these
+    motions and a kill in one. `instrument_may_be_inside` names a trajectory, the gauge or the divot;
+    `assumed` says that no line of the journal put it there.
     """
 
     where: Where = Where.UNKNOWN
@@ -282,7 +282,7 @@ class ArmHistory:
         return self._resting(False)
 
     def _resting(self, at_home: object) -> ArmHistory:
-        """Set where the arm came to rest; `at_home` is None if that was not measured."""
+        """Set the place of the arm at rest; `at_home` is None if that was not measured."""
         if self.place.axis is not None:
             return replace(self, place=replace(self.place, where=Where.ON_AXIS))
         where = Where.UNKNOWN if at_home is None else Where.HOME if at_home is True else Where.AWAY
@@ -331,7 +331,7 @@ def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:
 
 
 class ArmLog:
-    """Journals what happens to one arm and keeps its history; knows the arm's home."""
+    """The journal of one arm, its history and its home."""
 
     def __init__(self, journal: Journal, clock: Clock, history: ArmHistory) -> None:
         """`history` is folded from the lines that the journal already has."""
@@ -341,12 +341,12 @@ class ArmLog:
         self.home_rad: JointVector | None = None
 
     def write(self, entry: Entry, **data: JournalValue) -> None:
-        """Journal what is about to happen; on disk when this returns. Raises PRO-003."""
+        """Journal an event before it happens; on disk when this returns. Raises PRO-003."""
         self._journal.write(entry, self._clock.now_s(), arm=self.history.arm, **data)
         self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
 
     def note(self, entry: Entry, **data: JournalValue) -> None:
-        """Journal what has happened. Raises PRO-003."""
+        """Journal an event that has happened. Raises PRO-003."""
         self._journal.note(entry, self._clock.now_s(), arm=self.history.arm, **data)
         self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
 

@@ -65,7 +65,7 @@ class Centring:
         """Centre the sphere expected at a pose ROBOT <- TOOL.
 
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
-        servo does not converge; the arm then rests where it looked last, see `back_off`.
+        servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
             return self._onto(fiducial, expected, near)

@@ -1,4 +1,4 @@
-"""Devices as steps, guards and commands see them: nothing here moves an arm."""
+"""Views of devices for steps, guards and commands, without calls that move an arm."""
 
 from __future__ import annotations
 

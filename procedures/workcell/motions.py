@@ -1,4 +1,4 @@
-"""A motion of the workcell as a value, and its facts in the words of a question.
+"""A planned motion of the workcell, and its facts in the words of a question.
 
 The operator confirms exactly what the arm then drives.
 """
@@ -21,10 +21,10 @@ from ronna_hw.vectors import JointVector
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """One motion of the workcell from wherever the arm is: its legs in turn, all but the last joint moves.
+    """One motion of the workcell from the arm's present position: legs in turn, all but the last joint moves.
 
-    If its first leg is not clear, the motions of `otherwise` replace it, if there are any. They are motions
-    of their own, so that the journal has the way the arm came.
+    If its first leg is not clear, any motions of `otherwise` replace it. They are separate
+    motions, so that the journal has the arm's actual way.
     """
 
     what: MotionKind
@@ -73,7 +73,7 @@ class MotionFacts:
         return self.in_words(", ", self.near())
 
     def in_words(self, apart: str, near: Sequence[str]) -> str:
-        """State what moves how far, then, after `apart`, the rest with the clearances `near`."""
+        """State the moving tool and its travel, then, after `apart`, the rest with `near`."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)

@@ -81,7 +81,7 @@ class SupervisedMotion:
         self._confirmed = False
 
     def note_hold(self) -> None:
-        """The arm was stopped between two motions of a step: the next one continues unasked."""
+        """Note a stop between two motions of a step: the next one continues unasked."""
         self._held = True
 
     def confirm(
@@ -110,7 +110,7 @@ class SupervisedMotion:
     def start(self, devices: Iterable[Device]) -> None:
         """Activate the devices that are configured.
 
-        A driver may demand a person's word before it starts its arm, and may then move it out and back: the
+        A driver may require a confirmation before it starts its arm, and may then move it out and back. The
         operator is asked, and the start is journalled as a motion. Raises PRO-002 unless the answer is yes.
         """
         for device in devices:
@@ -132,7 +132,7 @@ class SupervisedMotion:
         self._drive_journalled({"what": MotionKind.START, "to": [], "trajectory": None}, drive)
 
     def _require_yes(self, question: Question) -> bool:
-        """Ask; False without anybody to ask. Raises PRO-002 unless the answer is yes."""
+        """Ask; False without an operator. Raises PRO-002 unless the answer is yes."""
         if self._ask is None:
             return False
         if self._ask(question) != YES:
@@ -152,7 +152,7 @@ class SupervisedMotion:
         """Carry out a motion; after a stop, re-plan it if the operator agrees.
 
         Whether it is allowed is checked first, and again right before the arm moves. Raises PRO-002, PRO-003,
-        PRO-004, the findings of guards and watches, what forbids the motion, and the errors of the arm.
+        PRO-004, findings of guards and watches, the reason against the motion, and the errors of the arm.
         """
         if motion.what is MotionKind.HOME:
             self.settled_home = False

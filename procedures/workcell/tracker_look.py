@@ -1,7 +1,7 @@
 """Tracker readings while the arm rests: a number of distinct frames, and mean poses.
 
 A tracker with the definition of the x-shaped frame loaded reports the frame on the head as one pose instead
-of as strays. The markers of that pose are added to the strays, so that watches of the spheres need not care.
+of as strays. The markers of that pose are added to the strays, for the watches of the spheres.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
-"""Arm, mounted tool, surroundings, stereo head and tracker as one: how procedures look and move.
+"""Arm, mounted tool, surroundings, stereo head and tracker as one unit that looks and moves.
 
 A workcell needs an open journal, in which every motion is an intent and a result. While the guide is held
-before an entry, only motion along its axis is possible, whoever asks; while an instrument is in the guide,
+before an entry, only motion along its axis is possible, whoever asks. While an instrument is in the guide,
 nothing moves at all.
 """
 
@@ -176,7 +176,7 @@ class Workcell:
         return self.supervised.settled_home and self.place.is_home
 
     def set_home(self) -> JointVector:
-        """Make the present position home, where the arm parks and which it passes if a way is not clear."""
+        """Make the present position home: the place to park, and to pass if a way is not clear."""
         home_rad = self._log.home_rad = self.joints_rad()
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
@@ -202,7 +202,7 @@ class Workcell:
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def record_found_on_axis(self, axis: Insertion) -> None:
-        """Journal that the guide is on an axis of which the journal has no line: it may have been lost."""
+        """Journal that the guide is on an axis whose line the journal may have lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(
             Entry.PLACED, joints_rad=joints_rad, at_home=False, trajectory=axis.trajectory, axis=plain

@@ -1,4 +1,4 @@
-"""Steps of each calibration in order, and the recipe from which a replay makes the same steps again."""
+"""Steps of each calibration in order, and the recipe by which a replay repeats them."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ class Recipe(Strict):
 
     @property
     def starts(self) -> frozenset[str]:
-        """Names of the records that this calibration only starts from, so they may have expired."""
+        """Names of the records that are only starting values, so they may have expired."""
         match self.of:
             case Calibrated.HEAD:
                 return frozenset(Calibrations.model_fields)

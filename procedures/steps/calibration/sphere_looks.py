@@ -1,4 +1,4 @@
-"""Looks at every isolated sphere from the poses that determine most of the arm's calibration."""
+"""Looks at every isolated sphere from the most informative poses for the arm's calibration."""
 
 from __future__ import annotations
 

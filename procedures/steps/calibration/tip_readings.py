@@ -199,7 +199,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
 
 @dataclass
 class _Reading:
-    """Readings of the divot; the tip is brought there by the readings so far."""
+    """Readings of the divot; the earlier ones bring the tip there."""
 
     context: StepContext
     observed: TipLooks
@@ -243,7 +243,7 @@ class _Reading:
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
-        """Pose ROBOT <- TOOL of the guide with its tip where the head saw the ball."""
+        """Pose ROBOT <- TOOL of the guide with its tip at the measured ball."""
         workcell = self.context.workcell
         head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)

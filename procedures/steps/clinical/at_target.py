@@ -1,4 +1,4 @@
-"""Work at the target: the guide is held outside the skin, and somebody works through it, stage by stage.
+"""Work at the target, stage by stage, through a guide that is held outside the skin.
 
 Nothing moves from before the first stage until the instrument is confirmed to be out. The instrument's tip is
 at the target when its depth stop rests on the guide.
@@ -45,7 +45,7 @@ DWELL_S = 0.5  # of theatre time, before the reading
 class ReachedTarget(StepResult, kind="at_target", version=4):
     """Pose of the held guide, and depth of the instrument.
 
-    For work finished on an earlier visit of the guide, how it was held was not watched.
+    During work finished on an earlier visit, the guide was not watched.
     """
 
     tool_pose: FramedPose | None = Field(
@@ -170,7 +170,7 @@ def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, be
 
 
 def _check_room_again(context: StepContext) -> None:
-    """Check the room if the step had been left, or if nothing watches the head. Raises PRO-019, PRO-020."""
+    """Check the room after a return to the step, or if nothing watches the head. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.left):
@@ -181,7 +181,7 @@ def _check_room_again(context: StepContext) -> None:
 def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     """Compare the guide, within the block, with its position as it came to rest untouched.
 
-    Raises PRO-019 or PRO-020 if the step is left because of a push that is a move of cart or head.
+    Raises PRO-019 or PRO-020 if a push that ends the step is a move of cart or head.
     """
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)

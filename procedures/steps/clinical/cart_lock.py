@@ -1,6 +1,6 @@
 """Placing and locking the arm's cart, with its position and its lock checked by the tracker.
 
-The frame on the arm moves with the cart, the spheres move with the head: after somebody leans on the cart,
+The frame on the arm moves with the cart, the spheres move with the head. After somebody leans on the cart,
 neither may have moved against the other.
 """
 

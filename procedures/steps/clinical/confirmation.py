@@ -1,7 +1,7 @@
 """Look after a target: are head, base and guide as they were before the guide went there?
 
-A move since the look before is found here. As nobody knows when it happened, every target worked at since is
-reported as in doubt, and results that no longer hold are not used for another target.
+This look finds a move since the one before. Nobody knows when it happened, so every target worked at since is
+in doubt. Results that no longer hold are not used for another target.
 """
 
 from __future__ import annotations

@@ -140,7 +140,7 @@ def _place(point_mm: ArrayLike) -> str:
 def _match_fewer_if_agreed(
     context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
-    """The match or, if the operator agrees, a unique match of fewer spheres than were implanted."""
+    """Return the match or, if agreed, a unique match of fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
     rest = matched(image, physical, prior)

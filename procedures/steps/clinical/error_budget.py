@@ -2,11 +2,11 @@
 
 The arm's own errors are propagated joint by joint between spheres and target, so that what they share
 cancels. They are those of the arm's record, limited to those of an uncalibrated arm in proportion. If a
-strategy does not control the approach, the last step of the servo leaves each joint on an unknown side of its
-backlash; the residual of the servo itself is measured.
+strategy does not control the approach, the servo leaves each joint on an unknown side of its backlash. The
+residual of the servo itself is measured.
 
-The guide turns with the head except about its own axis, and the arm holds it with other joints after a
-followed move: some of the errors that spheres and target had in common then remain.
+The guide turns with the head except about its own axis. After a followed move the arm holds it with other
+joints, and some errors common to spheres and target remain.
 """
 
 from __future__ import annotations
@@ -63,8 +63,8 @@ def residual_gate(
     """Judge the residual of paired points (n, 3) mm with the reserve for the arm's shared error.
 
     `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head, `arm_mm` the arm's sigma per
-    axis, `shared_mm` (n, 3, k) what one standard deviation of each shared error displaces. Raises REG-001 to
-    REG-006.
+    axis. `shared_mm` (n, 3, k) is the displacement by one standard deviation of each shared error. Raises
+    REG-001 to REG-006.
     """
     allowed = _allowed_covariance_mm2(measured_mm2, arm_mm)
     fit = register(image_mm, physical_mm, covariance_mm2=allowed)
@@ -128,7 +128,7 @@ def arm_covariance_mm2(arm_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide at a target: rotation robot <- tool, joints and tip (3,) mm, after the head `turned` (3, 3)."""
+    """Guide at a target after `turned` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
 
     rotation: Array
     joints_rad: Numbers6

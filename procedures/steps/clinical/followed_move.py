@@ -1,7 +1,7 @@
 """Small move of the head: the tracker measures it, and the registration follows if the operator agrees.
 
-The arm is home, where the localization was made: there the frame on the arm shows that neither cart nor
-tracker has moved, and nothing hides the head. Only a single rigid, small and completed move is followed.
+The arm is home, where the localization was made. There nothing hides the head, and the frame on the arm shows
+a move of cart or tracker. Only a single rigid, small and completed move is followed.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ class MeasuredMove:
 
 
 def followed_move(context: StepContext, places_mm: ArrayLike) -> MeasuredMove | None:
-    """Measure the move and have it agreed to; None if the head is where it was localized.
+    """Measure the move and ask for consent; None if the head has not moved.
 
     `places_mm` (n, 3) are the targets served, robot frame, before the move. Raises PRO-001 unless the arm is
     home, PRO-022, and, after voiding the localization, PRO-019 or PRO-020 for a move that is not followed.

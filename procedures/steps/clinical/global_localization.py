@@ -117,7 +117,7 @@ def _require_spread_mm(strays: StrayAverage) -> float:
 
 
 def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
-    """The arm carries the stereo head, or the guide and is parked where the tools can be exchanged."""
+    """Require the stereo head on the arm, or the guide on an arm parked for an exchange."""
     workcell = context.workcell
     unmet = carries(MountedTool.STEREO_HEAD)(context)
     if not unmet or workcell.place.on_axis or workcell.tool is not MountedTool.GUIDE:

@@ -1,4 +1,4 @@
-"""Guard of the inputs: CT, plan and proposed place are still those that the results were computed from.
+"""Guard of the inputs: CT, plan and proposed place must not change under the results computed from them.
 
 Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
 """

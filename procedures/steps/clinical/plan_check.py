@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 
 
 def _as_held(context: StepContext) -> Plan:
-    """Read the plan. Raises PRO-007 unless it is the one that the case was opened with."""
+    """Read the plan. Raises PRO-007 if it has changed since the case was opened."""
     path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
     with lock_plan(path) as held:
         if held_sha256 not in (None, held.sha256):

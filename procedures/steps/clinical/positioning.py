@@ -54,7 +54,7 @@ class PositionedGuide(StepResult, kind="positioning"):
 
 
 def run(context: StepContext) -> Outcome[PositionedGuide]:
-    """Bring the guide to where it is held before the entry; the mounted tool is read again right before."""
+    """Bring the guide to its held pose before the entry; the mounted tool is read again right before."""
     workcell, trajectory = context.workcell, context.trajectory
     context.result(MountedGuide)
     context.result(CheckedTool)
@@ -107,7 +107,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
 
 
 def _require_guide_in_seat(context: StepContext) -> None:
-    """Raise TOOL-006, or PRO-019 if it is the frame on the mount, or the cart, that has moved."""
+    """Raise TOOL-006 for a moved guide, PRO-019 for a moved frame on the mount or cart."""
     frame = context.workcell.tools.guide.record.frame
     if frame is None:
         return
@@ -150,7 +150,7 @@ def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
 
 
 def _require_registration(context: StepContext) -> RegisteredRobot:
-    """The registration. Raises PRO-007 if a fault of the arm is newer and the operator does not keep it."""
+    """Return the registration. Raises PRO-007 if a fault of the arm is newer and it is not kept."""
     registered = context.result(RegisteredRobot)
     fault = context.doubt(RegisteredRobot)
     if fault is not None:

@@ -115,7 +115,7 @@ class _Pairs:
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
     """Fit with all known covariances, gate the residual, predict, and have the prediction accepted.
 
-    With the guide mounted, the step is repeated because the head has moved: the tracker measures the move.
+    A repeat with the guide mounted means that the head has moved: the tracker measures the move.
     """
     plan = context.result(CheckedPlan)
     arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
@@ -168,7 +168,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
 
 
 def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
-    """The pairs, or, if agreed, without the one sphere that alone explains a disagreement.
+    """Return the pairs; if agreed, without the one sphere that alone explains a disagreement.
 
     Raises PRO-007 if no sphere explains it, or more than one would.
     """
@@ -202,7 +202,7 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
 def _exclude_beyond_margin(
     context: StepContext, trajectories: list[PlannedTrajectory], predictions: tuple[Prediction, ...]
 ) -> dict[str, str]:
-    """Trajectories to leave out, with reasons. Raises PRO-007 unless that is agreed and others remain."""
+    """Return trajectories to leave out, with reasons. Raises PRO-007 unless agreed and others remain."""
     left_out: dict[str, str] = {}
     for trajectory, predicted in zip(trajectories, predictions, strict=True):
         if predicted.rms_mm <= trajectory.margin_mm:

@@ -4,8 +4,8 @@ The tool centre is moved onto a sphere until the residual is below the tolerance
 pose plus the last residual. The offset of the coarse position found at one sphere helps to find the next. It
 is checked first: a wrong sphere must not lead the head on.
 
-If the strategy asks for it, each joint arrives at every look as it will arrive at the target, so that
-backlash is equal in all of them and cancels.
+If the strategy asks for it, each joint arrives at every look as it will at the target. Backlash is then equal
+in all of them and cancels.
 """
 
 from __future__ import annotations

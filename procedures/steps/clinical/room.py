@@ -95,7 +95,7 @@ def expected_sight(context: StepContext, surroundings: Surroundings) -> Expected
 
 @contextmanager
 def head_must_show(context: StepContext) -> Iterator[None]:
-    """Bound, within the block, the time for which the head may be unseen before the case suspends."""
+    """Limit, within the block, how long the head may be unseen before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
     if approach is None:
@@ -111,7 +111,7 @@ def head_must_show(context: StepContext) -> Iterator[None]:
 def room_watch(context: StepContext) -> RoomWatch:
     """Return the watch over the standing localization; begin one for a new localization.
 
-    If the registration has followed a move of the head, the spheres are expected where they are since.
+    After a followed move of the head, the spheres are expected at their new places.
     """
     localized = context.result(GlobalLocalization)
     name = context.identifier(GlobalLocalization)

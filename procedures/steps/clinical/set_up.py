@@ -55,10 +55,10 @@ class CheckedSetUp(StepResult, kind="set_up", version=2):
 def run(context: StepContext) -> Outcome[CheckedSetUp]:
     """Connect and configure all devices; check calibrations, serial numbers and the mounted tool.
 
-    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record, DEV-003 for a frame
-    unknown to the tracker, CAL-013 for another arm, CAL-020 and CAL-021 for an arm calibrated with another
-    stereo head or tip, STE-010 for another camera, PRO-009 for another tool, PRO-002 unless the position in
-    which an earlier run left the arm is confirmed.
+    Raises CAL-001 for an expired record, TOOL-002 and TOOL-003 for an unfit tool record. Raises DEV-003 for a
+    frame unknown to the tracker, CAL-013 for another arm, STE-010 for another camera, PRO-009 for another
+    tool. Raises CAL-020 and CAL-021 for an arm calibrated with another stereo head or tip. Raises PRO-002
+    unless the position of an arm left by an earlier run is confirmed.
     """
     workcell, calibrations = context.workcell, context.workcell.calibrations
     require_valid(calibrations, context.setting.today(), starts=context.setting.starts)
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
 
 def _not_connected_yet(context: StepContext) -> tuple[str, ...]:
-    """No device is connected yet: a second connection would meet the first."""
+    """Require that no device is connected yet: a second connection would meet the first."""
     connected = [
         role
         for role, device in context.workcell.devices.items()

@@ -1,7 +1,7 @@
 """Application error on a phantom with a ball at each target, measured by the stereo head.
 
-The arm goes to the target as it will with the guide, by the same registration and along the same axis, with
-the centre of the stereo head in place of the tip. The distance of the ball is the application error as the
+The arm goes to the target as with the guide, by the same registration and along the same axis. The centre of
+the stereo head takes the place of the tip. The distance of the ball is the application error as the
 thesis measured it. It needs no external truth, so it is the only method on hardware.
 """
 

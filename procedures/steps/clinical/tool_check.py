@@ -1,7 +1,7 @@
 """Check of the mounted guide on a gauge: is it as it was when its tip was calibrated?
 
-The gauge is where the mandrel's end was then, with the arm in the recorded joints, reached from the same
-side. So the arm's repeatability counts, not its accuracy. Hands insert the mandrel and read the dials.
+The gauge is at the former place of the mandrel's end, with the arm in the recorded joints, reached from the
+same side. So the arm's repeatability counts, not its accuracy. Hands insert the mandrel and read the dials.
 """
 
 from __future__ import annotations

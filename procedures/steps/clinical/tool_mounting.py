@@ -1,8 +1,8 @@
-"""The mounted tool: exchanged by hand on the parked arm, and seen in place by the tracker.
+"""The mounted tool: its exchange by hand on the parked arm, and its place as seen by the tracker.
 
 The controller's inputs show whether the right tool is mounted. The tracker compares the frame on the tool
-with frame M on the mount in the same readings, so neither the arm, nor the tracker's position, nor any
-calibration matters. This gross check precedes any motion: a longer tool would hit the gauge.
+with frame M on the mount in the same readings. So arm, tracker position and calibrations do not matter. This
+gross check precedes any motion: a longer tool would hit the gauge.
 """
 
 from __future__ import annotations

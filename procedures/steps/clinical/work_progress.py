@@ -1,4 +1,4 @@
-"""Progress of the work through the guide: its stages, the depth stop, and where it continues."""
+"""Progress of the work through the guide: its stages, the depth stop, and the stage to continue from."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ class WorkProgress:
         return len(self.before) == len(STAGES)
 
     def rely_on_stop(self, context: StepContext) -> None:
-        """Rely on the depth stop for insertion. Raises TOOL-007 if its reading is too old, to set it anew."""
+        """Rely on the depth stop for insertion. Raises TOOL-007 if its reading is too old."""
         if self.stop_read_s is None:
             return
         try:
@@ -83,7 +83,7 @@ class WorkProgress:
 
 
 def work_progress(context: StepContext) -> WorkProgress:
-    """Return work that was left with the instrument inside, otherwise new work with the depth stop set.
+    """Return interrupted work with the instrument inside, otherwise new work with the depth stop set.
 
     If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
@@ -126,7 +126,7 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
 
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
-    """Tasks not to be repeated, as the operator chooses; all of them if the work was finished."""
+    """Return the tasks not to repeat, as the operator chooses; all of them if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
     if not (known := stages.at(context.trajectory)):
         return ()
