@@ -44,7 +44,7 @@ class Figure:
         return replace(self, goal=f"ratio ≥ {limit:.3g}", met=self.ratio >= limit)
 
 
-def compared(
+def compare_samples(
     what: str, unit: str, samples: Mapping[str, Sequence[float]], baseline: str, *, scale: float = 1.0
 ) -> list[Figure]:
     """Medians of the contestants' samples, and the median of the ratios round by round.
@@ -71,7 +71,7 @@ CLOCK_TICKS_PER_S = os.sysconf("SC_CLK_TCK")
 UTIME_FIELD = 13  # of /proc/PID/stat, after the name; proc(5)
 
 
-def contest(
+def run_contest(
     contestants: Mapping[str, Contestant], rounds: int, *, warm_up: int = WARM_UP_ROUNDS
 ) -> dict[str, list[float]]:
     """Sample every contestant once per round; the order rotates by one each round."""
@@ -86,7 +86,7 @@ def contest(
     return samples
 
 
-def cpu_of(work: Callable[[], object], repeats: int = 1) -> float:
+def measure_cpu_s(work: Callable[[], object], repeats: int = 1) -> float:
     """CPU time of this process per call, seconds, over all its threads."""
     began = time.process_time()
     for _ in range(repeats):
@@ -94,7 +94,7 @@ def cpu_of(work: Callable[[], object], repeats: int = 1) -> float:
     return (time.process_time() - began) / repeats
 
 
-def rate_of(work: Callable[[], object], duration_s: float) -> tuple[float, float]:
+def measure_rate(work: Callable[[], object], duration_s: float) -> tuple[float, float]:
     """Calls per second of wall time over a period, and CPU seconds per call."""
     count = 0
     cpu, began = time.process_time(), time.perf_counter()

@@ -29,18 +29,18 @@ def measure() -> list[Figure]:
     for _ in range(ROUNDS):
         with tempfile.TemporaryDirectory() as folder:
             began = time.perf_counter()
-            with ChildProcess("ronna-sim theatre", _theatre(folder)):
+            with ChildProcess("ronna-sim theatre", _theatre_command(folder)):
                 start_s.append(time.perf_counter() - began)
         with tempfile.TemporaryDirectory() as folder:
             before_s, began = _children_cpu_s(), time.perf_counter()
-            outcome = _case(folder, "mini", CASE_LIMIT_S)
+            outcome = _run_case(folder, "mini", CASE_LIMIT_S)
             wall_s.append(time.perf_counter() - began)
             cpu_s.append(_children_cpu_s() - before_s)
             theatre_s.append(float(outcome["sim_s"]))
             error_mm.append(float(outcome["max_application_error_mm"]))
     with tempfile.TemporaryDirectory() as folder:
         began = time.perf_counter()
-        _case(folder, "default", 2 * DEMO_LIMIT_S)
+        _run_case(folder, "default", 2 * DEMO_LIMIT_S)
         demo_s = time.perf_counter() - began
     speed = median(theatre / wall for theatre, wall in zip(theatre_s, wall_s, strict=True))
     starts = median(wall / start for wall, start in zip(wall_s, start_s, strict=True))
@@ -54,13 +54,13 @@ def measure() -> list[Figure]:
     ]
 
 
-def _theatre(folder: str) -> list[str]:
+def _theatre_command(folder: str) -> list[str]:
     return command(
         "sim.cli", "theatre", "--scene", "mini", "--seed", str(SEED), "--speed", "max", "--out", folder
     )
 
 
-def _case(folder: str, scene: str, limit_s: float) -> dict[str, float]:
+def _run_case(folder: str, scene: str, limit_s: float) -> dict[str, float]:
     program = str(Path(sys.executable).parent / "ronna-procedure")
     arguments = ["run", "--sim", "--scene", scene, "--seed", str(SEED), "--out", folder, "--json"]
     done = subprocess.run([program, *arguments], capture_output=True, text=True, timeout=limit_s, check=False)

@@ -19,17 +19,17 @@ import numpy as np
 import tomli_w
 
 from benchmarks.stereo_head.head_looks import ENDPOINTS
-from procedures.planning.cart_map import judging, map_places
+from procedures.planning.cart_map import map_places, open_judge
 from procedures.planning.cart_place import CartCase, CartMove
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.scene import PlanningScene
 from procedures.planning.theatre_arm import theatre_arm
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import Pose
 from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 SEED, AWAY_MM, STANDOFF_MM = 3, 130.0, 30.0  # from so far off about two thirds of the map are reachable
 TURNS_DEG = (0.0, -15.0, 15.0)
@@ -49,7 +49,7 @@ class Agreement:
 
 
 def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> CartCase:
-    scene = named_scene(scene_name, seed=seed)
+    scene = draw_scene(scene_name, seed=seed)
     head = scene.head
     place = Pose.from_quaternion(head.robot_from_ct.translation_mm, head.robot_from_ct.quaternion_wxyz)
     x, y, z, *angles = place.to_kuka()
@@ -57,7 +57,7 @@ def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> Ca
         file = Path(folder) / "theatre.toml"
         file.write_text(tomli_w.dumps(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)))
         a, b, c = angles
-        theatre = theatre_arm(file, (x + away_mm, y, z, a, b, c), None, strategy_named("ocs"))
+        theatre = theatre_arm(file, (x + away_mm, y, z, a, b, c), None, find_strategy("ocs"))
     fiducials = tuple(one.centre_ct_mm for one in head.fiducials)
     shape = HeadEllipsoid(centre_mm=head.centre_ct_mm, semi_axes_mm=head.semi_axes_mm)
     surroundings = PlanningScene(theatre.surroundings, shape, fiducials).with_reserve(theatre.reserve_mm)
@@ -65,7 +65,7 @@ def cart_case(scene_name: str, seed: int = SEED, away_mm: float = AWAY_MM) -> Ca
     for target in head.targets:
         turn_rad = math.radians(target.free_angle_deg)
         one = Trajectory(target.identifier, target.entry_ct_mm, target.target_ct_mm, turn_rad)
-        trajectories.append(one.held(theatre.bore.reach_mm - STANDOFF_MM - one.depth_mm))
+        trajectories.append(one.with_rest(theatre.bore.reach_mm - STANDOFF_MM - one.depth_mm))
     return CartCase(replace(theatre.arm, scene=surroundings), tuple(trajectories), fiducials, theatre.sight)
 
 
@@ -73,7 +73,7 @@ def agreement(
     case: CartCase, places: int, within_mm: float, turn_deg: float = 0.0, workers: int | None = None
 ) -> Agreement:
     turn_rad, began_s = math.radians(turn_deg), time.perf_counter()
-    with judging(case, workers) as judge:
+    with open_judge(case, workers) as judge:
         found = map_places(within_mm, judge, turn_rad=turn_rad)
     map_s = time.perf_counter() - began_s
     tried = np.random.default_rng(11).uniform(-found.within_mm, found.within_mm, (places, 2)).tolist()

@@ -25,7 +25,7 @@ KEPT, BARE = "journal, events, recorders", "without them"
 def measure() -> list[Figure]:
     figures = []
     for speed, rounds in ROUNDS.items():
-        pairs = [(_case("kept", speed), _case("bare", speed)) for _ in range(rounds)]
+        pairs = [(_run_case("kept", speed), _run_case("bare", speed)) for _ in range(rounds)]
         for what, unit in (("wall_s", "wall time"), ("cpu_s", "processor time")):
             share = 100.0 * (median(kept[what] / bare[what] for kept, bare in pairs) - 1.0)
             name = f"cost of a run's history at --speed {speed}, {unit}"
@@ -34,7 +34,7 @@ def measure() -> list[Figure]:
     return figures
 
 
-def _case(kept: str, speed: str) -> dict[str, float]:
+def _run_case(kept: str, speed: str) -> dict[str, float]:
     with tempfile.TemporaryDirectory() as folder:
         done = subprocess.run(
             [sys.executable, "-P", str(PROGRAM), kept, speed, str(SEED), folder],

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from benchmarks.figures import Figure, compared, cpu_of
+from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from procedures.planning.plan_check import LEAST_SIDE_DIFFERENCE_MM, least_side_difference_mm
 from procedures.registration import MatchStatus, match, register
 from studies.campaign.study import add_up
@@ -39,10 +39,10 @@ OURS, SEARCH, SCIPY = "match", "random triples, NumPy", "SciPy align_vectors"
 
 
 def measure() -> list[Figure]:
-    return [*_pairing(), *_fit(), *measure_goals()]
+    return [*_measure_pairing(), *_fit(), *measure_goals()]
 
 
-def _pairing() -> list[Figure]:
+def _measure_pairing() -> list[Figure]:
     samples: dict[str, list[float]] = {OURS: [], SEARCH: []}
     right = dict.fromkeys(samples, 0)
     generator = np.random.default_rng(12)
@@ -60,12 +60,12 @@ def _pairing() -> list[Figure]:
             found[OURS] = {(int(a), int(b)) for a, b in result.pairs} if unique else set()  # noqa: B023
 
         def search(image: Array = image, physical: Array = physical) -> None:
-            found[SEARCH] = _random_search(image, physical, generator)  # noqa: B023
+            found[SEARCH] = _search_randomly(image, physical, generator)  # noqa: B023
 
         for name, work in ((OURS, ours), (SEARCH, search)):
-            samples[name].append(cpu_of(work))
+            samples[name].append(measure_cpu_s(work))
             right[name] += found[name] == pairs
-    ours_ms, search_ms = compared("CPU per pairing, 12 x 12 points", "ms", samples, SEARCH, scale=1e3)
+    ours_ms, search_ms = compare_samples("CPU per pairing, 12 x 12 points", "ms", samples, SEARCH, scale=1e3)
     return [
         ours_ms.at_most(MOST_MS),
         search_ms,
@@ -76,7 +76,7 @@ def _pairing() -> list[Figure]:
     ]
 
 
-def _random_search(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
+def _search_randomly(image: Array, physical: Array, generator: np.random.Generator) -> set[tuple[int, int]]:
     """The obvious first attempt: fit random triples to random triples, keep the largest consensus."""
     tree = cKDTree(physical)
     best: set[tuple[int, int]] = set()
@@ -86,7 +86,7 @@ def _random_search(image: Array, physical: Array, generator: np.random.Generator
         sides = [np.linalg.norm(p[[0, 1, 2]] - p[[1, 2, 0]], axis=1) for p in (image[a], physical[b])]
         if np.abs(sides[0] - sides[1]).max() > SEARCH_TOLERANCE_MM:
             continue
-        rotation, translation = _kabsch(image[a], physical[b])
+        rotation, translation = _fit_kabsch(image[a], physical[b])
         distance, nearest = tree.query(image @ rotation.T + translation)
         pairs = {(int(k), int(nearest[k])) for k in np.flatnonzero(distance < SEARCH_TOLERANCE_MM)}
         if len(pairs) > len(best):
@@ -94,7 +94,7 @@ def _random_search(image: Array, physical: Array, generator: np.random.Generator
     return best
 
 
-def _kabsch(source: Array, target: Array) -> tuple[Array, Array]:
+def _fit_kabsch(source: Array, target: Array) -> tuple[Array, Array]:
     middle, centre = source.mean(axis=0), target.mean(axis=0)
     u, _, vt = np.linalg.svd((target - centre).T @ (source - middle))
     rotation = u @ np.diag([1.0, 1.0, np.linalg.det(u @ vt)]) @ vt
@@ -117,15 +117,17 @@ def _fit() -> list[Figure]:
             rotation, _ = Rotation.align_vectors(physical - physical.mean(axis=0), image - image.mean(axis=0))
             return rotation
 
-        samples[equal].append(cpu_of(lambda a=image, b=physical: register(a, b), FIT_REPEATS))  # type: ignore[misc]
+        samples[equal].append(measure_cpu_s(lambda a=image, b=physical: register(a, b), FIT_REPEATS))  # type: ignore[misc]
         samples[weighted].append(
-            cpu_of(lambda a=image, b=physical, c=covariance: register(a, b, covariance_mm2=c), FIT_REPEATS)  # type: ignore[misc]
+            measure_cpu_s(
+                lambda a=image, b=physical, c=covariance: register(a, b, covariance_mm2=c), FIT_REPEATS
+            )  # type: ignore[misc]
         )
-        samples[SCIPY].append(cpu_of(scipy_fit, FIT_REPEATS))
+        samples[SCIPY].append(measure_cpu_s(scipy_fit, FIT_REPEATS))
         ours = Rotation.from_matrix(np.asarray(register(image, physical).transform.as_matrix())[:3, :3])
         apart.append(float((ours.inv() * scipy_fit()).magnitude()))
     return [
-        *compared("CPU per rigid fit, 5 points", "µs", samples, SCIPY, scale=1e6),
+        *compare_samples("CPU per rigid fit, 5 points", "µs", samples, SCIPY, scale=1e6),
         Figure("rotation apart from SciPy's", equal, median(apart), "rad"),
     ]
 
@@ -149,10 +151,10 @@ SIDES_APART_PERCENT = 0.1
 
 def measure_goals() -> list[Figure]:
     """Correspondence over the thesis' protocol, then the fit's formulas."""
-    return [*_pairing_goals(), *_sides_apart(), *_exact(), *_formulas()]
+    return [*_measure_pairing_goals(), *_measure_sides_apart(), *_measure_exact_fits(), *_measure_formulas()]
 
 
-def _pairing_goals() -> list[Figure]:
+def _measure_pairing_goals() -> list[Figure]:
     figures = []
     for noise in NoiseReading:
         for name, counts, limits in (
@@ -170,18 +172,18 @@ def _pairing_goals() -> list[Figure]:
                     total[key] = total.get(key, 0.0) + value
             for outcome, most in zip(OUTCOMES, limits, strict=True):
                 figures.append(
-                    _share(f"{outcome}, {name}, {noise.value}", Method.CLIQUE, outcome, total, most)
+                    _share_figure(f"{outcome}, {name}, {noise.value}", Method.CLIQUE, outcome, total, most)
                 )
             if most := WITH_PRIOR.get(counts[0]):
                 what = f"unsuccessful, {name}, {noise.value}, with orientation"
-                figures.append(_share(what, Method.PRIOR, "unsuccessful", total, most))
+                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, most))
             else:
                 what = f"false, {name}, {noise.value}, with the planned count"
-                figures.append(_share(what, Method.COUNT, "false", total, 0.0))
+                figures.append(_share_figure(what, Method.COUNT, "false", total, 0.0))
     return figures
 
 
-def _sides_apart() -> list[Figure]:
+def _measure_sides_apart() -> list[Figure]:
     """Three markers with side differences as required by the plan's check: shares without a unique answer."""
     figures = []
     for noise in NoiseReading:
@@ -202,7 +204,7 @@ def _sides_apart() -> list[Figure]:
     return figures
 
 
-def _share(what: str, method: Method, outcome: str, total: dict[str, float], most: float) -> Figure:
+def _share_figure(what: str, method: Method, outcome: str, total: dict[str, float], most: float) -> Figure:
     def count(*outcomes: str) -> float:
         return sum(total.get(f"{method.value}||{one}", 0.0) for one in outcomes)
 
@@ -211,7 +213,7 @@ def _share(what: str, method: Method, outcome: str, total: dict[str, float], mos
     return Figure(what, MATCH, share, "%", more={"runs": runs}).at_most(most)
 
 
-def _exact() -> list[Figure]:
+def _measure_exact_fits() -> list[Figure]:
     """The largest rotation error on exact data."""
     random = np.random.default_rng(SEED)
     worst = 0.0
@@ -223,7 +225,7 @@ def _exact() -> list[Figure]:
     return [Figure("largest rotation error, exact data", "register", worst, "rad").at_most(1e-12)]
 
 
-def _formulas() -> list[Figure]:
+def _measure_formulas() -> list[Figure]:
     study = RegistrationStudy(FIT_RUNS, SEED, fiducials=(5,))
     units = [
         unit for unit in study.units() if unit.condition.startswith(ISOTROPIC) or unit.block < WEIGHTED_BLOCKS
@@ -231,17 +233,17 @@ def _formulas() -> list[Figure]:
     formulas, gains = tables(add_up((unit, study.run(unit)) for unit in units))
     ((_, _, fle, one_space, _, _, _, tre, alarms, _),) = formulas.rows
     figures = [
-        Figure("FLE by eq. 36 over the true one", "register", _number(fle), "").within(0.98, 1.02),
-        Figure("FLE of one space by eq. 37, 38", "register", _number(one_space), "").within(0.98, 1.02),
-        Figure("target error over eq. 39", "register", _number(tre), "").within(0.98, 1.02),
-        Figure("false alarms of the FRE gate", "register", _number(alarms), "%").within(4.0, 6.0),
+        Figure("FLE by eq. 36 over the true one", "register", _parse_number(fle), "").within(0.98, 1.02),
+        Figure("FLE of one space by eq. 37, 38", "register", _parse_number(one_space), "").within(0.98, 1.02),
+        Figure("target error over eq. 39", "register", _parse_number(tre), "").within(0.98, 1.02),
+        Figure("false alarms of the FRE gate", "register", _parse_number(alarms), "%").within(4.0, 6.0),
     ]
     for row, least in zip(gains.rows, (20.0, 40.0), strict=True):
-        gain = Figure(f"target error that weighting saves, {row[0]}", "register", _number(row[6]), "%")
+        gain = Figure(f"target error that weighting saves, {row[0]}", "register", _parse_number(row[6]), "%")
         figures.append(gain.at_least(least))
     return figures
 
 
-def _number(value: object) -> float:
+def _parse_number(value: object) -> float:
     assert isinstance(value, float)
     return value

@@ -77,16 +77,16 @@ def bench(
     with message_console().status("measuring"):
         for name in names:
             try:
-                figures_of[name] = _measured(name)
+                figures_of[name] = _run_measurement(name)
             except (RuntimeError, subprocess.TimeoutExpired) as problem:
                 failures[name] = str(problem)
-    _show(figures_of, failures)
+    _print_results(figures_of, failures)
     path = _write(out, figures_of, failures)
     sys.stdout.write(f"written to {path}\n")
     return EXIT_FAILED if failures else EXIT_DONE
 
 
-def _measured(name: str) -> list[Figure]:
+def _run_measurement(name: str) -> list[Figure]:
     """Run one measurement in its own process; raises RuntimeError with its last output."""
     done = subprocess.run(
         [sys.executable, "-P", __file__, "--in-process", name],
@@ -101,7 +101,7 @@ def _measured(name: str) -> list[Figure]:
     return [Figure(**figure) for figure in json.loads(done.stdout)]
 
 
-def _show(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None:
+def _print_results(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None:
     from rich.console import Console
     from rich.table import Table
 
@@ -114,18 +114,18 @@ def _show(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None
         for figure in figures:
             ratio = "" if figure.ratio is None else f"{figure.ratio:.3g} x {figure.baseline}"
             goal = "" if figure.met is None else f"{figure.goal}: {'met' if figure.met else 'MISSED'}"
-            table.add_row(figure.what, figure.who, _rounded(figure.value), figure.unit, ratio, goal)
+            table.add_row(figure.what, figure.who, _format_value(figure.value), figure.unit, ratio, goal)
     console.print(table)
     goals = [figure for figures in figures_of.values() for figure in figures if figure.met is not None]
     if goals:
         missed = [figure.what for figure in goals if not figure.met]
-        said = f"missed: {'; '.join(missed)}" if missed else "none missed"
-        sys.stdout.write(f"goals met: {len(goals) - len(missed)} of {len(goals)}, {said}\n")
+        summary = f"missed: {'; '.join(missed)}" if missed else "none missed"
+        sys.stdout.write(f"goals met: {len(goals) - len(missed)} of {len(goals)}, {summary}\n")
     for name, reason in failures.items():
         sys.stderr.write(f"{name} was not measured: {reason}\n")
 
 
-def _rounded(value: float) -> str:
+def _format_value(value: float) -> str:
     """Four digits, without an exponent where a person would not write one."""
     return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
@@ -135,7 +135,7 @@ def _write(folder: Path, figures_of: dict[str, list[Figure]], failures: dict[str
     now = datetime.now(UTC)
     content: dict[str, Any] = {
         "date": now.isoformat(timespec="seconds"),
-        "commit": _commit(),
+        "commit": _read_commit(),
         "machine": {"cpus": os.cpu_count(), "load": os.getloadavg(), "platform": platform.platform()},
         "python": platform.python_version(),
         "peers": {name: metadata.version(name) for name in PEERS},
@@ -147,7 +147,7 @@ def _write(folder: Path, figures_of: dict[str, list[Figure]], failures: dict[str
     return path
 
 
-def _commit() -> str:
+def _read_commit() -> str:
     done = subprocess.run(
         ["git", "rev-parse", "--short", "HEAD"], cwd=ROOT, capture_output=True, text=True, check=False
     )

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 
-from benchmarks.figures import Figure, compared, contest, process_cpu_s, rate_of
+from benchmarks.figures import Figure, compare_samples, measure_rate, process_cpu_s, run_contest
 from benchmarks.peers import tracker_clients
 from benchmarks.peers.tracker_clients import MakeReader, Reader
 from benchmarks.robot.robot_cell import peer
@@ -54,7 +54,7 @@ class Rates:
     unit_cpu_s: dict[str, float]
 
 
-def rates_of(stands: Mapping[str, Stand]) -> Rates:
+def measure_rates(stands: Mapping[str, Stand]) -> Rates:
     """Readings per second of each stand, and the CPU time per reading on either side."""
     with ExitStack() as stack:
         readers: dict[str, Reader] = {}
@@ -69,13 +69,13 @@ def rates_of(stands: Mapping[str, Stand]) -> Rates:
 
         def block(name: str) -> float:
             before_s = process_cpu_s(pids[name])
-            rate, cpu_s = rate_of(readers[name], BLOCK_S)
+            rate, cpu_s = measure_rate(readers[name], BLOCK_S)
             client_cpu_s[name].append(cpu_s)
             unit_s[name] += process_cpu_s(pids[name]) - before_s
             readings[name] += rate * BLOCK_S
             return rate
 
-        per_second = contest({name: partial(block, name) for name in stands}, ROUNDS)
+        per_second = run_contest({name: partial(block, name) for name in stands}, ROUNDS)
         return Rates(per_second, client_cpu_s, {name: unit_s[name] / readings[name] for name in stands})
 
 
@@ -97,37 +97,37 @@ MORE_STRAYS_MM = ((60.0, -350.0, -1450.0), (-60.0, 350.0, -1550.0), (10.0, 60.0,
 def measure() -> list[Figure]:
     """Readings per second as fast as each client can request them, then the unit's replies per second."""
     with tempfile.TemporaryDirectory() as folder:
-        roms = _definitions(Path(folder))
+        roms = _write_definitions(Path(folder))
         figures: list[Figure] = []
         for line in LINES:
-            figures += _clients(line, roms[:1])
+            figures += _compare_clients(line, roms[:1])
         for line in LINES:
-            figures += _unit(line, roms)
+            figures += _measure_unit(line, roms)
         return figures
 
 
-def _clients(line: str, roms: Sequence[Path]) -> list[Figure]:
+def _compare_clients(line: str, roms: Sequence[Path]) -> list[Figure]:
     """The clients compared, one tool, a unit that follows the host's clock."""
     bench = load_scene("bench")
-    rates = rates_of({name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()})
+    rates = measure_rates({name: Stand(client, LINES[line], bench, roms) for name, client in CLIENTS.items()})
     what = f"readings/s, {line}"
-    figures = [replace(figure, what=what) for figure in _over_peers(rates)]
-    figures += compared(f"CPU/reading, {line}", "µs", rates.client_cpu_s, NDICAPI, scale=1e6)
+    figures = [replace(figure, what=what) for figure in _compare_with_peers(rates)]
+    figures += compare_samples(f"CPU/reading, {line}", "µs", rates.client_cpu_s, NDICAPI, scale=1e6)
     return figures
 
 
-def _over_peers(rates: Rates) -> list[Figure]:
+def _compare_with_peers(rates: Rates) -> list[Figure]:
     """All clients compared with ndicapi, and our driver with each peer that sets it a goal."""
-    rows = compared("", "1/s", rates.per_second, NDICAPI)
+    rows = compare_samples("", "1/s", rates.per_second, NDICAPI)
     others = [row for row in rows if row.who != OURS]
     ours = []
     for rival, share in DRIVER_GOALS.items():
         pair = {name: rates.per_second[name] for name in (OURS, rival)}
-        ours.append(compared("", "1/s", pair, rival)[0].ratio_at_least(share))
+        ours.append(compare_samples("", "1/s", pair, rival)[0].ratio_at_least(share))
     return [*ours, *others]
 
 
-def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
+def _measure_unit(line: str, roms: Sequence[Path]) -> list[Figure]:
     """The unit's replies to ndicapi while its frames repeat, like a real unit's, and with every frame new.
 
     Compared with the minimum for a unit written in Python: one that knows a single answer.
@@ -137,7 +137,7 @@ def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
     crowded = bench.model_copy(update={"tracker": bench.tracker.model_copy(update={"strays_mm": strays})})
     few = Stand(tracker_clients.ndicapi_replies, LINES[line], bench, roms[:1])
     many = replace(few, scene=crowded, roms=roms)
-    rates = rates_of(
+    rates = measure_rates(
         {
             FEW: few,
             MANY: many,
@@ -147,24 +147,27 @@ def _unit(line: str, roms: Sequence[Path]) -> list[Figure]:
         }
     )
     figures = []
-    for figure in compared("", "1/s", rates.per_second, CANNED):
+    for figure in compare_samples("", "1/s", rates.per_second, CANNED):
         goal = UNIT_GOALS.get((line, figure.who))
         figures.append(figure if goal is None else figure.at_least(goal))
     cpu_s = {load: [spent] for load, spent in rates.unit_cpu_s.items()}
     return [
-        *(_of_unit(figure, f"replies/s, {line}") for figure in figures),
-        *(_of_unit(figure, f"CPU/reply, {line}") for figure in compared("", "µs", cpu_s, CANNED, scale=1e6)),
+        *(_label_unit_figure(figure, f"replies/s, {line}") for figure in figures),
+        *(
+            _label_unit_figure(figure, f"CPU/reply, {line}")
+            for figure in compare_samples("", "µs", cpu_s, CANNED, scale=1e6)
+        ),
     ]
 
 
-def _of_unit(figure: Figure, what: str) -> Figure:
+def _label_unit_figure(figure: Figure, what: str) -> Figure:
     """Name the load as part of the measured quantity, not of the worker."""
     if figure.who == CANNED:
         return replace(figure, what=what)
     return replace(figure, what=f"{what}, {figure.who}", who=UNIT)
 
 
-def _definitions(folder: Path) -> list[Path]:
+def _write_definitions(folder: Path) -> list[Path]:
     more = (TrackerTool(name=name, part_number=name, markers_mm=mm) for name, mm in MORE_TOOLS_MM.items())
     files = []
     for tool in (robot_frame(), *more):

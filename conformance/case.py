@@ -111,11 +111,11 @@ class CaseList:
     def _case_of(
         self,
         run: Callable[[DeviceUnderTest, Callable[[S], object]], None],
-        of_context: tuple[Need, ...] = (),
+        context_needs: tuple[Need, ...] = (),
     ) -> CaseOf[S]:
         def case(number: str, statement: str, *, needs: tuple[Need, ...] = ()) -> Decorator[S]:
             def add(check_one: Callable[[S], object]) -> Callable[[S], object]:
-                self.case(number, statement, needs=(*of_context, *needs))(lambda dut: run(dut, check_one))
+                self.case(number, statement, needs=(*context_needs, *needs))(lambda dut: run(dut, check_one))
                 return check_one
 
             return add
@@ -139,7 +139,7 @@ class Suite(CaseList):
         """Return a suite of the same kind with these cases."""
         return Suite(self.kind, self.driver, motions=self.motions, cases=cases)
 
-    def moving(self) -> list[str]:
+    def list_moving_cases(self) -> list[str]:
         """List the numbers of the cases that move the device."""
         return [case.number for case in self.cases if MOTION in case.needs]
 
@@ -159,7 +159,7 @@ def check(condition: bool, expected: str, found: object = "") -> None:
         raise Nonconformity(f"expected {expected}" + (f", got {found}" if found != "" else ""))
 
 
-def present(value: S | None, expected: str, found: object = "") -> S:
+def require_present(value: S | None, expected: str, found: object = "") -> S:
     """Return a value that must not be None; raises Nonconformity like `check`."""
     check(value is not None, expected, found)
     assert value is not None, "check has raised"

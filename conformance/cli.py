@@ -58,24 +58,24 @@ def conformance(
 ) -> int:
     """Run the conformance suite on a driver and its device. Safe by default: no motion, no reset."""
     from conformance.report import run_suite
-    from conformance.target import Choice, device_under_test, resolve
-    from ronna_hw.records import write_whole
+    from conformance.target import Choice, device_under_test, resolve_target
+    from ronna_hw.records import write_atomically
 
     if report_file is not None:
-        write_whole(report_file, b"")  # fail before the run, not after it
+        write_atomically(report_file, b"")  # fail before the run, not after it
     choice = Choice(sim, config, tuple(endpoint or ()), driver, device, tuple(allow or ()))
-    target = resolve(kind, choice)
+    target = resolve_target(kind, choice)
     suite = target.suite.only(only or [])
     with device_under_test(target) as dut:
-        moves = suite.moving() if "motion" in dut.offers and not sim else []
-        person = _confirming_person(suite.motions, moves, dut, confirmed_by) if moves else ""
+        moving_cases = suite.list_moving_cases() if "motion" in dut.offers and not sim else []
+        person = _require_confirmation(suite.motions, moving_cases, dut, confirmed_by) if moving_cases else ""
         with progress_bar(f"{kind} suite") as progress:
             report = run_suite(suite, dut, progress, confirmed_by=person)
     document = report.as_document()
     if report_file is not None:
         import json as json_module
 
-        write_whole(report_file, json_module.dumps(document, indent=1, allow_nan=False).encode())
+        write_atomically(report_file, json_module.dumps(document, indent=1, allow_nan=False).encode())
     if json:
         print_json(document)
     else:
@@ -83,12 +83,14 @@ def conformance(
     return EXIT_DONE if report.passed else EXIT_FAILED
 
 
-def _confirming_person(motions: str, moves: list[str], dut: DeviceUnderTest, given: str | None) -> str:
+def _require_confirmation(
+    motions: str, moving_cases: list[str], dut: DeviceUnderTest, given: str | None
+) -> str:
     """Return the name of the person who confirms motion; raises CNF-005 without one."""
     from conformance.errors import NotConfirmed
 
     where = dut.config.endpoint or ", ".join(dut.config.endpoints.values())
-    tell(f"{dut.name} at {where} will be moved by {', '.join(moves)}: {motions}.")
+    tell(f"{dut.name} at {where} will be moved by {', '.join(moving_cases)}: {motions}.")
     name = given
     if name is None and on_terminal(sys.stdin):
         tell("Make sure that its reach is clear of persons and objects, and hold the emergency stop.")

@@ -33,7 +33,7 @@ def ends_within(limit_s: float) -> Iterator[None]:
     check(elapsed_s < limit_s, f"an end within {limit_s:g} s", f"{elapsed_s:.1f} s")
 
 
-def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
+def check_interface(dut: DeviceUnderTest, interface: type[Any]) -> None:
     """Check that a new driver has all calls of its interface and the given name, and is not connected."""
     device = dut.make()
     check(isinstance(device, interface), f"all calls of {interface.__name__}", type(device).__name__)
@@ -41,7 +41,7 @@ def offers(dut: DeviceUnderTest, interface: type[Any]) -> None:
     check(device.name == dut.name, f"the name {dut.name}", device.name)
 
 
-def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
+def check_identity(dut: DeviceUnderTest) -> tuple[Any, Identity]:
     """Connect the device and check that its identity names vendor and model; returns both."""
     device = dut.make()
     identity: Identity = device.connect()
@@ -50,7 +50,7 @@ def identifies_device(dut: DeviceUnderTest) -> tuple[Any, Identity]:
     return device, identity
 
 
-def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
+def check_early_calls(dut: DeviceUnderTest, disconnected: Sequence[str], connected: Sequence[str]) -> Any:
     """Check that calls are refused while disconnected and while connected; returns the connected device."""
     device = dut.make()
     for call in disconnected:
@@ -61,7 +61,7 @@ def refuses_early(dut: DeviceUnderTest, disconnected: Sequence[str], connected: 
     return device
 
 
-def closes(device: Device, limit_s: float) -> None:
+def check_closing(device: Device, limit_s: float) -> None:
     """Check that closing takes bounded time, is final, and may be repeated."""
     with ends_within(limit_s):
         device.close()
@@ -70,7 +70,7 @@ def closes(device: Device, limit_s: float) -> None:
     refused(device.connect, StateError, "connect after close")
 
 
-def fails_to_connect(device: Device, limit_s: float) -> None:
+def check_connect_failure(device: Device, limit_s: float) -> None:
     """Check that connecting without a device at the endpoint fails in time, with code and advice."""
     try:
         with ends_within(limit_s + SLACK_S):
@@ -80,8 +80,8 @@ def fails_to_connect(device: Device, limit_s: float) -> None:
     check(bool(error.code and error.advice), "an error with code and advice", error)
 
 
-def fails_to_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
-    """Check `fails_to_connect` with every address of the driver replaced by one without a device."""
+def check_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
+    """Check `check_connect_failure` with every address of the driver replaced by one without a device."""
     with socket.create_server(("127.0.0.1", 0)) as free:
         nowhere = f"tcp://127.0.0.1:{free.getsockname()[1]}"
     endpoint = dut.config.endpoint
@@ -96,10 +96,10 @@ def fails_to_connect_nowhere(dut: DeviceUnderTest, limit_s: float) -> None:
                 for name, address in dut.config.endpoints.items()
             }
         }
-    fails_to_connect(dut.make(**changes), limit_s)
+    check_connect_failure(dut.make(**changes), limit_s)
 
 
-def refuses_unknown_options(dut: DeviceUnderTest) -> None:
+def check_unknown_option(dut: DeviceUnderTest) -> None:
     """Check that the constructor refuses an unknown option."""
     options = {**dut.config.options, "no_such_option": 1}
     refused(lambda: dut.make(options=options), ConfigurationError, "an unknown option")
@@ -120,7 +120,7 @@ class DeviceCases:
     read: Callable[[Any], object]
     limit_s: float
 
-    def numbered(self, letter: str, first: int) -> list[Case]:
+    def build_cases(self, letter: str, first: int) -> list[Case]:
         """Return the cases with consecutive numbers, such as from T23 on."""
         runs = (
             ("a block makes a disconnected device active and leaves it configured", self.active_block),

@@ -12,7 +12,7 @@ from ronna_hw.endpoints import Endpoint, parse_endpoint
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.registry import make_device
 
-_ON_THE_WAY = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
+_STATE_ORDER = (Lifecycle.DISCONNECTED, Lifecycle.CONNECTED, Lifecycle.CONFIGURED, Lifecycle.ACTIVE)
 
 
 class DeviceUnderTest:
@@ -46,7 +46,7 @@ class DeviceUnderTest:
     def at(self, state: Lifecycle) -> Any:
         """Bring the shared device to CONNECTED, CONFIGURED or ACTIVE; makes a new one after a failure."""
         device = self._shared
-        if device is None or device.state not in _ON_THE_WAY:
+        if device is None or device.state not in _STATE_ORDER:
             device = self._shared = self.make()
         if state is not Lifecycle.ACTIVE and device.state is Lifecycle.ACTIVE:
             device.deactivate()
@@ -57,7 +57,7 @@ class DeviceUnderTest:
     def bring_to(self, state: Lifecycle, device: Any) -> Any:
         """Bring a device from `make` from its present state to `state`."""
         steps = (device.connect, device.configure, device.activate)
-        for step in steps[_ON_THE_WAY.index(device.state) : _ON_THE_WAY.index(state)]:
+        for step in steps[_STATE_ORDER.index(device.state) : _STATE_ORDER.index(state)]:
             step()
         return device
 
@@ -79,7 +79,7 @@ class DeviceUnderTest:
         self.release()
         return DisturbedLine(self.endpoint)
 
-    def can_be_disturbed(self) -> bool:
+    def is_disturbable(self) -> bool:
         """Test whether a line that can misbehave fits between this driver and this endpoint."""
         if self.config.endpoint is None:
             return False

@@ -134,9 +134,9 @@ class DisturbedLine(LineThread):
                         self._note_command(data)
                         _write_all(device.fileno(), data)
                     elif not self._silent:
-                        held += self._in_order(self._disturb(data), held)
+                        held += self._schedule(self._disturb(data), held)
                 while self._injected:
-                    held += self._in_order([(0.0, self._injected.pop(0))], held)
+                    held += self._schedule([(0.0, self._injected.pop(0))], held)
                 while held and held[0][0] <= time.monotonic():
                     client.sendall(held.pop(0)[1])
 
@@ -148,7 +148,7 @@ class DisturbedLine(LineThread):
         return disturbance(data) if disturbance else [(0.0, data)]
 
     @staticmethod
-    def _in_order(
+    def _schedule(
         deliveries: list[tuple[float, bytes]], held: list[tuple[float, bytes]]
     ) -> list[tuple[float, bytes]]:
         now_s = time.monotonic()

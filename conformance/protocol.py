@@ -85,7 +85,7 @@ def load_protocol(wire_protocol: str) -> ProtocolCases:
     return ProtocolCases()
 
 
-def protocol_of(driver: str) -> ProtocolCases:
+def load_driver_protocol(driver: str) -> ProtocolCases:
     """Load the protocol cases for a driver, by the `wire_protocol` of its class; raises DEV-002."""
     return load_protocol(load_driver(driver).wire_protocol)
 

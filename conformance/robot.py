@@ -19,13 +19,13 @@ from conformance.case import MOTION, Suite, check, refused
 from conformance.device_cases import (
     DeviceCases,
     Interruption,
-    closes,
-    fails_to_connect_nowhere,
-    identifies_device,
+    check_closing,
+    check_connect_nowhere,
+    check_early_calls,
+    check_identity,
+    check_interface,
+    check_unknown_option,
     observe,
-    offers,
-    refuses_early,
-    refuses_unknown_options,
 )
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.arm.motion.limits import REDUCED_SPEED_FRACTION, REDUCED_SPEED_MM_S
@@ -74,28 +74,28 @@ def active_arm(dut: DeviceUnderTest) -> tuple[Any, JointVector]:
     return arm, arm.read_state().commanded_rad
 
 
-def apart_rad(a: JointVector, b: JointVector) -> float:
+def axis_distance_rad(a: JointVector, b: JointVector) -> float:
     """Return the largest difference of any axis."""
     return max(abs(x - y) for x, y in zip(a, b, strict=True))
 
 
 def check_standstill(reading: ArmReading, joints_rad: JointVector) -> None:
     """Raise Nonconformity unless the arm has stayed at these axes."""
-    moved = apart_rad(reading.joints_rad, joints_rad)
+    moved = axis_distance_rad(reading.joints_rad, joints_rad)
     check(moved < STANDS_STILL_RAD, "an arm at standstill", f"{degrees(moved):.5f} deg")
 
 
 SUITE.case("R01", "the driver implements RobotArm and starts disconnected")(
-    partial(offers, interface=RobotArm)
+    partial(check_interface, interface=RobotArm)
 )
 
 
-SUITE.case("R02", "connecting identifies the device")(identifies_device)
+SUITE.case("R02", "connecting identifies the device")(check_identity)
 
 
 @SUITE.case("R03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
-    arm = refuses_early(
+    arm = check_early_calls(
         dut,
         disconnected=("configure", "activate", "deactivate", "read_state", "read_tool_identity", "resume"),
         connected=("activate",),
@@ -130,7 +130,7 @@ def first_correction_is_zero(dut: DeviceUnderTest) -> None:
         reading = arm.read_state()
         check_standstill(reading, before)
         check(reading.commanded_rad is not None, "commanded axes while the stream runs")
-        lag = apart_rad(reading.joints_rad, reading.commanded_rad or reading.joints_rad)
+        lag = axis_distance_rad(reading.joints_rad, reading.commanded_rad or reading.joints_rad)
         check(lag < STANDS_STILL_RAD, "commanded axes where the arm is", f"{degrees(lag):.5f} deg")
 
 
@@ -188,7 +188,7 @@ def small_joint_move(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
     for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
         reading: ArmReading = arm.move_joints(target, speed_fraction=SLOW)
-        missed = apart_rad(reading.joints_rad, target)
+        missed = axis_distance_rad(reading.joints_rad, target)
         check(missed < REACHED_RAD, "the target", f"{degrees(missed):.4f} deg off")
         check(not reading.moving, "an arm at rest")
 
@@ -197,12 +197,12 @@ def small_joint_move(dut: DeviceUnderTest) -> None:
 def small_line(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
     here: Transform = arm.kinematics.flange_pose(start)
-    for target in (here.displaced((0.0, 0.0, SMALL_LINE_MM)), here):
+    for target in (here.displace((0.0, 0.0, SMALL_LINE_MM)), here):
         reading: ArmReading = arm.move_linear(target, speed_fraction=SLOW)
         reached: Transform = arm.kinematics.flange_pose(reading.joints_rad)
         missed_mm = math.dist(reached.translation_mm, target.translation_mm)
         check(missed_mm < REACHED_MM, "the target", f"{missed_mm:.4f} mm off")
-    check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
+    check(axis_distance_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 
 
 @SUITE.case("R13", "a target outside the joint ranges is refused before any motion", needs=(MOTION,))
@@ -217,7 +217,7 @@ def target_out_of_range(dut: DeviceUnderTest) -> None:
 @SUITE.case("R14", "hold stops the moving arm before its target; resume moves nothing", needs=(MOTION,))
 def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
-    ends = _stop_on_the_way(dut, arm, start, StopKind.HOLD)
+    ends = _stop_midway(dut, arm, start, StopKind.HOLD)
     check(any(isinstance(error, StateError) for error in ends), "a motion that says it was stopped", ends)
     check(arm.state is Lifecycle.HOLD, "state hold", arm.state)
     refused(lambda: arm.move_joints(start), StateError, "move_joints in hold")
@@ -226,14 +226,14 @@ def hold_comes_to_rest(dut: DeviceUnderTest) -> None:
     check(arm.state is Lifecycle.ACTIVE, "state active", arm.state)
     check(arm.read_state().commanded_rad == held, "an arm that stays where it was held")
     target = turn_last_axis(start, STOPPED_TURN_RAD)
-    check(apart_rad(held, target) > SMALL_TURN_RAD, "an arm stopped before its target")
+    check(axis_distance_rad(held, target) > SMALL_TURN_RAD, "an arm stopped before its target")
     arm.move_joints(start, speed_fraction=SLOW)
 
 
 @SUITE.case("R15", "a protective stop is latched; recover clears it without motion", needs=(MOTION,))
 def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
     arm, start = active_arm(dut)
-    ends = _stop_on_the_way(dut, arm, start, StopKind.PROTECTIVE)
+    ends = _stop_midway(dut, arm, start, StopKind.PROTECTIVE)
     check(bool(ends), "a motion that says it was stopped")
     check(arm.state is Lifecycle.FAULT, "state fault", arm.state)
     check(observe(arm, Lifecycle.FAULT).fault is not None, "the fault observed")
@@ -245,7 +245,7 @@ def protective_stop_is_latched(dut: DeviceUnderTest) -> None:
 
 
 SUITE.case("R16", "closing ends in bounded time, is final and may be repeated")(
-    lambda dut: closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
+    lambda dut: check_closing(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 )
 
 
@@ -263,11 +263,11 @@ def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
 
 
 SUITE.case("R18", "connecting to an endpoint without a device fails in time, with code and advice")(
-    partial(fails_to_connect_nowhere, limit_s=CONNECT_LIMIT_S)
+    partial(check_connect_nowhere, limit_s=CONNECT_LIMIT_S)
 )
 
 
-SUITE.case("R19", "an unknown option is refused by the constructor")(refuses_unknown_options)
+SUITE.case("R19", "an unknown option is refused by the constructor")(check_unknown_option)
 
 
 @SUITE.case("R20", "a straight line to a pose between the wrong frames is refused before any motion")
@@ -310,10 +310,10 @@ def line_is_the_tools(dut: DeviceUnderTest) -> None:
             beside_mm = math.dist(at.translation_mm, here.translation_mm)
             check(beside_mm < REACHED_MM, "the tool on its line", f"{beside_mm:.4f} mm off")
         check(len(seen) > 0, "readings on the way", len(seen))
-    check(apart_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
+    check(axis_distance_rad(arm.read_state().joints_rad, start) < REACHED_RAD, "the axes of the start")
 
 
-SUITE.cases.extend(DeviceCases(lambda arm: arm.read_state(), CLOSE_LIMIT_S).numbered("R", 22))
+SUITE.cases.extend(DeviceCases(lambda arm: arm.read_state(), CLOSE_LIMIT_S).build_cases("R", 22))
 
 
 @SUITE.case("R26", "a block left by an exception brings the moving arm to rest on its way", needs=(MOTION,))
@@ -327,7 +327,9 @@ def exception_stops_the_arm(dut: DeviceUnderTest) -> None:
     mover.join()
     check(arm.state is Lifecycle.CONFIGURED, "state configured", arm.state)
     check(bool(ends), "a motion that says it was stopped")
-    check(apart_rad(rest.joints_rad, start) < STOPPED_TURN_RAD / 2, "an arm stopped before its target")
+    check(
+        axis_distance_rad(rest.joints_rad, start) < STOPPED_TURN_RAD / 2, "an arm stopped before its target"
+    )
     dut.clock.sleep(HOLDING_S)
     check_standstill(arm.read_state(), rest.joints_rad)
     with arm.active():
@@ -343,7 +345,7 @@ def limits_are_stated(dut: DeviceUnderTest) -> None:
     for mode in OperatingMode:
         limits = arm.limits(mode)
         numbers = (*limits.speed_rad_s, *limits.acceleration_rad_s2, *limits.jerk_rad_s3)
-        check(all(0.0 < one < math.inf for one in numbers), f"limits of each axis, {mode}", limits)
+        check(all(0.0 < value < math.inf for value in numbers), f"limits of each axis, {mode}", limits)
         lower, upper = limits.ranges(arm.kinematics)
         check(all(a < b for a, b in zip(lower, upper, strict=True)), "a range of each axis", limits)
     reduced = arm.limits(OperatingMode.REDUCED_SPEED)
@@ -363,7 +365,7 @@ def previews_keep_to_the_limits(dut: DeviceUnderTest) -> None:
     refused(lambda: arm.preview(beyond, start_rad=here), LimitError, "a target beyond the stated range")
 
 
-def _stop_on_the_way(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind) -> list[RonnaError]:
+def _stop_midway(dut: DeviceUnderTest, arm: Any, start: JointVector, kind: StopKind) -> list[RonnaError]:
     """Stop a motion on its way; returns the errors that the motion raised."""
     mover, ends = start_moving(dut, arm, start)
     try:
@@ -390,6 +392,6 @@ def start_moving(
 
     mover = threading.Thread(target=move)
     mover.start()
-    while mover.is_alive() and apart_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
+    while mover.is_alive() and axis_distance_rad(arm.read_state().joints_rad, start) < SMALL_TURN_RAD:
         dut.clock.sleep(HOLDING_S / 20)
     return mover, ends

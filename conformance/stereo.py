@@ -7,14 +7,14 @@ from functools import partial
 
 import numpy as np
 
-from conformance.case import NotShown, Suite, check, present, refused
+from conformance.case import NotShown, Suite, check, refused, require_present
 from conformance.device_cases import (
     DeviceCases,
-    closes,
-    fails_to_connect,
-    identifies_device,
-    offers,
-    refuses_early,
+    check_closing,
+    check_connect_failure,
+    check_early_calls,
+    check_identity,
+    check_interface,
 )
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.devices.lifecycle import Lifecycle
@@ -26,34 +26,34 @@ PAIRS = 5
 CLOSE_LIMIT_S = 5.0
 CONNECT_LIMIT_S = 2.0
 AREA_STEP_PX = 32  # a multiple of what cameras allow
-NOBODY = "gev://127.0.0.251"
+EMPTY_ENDPOINT = "gev://127.0.0.251"
 EXPOSURES_US = (0.0, 1e9)  # outside every camera's limits
 GAIN_RAW = 64
 
 SUITE = Suite("stereo", driver="basler_stereo")
 
 
-def pairs_of(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
+def grab_pairs(dut: DeviceUnderTest, count: int = PAIRS) -> list[StereoReading]:
     """Take readings on the shared connection, one trigger each."""
     pair: StereoPair = dut.at(Lifecycle.ACTIVE)
     return [pair.grab_pair() for _ in range(count)]
 
 
-def both(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
+def require_both_images(reading: StereoReading) -> tuple[CameraImage, CameraImage]:
     """Return both images of a pair, which must be complete."""
     check(reading.validity is Validity.OK, "a complete pair", reading.validity)
     what = "an image from both cameras in a complete pair"
-    return present(reading.left, what), present(reading.right, what)
+    return require_present(reading.left, what), require_present(reading.right, what)
 
 
 SUITE.case("S01", "the driver implements StereoPair and starts disconnected")(
-    partial(offers, interface=StereoPair)
+    partial(check_interface, interface=StereoPair)
 )
 
 
 @SUITE.case("S02", "connecting identifies the cameras, and which is left and right")
 def identity_is_answered(dut: DeviceUnderTest) -> None:
-    pair, identity = identifies_device(dut)
+    pair, identity = check_identity(dut)
     left, right = pair.serials
     check(bool(left and right) and left != right, "two serial numbers", pair.serials)
     check(left in identity.serial and right in identity.serial, "both in the identity", identity.serial)
@@ -61,7 +61,7 @@ def identity_is_answered(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("S03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
-    pair = refuses_early(
+    pair = check_early_calls(
         dut,
         disconnected=("configure", "activate", "deactivate", "grab_pair"),
         connected=("connect", "activate", "grab_pair"),
@@ -72,24 +72,24 @@ def early_calls_are_refused(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("S04", "one trigger yields one complete pair, each image from the camera of its side")
 def one_pair_per_trigger(dut: DeviceUnderTest) -> None:
-    for reading in pairs_of(dut):
-        images = both(reading)
+    for reading in grab_pairs(dut):
+        images = require_both_images(reading)
         serials = tuple(image.serial for image in images)
         check(serials == dut.at(Lifecycle.ACTIVE).serials, "the serial numbers of the sides", serials)
 
 
 @SUITE.case("S05", "readings are numbered consecutively, and every clock advances")
 def stamps_are_in_order(dut: DeviceUnderTest) -> None:
-    for before, after in itertools.pairwise(pairs_of(dut)):
+    for before, after in itertools.pairwise(grab_pairs(dut)):
         check(after.stamp.sequence == before.stamp.sequence + 1, "the next number", after.stamp.sequence)
         check(after.stamp.theatre_time_s >= before.stamp.theatre_time_s, "a later theatre time")
-        for earlier, later in zip(both(before), both(after), strict=True):
+        for earlier, later in zip(require_both_images(before), require_both_images(after), strict=True):
             check(later.stamp.device_clock > earlier.stamp.device_clock, "a later camera time", later.stamp)
 
 
 @SUITE.case("S06", "an image has the shape of its area and 8 or 12 bits, and is read-only")
 def images_have_their_shape(dut: DeviceUnderTest) -> None:
-    for image in both(pairs_of(dut, 1)[0]):
+    for image in require_both_images(grab_pairs(dut, 1)[0]):
         area = image.area
         check(image.pixels.shape == (area.height, area.width), f"shape of {area}", image.pixels.shape)
         check(image.pixels.dtype in (np.uint8, np.uint16), "uint8 or uint16", image.pixels.dtype)
@@ -100,24 +100,28 @@ def images_have_their_shape(dut: DeviceUnderTest) -> None:
 @SUITE.case("S07", "images have the area that was set, also on a running stream")
 def areas_are_honoured(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
-    whole = [image.area for image in both(pair.grab_pair())]
-    parts = [_part(area) for area in whole]
+    whole = [image.area for image in require_both_images(pair.grab_pair())]
+    parts = [_middle_part(area) for area in whole]
     pair.set_areas(*parts)
-    found = [image.area for image in both(pair.grab_pair())]
+    found = [image.area for image in require_both_images(pair.grab_pair())]
     check(found == parts, f"the areas {parts}", found)
     pair.set_areas(*whole)
-    found = [image.area for image in both(pair.grab_pair())]
+    found = [image.area for image in require_both_images(pair.grab_pair())]
     check(found == whole, f"the areas {whole}", found)
 
 
 @SUITE.case("S08", "an area beyond the sensor is refused, and the old one is kept")
 def impossible_areas_are_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
-    whole = [image.area for image in both(pair.grab_pair())]
+    whole = [image.area for image in require_both_images(pair.grab_pair())]
     beyond = AreaOfInterest(0, 0, 64 * whole[0].width, whole[0].height)
     refused(lambda: pair.set_areas(beyond, whole[1]), LimitError, "an area wider than the sensor")
-    refused(lambda: pair.set_areas(_part(whole[0]), beyond), LimitError, "such an area for the right camera")
-    found = [image.area for image in both(pair.grab_pair())]
+    refused(
+        lambda: pair.set_areas(_middle_part(whole[0]), beyond),
+        LimitError,
+        "such an area for the right camera",
+    )
+    found = [image.area for image in require_both_images(pair.grab_pair())]
     check(found == whole, f"the areas {whole}", found)
 
 
@@ -126,7 +130,7 @@ def impossible_exposures_are_refused(dut: DeviceUnderTest) -> None:
     pair = dut.at(Lifecycle.ACTIVE)
     for exposure_us in EXPOSURES_US:
         refused(partial(pair.set_exposure, exposure_us, GAIN_RAW), LimitError, f"{exposure_us} us")
-    both(pair.grab_pair())
+    require_both_images(pair.grab_pair())
 
 
 @SUITE.case("S10", "a stopped stream can be started again")
@@ -135,7 +139,7 @@ def stream_starts_again(dut: DeviceUnderTest) -> None:
     pair.deactivate()
     refused(pair.grab_pair, StateError, "grab_pair after deactivate")
     pair.activate()
-    both(pair.grab_pair())
+    require_both_images(pair.grab_pair())
 
 
 @SUITE.case("S11", "a second controller is refused, and the first keeps control")
@@ -147,7 +151,7 @@ def second_controller_is_refused(dut: DeviceUnderTest) -> None:
         refused(second.configure, ConnectError, "configure while another application has control")
     finally:
         second.close()
-    both(pair.grab_pair())
+    require_both_images(pair.grab_pair())
 
 
 @SUITE.case("S12", "swapped cameras are noticed when serial numbers are given")
@@ -177,22 +181,22 @@ def swapped_cameras_are_noticed(dut: DeviceUnderTest) -> None:
 def no_camera_there(dut: DeviceUnderTest) -> None:
     if set(dut.config.endpoints) != {"left", "right"}:
         raise NotShown("the two cameras have no endpoint each")
-    lonely = dut.make_beside(endpoints={**dut.config.endpoints, "right": NOBODY})
-    fails_to_connect(lonely, CONNECT_LIMIT_S)
+    incomplete_pair = dut.make_beside(endpoints={**dut.config.endpoints, "right": EMPTY_ENDPOINT})
+    check_connect_failure(incomplete_pair, CONNECT_LIMIT_S)
 
 
 @SUITE.case("S14", "closing ends in bounded time, is final, and releases control")
 def closing_is_bounded(dut: DeviceUnderTest) -> None:
     pair = dut.make()
     dut.bring_to(Lifecycle.ACTIVE, pair)
-    closes(pair, CLOSE_LIMIT_S)
-    both(dut.at(Lifecycle.ACTIVE).grab_pair())
+    check_closing(pair, CLOSE_LIMIT_S)
+    require_both_images(dut.at(Lifecycle.ACTIVE).grab_pair())
 
 
-SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).numbered("S", 15))
+SUITE.cases.extend(DeviceCases(lambda pair: pair.grab_pair(), CLOSE_LIMIT_S).build_cases("S", 15))
 
 
-def _part(area: AreaOfInterest) -> AreaOfInterest:
+def _middle_part(area: AreaOfInterest) -> AreaOfInterest:
     """Return the middle part of an area, in steps that cameras allow."""
 
     def step(value: int) -> int:

@@ -12,13 +12,13 @@ from typing import Any, Protocol, runtime_checkable
 from conformance.case import DESTRUCTIVE, HOST_TIME, LINE_FAULTS, MOTION, Suite
 from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DeviceNotInFile, NoDeviceChosen, NoSimulator
-from conformance.protocol import ProtocolCases, compose_suite, protocol_of
+from conformance.protocol import ProtocolCases, compose_suite, load_driver_protocol
 from ronna_hw.clock import Clock, open_clock
 from ronna_hw.config import DeviceConfig, TheatreFile, read_theatre_file
 from ronna_hw.devices.probing import ONLY, Search
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.registry import finders, load_driver
+from ronna_hw.registry import load_driver, load_finders
 
 SIMULATOR_MODULE = "sim.cli"  # started as a command, never imported
 PERMISSIONS = (MOTION.name, DESTRUCTIVE.name)
@@ -83,7 +83,7 @@ def load_suite(kind: str) -> Suite:
     return suite
 
 
-def resolve(kind: str, choice: Choice) -> Target:
+def resolve_target(kind: str, choice: Choice) -> Target:
     """Resolve a choice to its target; raises CNF-001, CNF-002, CNF-006, CFG-00x, DEV-002."""
     choice.check()
     suite = load_suite(kind)
@@ -98,7 +98,7 @@ def resolve(kind: str, choice: Choice) -> Target:
         addresses = _parse_endpoints(choice.endpoints)
         _require_roles(driver, addresses)
         config = config_for_suite(driver, addresses)
-    protocol = protocol_of(driver)
+    protocol = load_driver_protocol(driver)
     if choice.sim and protocol.simulator is None:
         raise NoSimulator(f"there is no simulator for the wire protocol of {driver}")
     return Target(
@@ -138,7 +138,7 @@ def _parse_endpoints(endpoints: Sequence[str]) -> dict[str | None, str]:
 
 def _require_roles(driver: str, addresses: Mapping[str | None, str]) -> None:
     """Raise CNF-001 if the driver needs endpoints with other names, with an example."""
-    finder = finders().get(driver)
+    finder = load_finders().get(driver)
     wanted = {} if finder is None else finder.example(Search()).endpoints
     if not wanted or {name or ONLY for name in addresses} == set(wanted):
         return
@@ -183,7 +183,7 @@ def build_device_under_test(
     dut.offers |= allowed
     if clock.paced:
         dut.offers.add(HOST_TIME.name)
-    if dut.can_be_disturbed():
+    if dut.is_disturbable():
         dut.offers.add(LINE_FAULTS.name)
     if protocol is not None:
         dut.offers |= protocol.offers(dut)

@@ -13,14 +13,14 @@ from conformance.case import CHECKED_REPLIES, LINE_FAULTS, NotShown, Suite, chec
 from conformance.device_cases import (
     SLACK_S,
     DeviceCases,
-    closes,
+    check_closing,
+    check_connect_nowhere,
+    check_early_calls,
+    check_identity,
+    check_interface,
+    check_unknown_option,
     ends_within,
-    fails_to_connect_nowhere,
-    identifies_device,
     observe,
-    offers,
-    refuses_early,
-    refuses_unknown_options,
 )
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
@@ -42,7 +42,7 @@ RECOVERY_READS = 12  # readings after which a cut line must have been noticed
 SUITE = Suite("tracker", driver="ndi_polaris")
 
 
-def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
+def read_frames(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
     """Take consecutive readings on the shared connection, no faster than the tracker measures."""
     tracker: OpticalTracker = dut.at(Lifecycle.ACTIVE)
     frames = []
@@ -52,16 +52,16 @@ def frames_of(dut: DeviceUnderTest, count: int = FRAMES) -> list[TrackerFrame]:
     return frames
 
 
-def tool_readings(dut: DeviceUnderTest) -> list[ToolReading]:
+def read_tools(dut: DeviceUnderTest) -> list[ToolReading]:
     """Return all readings of all tools; undecided if no tool is configured."""
-    readings = [reading for frame in frames_of(dut) for reading in frame.tools]
+    readings = [reading for frame in read_frames(dut) for reading in frame.tools]
     if not readings:
         raise NotShown("no tool is configured")
     return readings
 
 
 @contextlib.contextmanager
-def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
+def disturbed_tracker(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
     """A line that can misbehave, and an active tracker on it; closes every connection afterwards."""
     with dut.disturbed_line() as line:
         yield line, dut.bring_to(Lifecycle.ACTIVE, dut.make(endpoint=line.endpoint))
@@ -69,16 +69,16 @@ def disturbed(dut: DeviceUnderTest) -> Iterator[tuple[DisturbedLine, Any]]:
 
 
 SUITE.case("T01", "the driver implements OpticalTracker and starts disconnected")(
-    partial(offers, interface=OpticalTracker)
+    partial(check_interface, interface=OpticalTracker)
 )
 
 
-SUITE.case("T02", "connecting identifies the device")(identifies_device)
+SUITE.case("T02", "connecting identifies the device")(check_identity)
 
 
 @SUITE.case("T03", "calls in the wrong state are refused")
 def early_calls_are_refused(dut: DeviceUnderTest) -> None:
-    refuses_early(
+    check_early_calls(
         dut,
         disconnected=("configure", "activate", "deactivate", "read_frame"),
         connected=("connect", "activate", "read_frame"),
@@ -103,14 +103,14 @@ def second_start_is_refused(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T06", "the frame number increases and never goes backwards")
 def frame_number_advances(dut: DeviceUnderTest) -> None:
-    numbers = [frame.stamp.device_clock for frame in frames_of(dut)]
+    numbers = [frame.stamp.device_clock for frame in read_frames(dut)]
     check(all(b >= a for a, b in itertools.pairwise(numbers)), "numbers that never decrease", numbers)
     check(numbers[-1] > numbers[0], "numbers that increase", numbers)
 
 
 @SUITE.case("T07", "readings are numbered consecutively, and theatre time never goes backwards")
 def stamps_are_in_order(dut: DeviceUnderTest) -> None:
-    stamps = [frame.stamp for frame in frames_of(dut)]
+    stamps = [frame.stamp for frame in read_frames(dut)]
     for before, after in itertools.pairwise(stamps):
         check(after.sequence == before.sequence + 1, f"reading {before.sequence + 1}", after.sequence)
         check(after.theatre_time_s >= before.theatre_time_s, "a later theatre time", after.theatre_time_s)
@@ -118,7 +118,7 @@ def stamps_are_in_order(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T08", "every frame lists every tool in the order of the theatre file, seen or not")
 def every_tool_is_listed(dut: DeviceUnderTest) -> None:
-    frames = frames_of(dut, 3)
+    frames = read_frames(dut, 3)
     names = dut.at(Lifecycle.ACTIVE).tools
     for frame in frames:
         found = tuple(reading.tool for reading in frame.tools)
@@ -127,7 +127,7 @@ def every_tool_is_listed(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T09", "a reading has a pose exactly when its validity says so; missing data is never a number")
 def pose_and_validity_agree(dut: DeviceUnderTest) -> None:
-    for reading in tool_readings(dut):
+    for reading in read_tools(dut):
         parts = (reading.rotation, reading.position_mm, reading.fit_error_mm)
         if reading.validity in CARRY_POSE:
             check(None not in parts, f"a pose with validity {reading.validity}", reading)
@@ -139,7 +139,7 @@ def pose_and_validity_agree(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T10", "poses are plausible: z is negative, quaternions have norm 1")
 def poses_are_possible(dut: DeviceUnderTest) -> None:
-    seen = [reading for reading in tool_readings(dut) if reading.position_mm and reading.rotation]
+    seen = [reading for reading in read_tools(dut) if reading.position_mm and reading.rotation]
     if not seen:
         raise NotShown("no tool is in view")
     for reading in seen:
@@ -150,7 +150,7 @@ def poses_are_possible(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T11", "the fit error of a pose is not negative")
 def fit_error_is_not_negative(dut: DeviceUnderTest) -> None:
-    errors = [reading.fit_error_mm for reading in tool_readings(dut) if reading.fit_error_mm is not None]
+    errors = [reading.fit_error_mm for reading in read_tools(dut) if reading.fit_error_mm is not None]
     if not errors:
         raise NotShown("no tool is in view")
     check(min(errors) >= 0, "errors of 0 or more", min(errors))
@@ -158,7 +158,7 @@ def fit_error_is_not_negative(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T12", "strays have a position and a validity, never NaN")
 def strays_have_places(dut: DeviceUnderTest) -> None:
-    strays = [stray for frame in frames_of(dut) for stray in frame.strays]
+    strays = [stray for frame in read_frames(dut) for stray in frame.strays]
     if not strays:
         raise NotShown("no stray marker is in view")
     for stray in strays:
@@ -177,7 +177,7 @@ def stop_and_start_again(dut: DeviceUnderTest) -> None:
 
 
 SUITE.case("T14", "closing ends in bounded time, is final and may be repeated")(
-    lambda dut: closes(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
+    lambda dut: check_closing(dut.at(Lifecycle.ACTIVE), CLOSE_LIMIT_S)
 )
 
 
@@ -194,16 +194,16 @@ def reconnecting_starts_afresh(dut: DeviceUnderTest) -> None:
 
 
 SUITE.case("T16", "connecting to an endpoint without a device fails in time, with code and advice")(
-    partial(fails_to_connect_nowhere, limit_s=CONNECT_LIMIT_S)
+    partial(check_connect_nowhere, limit_s=CONNECT_LIMIT_S)
 )
 
 
-SUITE.case("T17", "an unknown option is refused by the constructor")(refuses_unknown_options)
+SUITE.case("T17", "an unknown option is refused by the constructor")(check_unknown_option)
 
 
 @SUITE.case("T18", "a reading on a silent line ends at its time limit", needs=(LINE_FAULTS,))
 def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         line.silence()
         with ends_within(READ_LIMIT_S + SLACK_S):
             refused(lambda: tracker.read_frame(READ_LIMIT_S), LinkTimeout, "read_frame on a silent line")
@@ -212,7 +212,7 @@ def silence_ends_a_reading(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T19", "closing on a silent line ends in bounded time and raises nothing", needs=(LINE_FAULTS,))
 def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         line.silence()
         with ends_within(CLOSE_LIMIT_S):
             tracker.close()
@@ -221,7 +221,7 @@ def close_on_a_dead_line(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T20", "a late reply costs one reading and never answers the next request", needs=(LINE_FAULTS,))
 def late_reply(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         tracker.read_frame()
         line.delay_next(READ_LIMIT_S + 0.1)
         refused(lambda: tracker.read_frame(READ_LIMIT_S), RonnaError, "a reading whose reply is late")
@@ -235,7 +235,7 @@ def late_reply(dut: DeviceUnderTest) -> None:
 
 @SUITE.case("T21", "a broken connection latches a fault that only recover clears", needs=(LINE_FAULTS,))
 def broken_connection(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         line.cut()
         for _ in range(RECOVERY_READS):
             if tracker.state is Lifecycle.FAULT:
@@ -256,7 +256,7 @@ def broken_connection(dut: DeviceUnderTest) -> None:
     needs=(LINE_FAULTS, CHECKED_REPLIES),
 )
 def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         for disturb in (line.flip_next, line.lose_next_byte):
             before = tracker.read_frame().stamp
             disturb()
@@ -267,12 +267,12 @@ def wrong_bits_are_noticed(dut: DeviceUnderTest) -> None:
             tracker.read_frame(2.0)
 
 
-SUITE.cases.extend(DeviceCases(lambda tracker: tracker.read_frame(), CLOSE_LIMIT_S).numbered("T", 23))
+SUITE.cases.extend(DeviceCases(lambda tracker: tracker.read_frame(), CLOSE_LIMIT_S).build_cases("T", 23))
 
 
 @SUITE.case("T27", "observing a silent line asks nothing and latches nothing", needs=(LINE_FAULTS,))
 def observing_a_silent_line(dut: DeviceUnderTest) -> None:
-    with disturbed(dut) as (line, tracker):
+    with disturbed_tracker(dut) as (line, tracker):
         tracker.read_frame()
         line.silence()
         for _ in range(FRAMES):

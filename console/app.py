@@ -25,7 +25,7 @@ from console.case_view import RecordedCase
 from console.errors import NothingToShow
 from console.guard import LARGEST_BODY_BYTES, SESSION, Guard, Role, Sessions
 from console.hub import Hub
-from console.listening import HOST, listen, server_of
+from console.listening import HOST, build_server, listen
 from console.web.page import add_page
 from procedures.engine.events import Event
 from procedures.engine.events.event_file import FollowedRun
@@ -73,7 +73,7 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
 
         def take(events: list[Event]) -> None:
             recorded.extend(events)
-            hub.heard()
+            hub.note_heartbeat()
             for event in events:
                 hub.take(event)
 
@@ -84,7 +84,7 @@ def review(folder: Path, port: int, viewers: ViewersAddress | None = None) -> No
             except (RonnaError, OSError) as error:  # still being written; what was read before stays valid
                 words = str(error) if isinstance(error, RonnaError) else f"{folder} cannot be read: {error}"
                 loop.call_soon_threadsafe(hub.break_off, words)
-            recorded.over = True
+            recorded.is_over = True
 
         threading.Thread(target=follow, name="follow the run", daemon=True).start()
         await asyncio.Event().wait()
@@ -126,23 +126,23 @@ def serve_pages(
     pages = FastAPI(openapi_url=None, docs_url=None, redoc_url=None)
     add(pages)
     guard = Guard(pages, sessions, port, largest_body_bytes, listening.trust, listening.is_foreign)
-    served = [(server_of(guard), listening)]
+    servers = [(build_server(guard), listening)]
     local = f"http://{HOST}:{port}/?token="
     addresses = {"url": local + sessions.operator_token, "viewer_url": local + sessions.viewer_token}
     if viewers is not None:
-        theirs = listen(viewers.address, 0, viewers.family)
-        host = viewers.host(theirs.getsockname()[1])
-        served.append((server_of(guard.for_viewers(host, theirs.trust), viewers), theirs))
+        viewer_socket = listen(viewers.address, 0, viewers.family)
+        host = viewers.host(viewer_socket.getsockname()[1])
+        servers.append((build_server(guard.viewer_guard(host, viewer_socket.trust), viewers), viewer_socket))
         addresses["remote_viewer_url"] = f"https://{host}/?token={sessions.viewer_token}"
 
     async def run() -> None:
-        tasks = [asyncio.create_task(server.serve(sockets=[bound])) for server, bound in served]
-        while not all(server.started for server, _ in served) and not any(one.done() for one in tasks):
+        tasks = [asyncio.create_task(server.serve(sockets=[bound])) for server, bound in servers]
+        while not all(server.started for server, _ in servers) and not any(task.done() for task in tasks):
             await asyncio.sleep(0.01)
         ready(addresses)
         if work is not None:
             await work()
-            for server, _ in served:
+            for server, _ in servers:
                 server.should_exit = True
         await asyncio.gather(*tasks)
 
@@ -160,10 +160,10 @@ async def follow_engine(descriptor: int, hub: Hub) -> None:
     hub.connect(send)
     try:
         while line := await reader.readline():
-            hub.heard()
-            _take(hub, line)
+            hub.note_heartbeat()
+            _handle_line(hub, line)
     except (OSError, ValueError):
-        pass  # not one of our lines: skip it rather than guess
+        pass  # not one of our lines, or longer than any: this is not our engine, and the page says so
     finally:
         hub.end()
         writer.close()
@@ -171,11 +171,11 @@ async def follow_engine(descriptor: int, hub: Hub) -> None:
             await writer.wait_closed()
 
 
-def _take(hub: Hub, line: bytes) -> None:
+def _handle_line(hub: Hub, line: bytes) -> None:
     if line.startswith(b'{"event":'):
         hub.take(Event.model_validate_json(line.strip()[len(b'{"event":') : -1]))
     elif line.startswith(b'{"beat":'):
-        hub.tell()
+        hub.notify()
     elif line.startswith(PAIR):
         hub.take_pair(base64.b64decode(line.strip()[len(PAIR) : -2]))
     elif line.strip():
@@ -186,7 +186,7 @@ def add_order_routes(app: Any, hub: Hub) -> None:
     """Add both routes to a Starlette application."""
 
     async def state(_request: Request) -> JSONResponse:
-        return JSONResponse(_state(hub))
+        return JSONResponse(_state_document(hub))
 
     async def orders(request: Request) -> JSONResponse:
         session = request.scope[SESSION]
@@ -194,16 +194,16 @@ def add_order_routes(app: Any, hub: Hub) -> None:
             return JSONResponse({"refused": "viewers cannot give orders"}, 403)
         try:
             content = parse_json(await request.body(), LONGEST_BYTES)
-            refused = await hub.order(session, dict(content))
+            refusal = await hub.order(session, dict(content))
         except (ValueError, TypeError, ClientDisconnect):
             return JSONResponse({"refused": "not a valid order"}, 400)
-        return JSONResponse({"refused": refused}, 409 if refused else 200)
+        return JSONResponse({"refused": refusal}, 409 if refusal else 200)
 
     app.add_route("/state", state, methods=["GET"])
     app.add_route("/orders", orders, methods=["POST"])
 
 
-def _state(hub: Hub) -> dict[str, Any]:
+def _state_document(hub: Hub) -> dict[str, Any]:
     view = hub.view
     question = view.question
     return {

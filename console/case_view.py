@@ -39,7 +39,7 @@ NOTICES_KEPT = 40
 JOURNAL_KEPT = 200
 MOST_DEVICES = 64  # every stored view has them all: a file of others cost 665 MB
 BEGINNINGS, CLOSED = ("opened", "restarted"), "closed"
-EVERY = 100  # events between stored views
+STORED_EVERY = 100  # events between stored views
 
 
 @dataclass(frozen=True)
@@ -86,7 +86,7 @@ class ReportedPose:
     """A pose of an arm and the theatre time of its report."""
 
     pose: Pose
-    said_s: float
+    reported_s: float
 
 
 @dataclass(frozen=True)
@@ -139,8 +139,8 @@ class CaseView:
     @property
     def mode(self) -> str:
         """Operating mode of the controller, as last reported."""
-        said = (fact for row in self.devices.values() for fact in row.seen.says)
-        return next((fact.found for fact in said if fact.name == "operating mode"), "")
+        facts = (fact for row in self.devices.values() for fact in row.seen.says)
+        return next((fact.found for fact in facts if fact.name == "operating mode"), "")
 
     @property
     def upcoming(self) -> str:
@@ -172,19 +172,19 @@ def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
         case CaseState(state=state, reason=reason):
             return {"state": state, "reason": reason}
         case StepState() as step:
-            return _step(view, step)
+            return _step_changes(view, step)
         case Progress(step=step, share=share, text=text):
             return {"share": share, "doing": text} if step == view.running else {}
         case Questioned():
             return {"question": what, "asked_at": view.host_time}
         case Answered(question=number):
-            stands = view.question is not None and view.question.question != number
-            return {} if stands else {"question": None}
+            is_other_open = view.question is not None and view.question.question != number
+            return {} if is_other_open else {"question": None}
         case Seat():
             return {"seat": what if what.holder else None}
         case Order(steps=steps):
-            standing = sum(one.record is not None for one in steps)
-            return {"steps": tuple(map(_ordered, steps)), "results": view.results + standing}
+            done_count = sum(item.record is not None for item in steps)
+            return {"steps": tuple(map(_to_row, steps)), "results": view.results + done_count}
         case Waiting():
             return {"waiting": what}
         case Bodies():
@@ -196,26 +196,26 @@ def _changes(view: CaseView, what: EventContent) -> dict[str, Any]:
             return {
                 "link": what,
                 "link_said_s": now_s,
-                "link_rate": _rate(view.link_rate, what.cycles, now_s),
+                "link_rate": _update_rate(view.link_rate, what.cycles, now_s),
             }
         case Pose():
             return {"pose": ReportedPose(what, view.theatre_time_s)}
         case DeviceState(device=device) | DeviceAge(device=device):
-            return _device(view, device, what)
+            return _device_changes(view, device, what)
         case JournalLine(line=line):
-            return _journal(view, line)
+            return _journal_changes(view, line)
         case SignalsLost():
             return {}  # concerns only the file; the view has the latest of each
         case Fault() | Refusal() | Advisory():
-            return {"notices": (*view.notices, _notice(view, what))[-NOTICES_KEPT:]}
+            return {"notices": (*view.notices, _make_notice(view, what))[-NOTICES_KEPT:]}
 
 
-def _ordered(one: OrderedStep) -> StepRow:
-    state = "" if one.record is None else "done"
-    return StepRow(one.step, one.title, one.phase, one.moves, state, record=one.record)
+def _to_row(item: OrderedStep) -> StepRow:
+    state = "" if item.record is None else "done"
+    return StepRow(item.step, item.title, item.phase, item.moves, state, record=item.record)
 
 
-def _step(view: CaseView, step: StepState) -> dict[str, Any]:
+def _step_changes(view: CaseView, step: StepState) -> dict[str, Any]:
     if step.state == "superseded":
         rows = tuple(
             replace(row, state="superseded", summary=step.summary or row.summary)
@@ -233,7 +233,7 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
     begun = step.state == "begun"
     return {
         "steps": rows,
-        "notices": _settled(view.notices, step.step) if step.state == "done" else view.notices,
+        "notices": _settle_notices(view.notices, step.step) if step.state == "done" else view.notices,
         "running": step.step if begun else "",
         "share": 0.0,
         "doing": "",
@@ -242,14 +242,15 @@ def _step(view: CaseView, step: StepState) -> dict[str, Any]:
     }
 
 
-def _settled(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
+def _settle_notices(notices: tuple[Notice, ...], step: str) -> tuple[Notice, ...]:
     """Mark the notices of a finished step as settled, except findings."""
     return tuple(
-        replace(one, settled=True) if one.step == step and one.kind != "finding" else one for one in notices
+        replace(item, settled=True) if item.step == step and item.kind != "finding" else item
+        for item in notices
     )
 
 
-def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
+def _device_changes(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[str, Any]:
     known = view.devices.get(device)
     if isinstance(what, DeviceState):
         if known is None and len(view.devices) == MOST_DEVICES:
@@ -259,16 +260,16 @@ def _device(view: CaseView, device: str, what: DeviceState | DeviceAge) -> dict[
         return {}
     else:
         count, now_s = what.readings, view.theatre_time_s
-        rate = None if count is None else _rate(known.rate, count, now_s)
+        rate = None if count is None else _update_rate(known.rate, count, now_s)
         row = DeviceRow(known.seen, what.age_s, what.validity, rate)
     return {"devices": {**view.devices, device: row}}
 
 
-def _rate(before: Rate | None, count: int, now_s: float) -> Rate:
+def _update_rate(before: Rate | None, count: int, now_s: float) -> Rate:
     return before.at(count, now_s) if before else Rate(count, now_s)
 
 
-def _notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
+def _make_notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
     match what:
         case Fault(code=code, what=text, advice=advice):
             text = text.removesuffix(advice).rstrip()
@@ -283,7 +284,7 @@ def _notice(view: CaseView, what: Fault | Refusal | Advisory) -> Notice:
             return Notice("finding", view.theatre_time_s, text)
 
 
-def _journal(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
+def _journal_changes(view: CaseView, line: dict[str, Any]) -> dict[str, Any]:
     entry = str(line.get("entry"))
     about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
     changes: dict[str, Any] = {
@@ -310,17 +311,17 @@ class RecordedCase:
 
     def __init__(self) -> None:
         self._events: list[Event] = []
-        self._kept: list[CaseView] = [CaseView()]
+        self._stored_views: list[CaseView] = [CaseView()]
         self.latest = CaseView()
-        self.over = False  # the writer is gone
+        self.is_over = False  # the writer is gone
 
     def extend(self, events: Iterable[Event]) -> None:
         """Append events."""
         for event in events:
             self._events.append(event)
             self.latest = fold(self.latest, event)
-            if len(self._events) % EVERY == 0:
-                self._kept.append(self.latest)
+            if len(self._events) % STORED_EVERY == 0:
+                self._stored_views.append(self.latest)
 
     def __len__(self) -> int:
         return len(self._events)
@@ -328,8 +329,8 @@ class RecordedCase:
     def at(self, count: int) -> CaseView:
         """Return the view after this many events."""
         count = min(max(count, 0), len(self._events))
-        view = self._kept[count // EVERY]
-        for event in self._events[count - count % EVERY : count]:
+        view = self._stored_views[count // STORED_EVERY]
+        for event in self._events[count - count % STORED_EVERY : count]:
             view = fold(view, event)
         return view
 

@@ -22,13 +22,13 @@ class ChangeNotifier:
         """Remove the subscription."""
         self._waiting.discard(event)
 
-    def tell(self) -> None:
+    def notify(self) -> None:
         """Wake all subscribers."""
         for event in self._waiting:
             event.set()
 
 
-async def changed_within(changed: asyncio.Event, limit_s: float) -> None:
+async def await_change(changed: asyncio.Event, limit_s: float) -> None:
     """Return when the event is set, or after the limit; the event is then clear.
 
     Not with `asyncio.wait_for`: before Python 3.12 it loses a cancellation if the event is set at that

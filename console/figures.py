@@ -14,7 +14,7 @@ from starlette.responses import PlainTextResponse, Response
 
 from console.case_view import CaseView
 from console.hub import Hub
-from console.scene.head_surface import head_stl, series_of
+from console.scene.head_surface import build_head_stl, find_series_folder
 from procedures.reporting.case_figures import CaseFigures, read_case_figures
 from procedures.reporting.files import LARGEST_PICTURE_BYTES
 from ronna_hw.bounded_input import InputRefused, read_bounded
@@ -29,32 +29,34 @@ def figures_at(figures: CaseFigures | None, view: CaseView, latest: CaseView) ->
     """
     if figures is None:
         return None
-    stand = {(row.step, row.record) for row in latest.steps if row.state == "done"}
-    done = {row.step for row in view.steps if row.state == "done" and (row.step, row.record) in stand}
-    names = {step.partition(":")[0] for step in done}
-    matched, tracked = "correspondence" in names, "global_localization" in names
-    localized = "relocalization" in names
+    valid_rows = {(row.step, row.record) for row in latest.steps if row.state == "done"}
+    finished_steps = {
+        row.step for row in view.steps if row.state == "done" and (row.step, row.record) in valid_rows
+    }
+    names = {step.partition(":")[0] for step in finished_steps}
+    is_matched, is_tracked = "correspondence" in names, "global_localization" in names
+    is_localized = "relocalization" in names
 
-    def registered(target: str) -> bool:
-        return not done.isdisjoint({"registration", f"registration:{target}"})
+    def is_registered(target: str) -> bool:
+        return not finished_steps.isdisjoint({"registration", f"registration:{target}"})
 
     return replace(
         figures,
-        robot_from_ct=figures.robot_from_ct if matched else None,
-        robot_from_tracker=figures.robot_from_tracker if tracked else None,
+        robot_from_ct=figures.robot_from_ct if is_matched else None,
+        robot_from_tracker=figures.robot_from_tracker if is_tracked else None,
         spheres=tuple(
             replace(
-                one,
-                ct_mm=one.ct_mm if matched else None,
-                tracker_mm=one.tracker_mm if tracked else None,
-                stereo_mm=one.stereo_mm if localized else None,
+                item,
+                ct_mm=item.ct_mm if is_matched else None,
+                tracker_mm=item.tracker_mm if is_tracked else None,
+                stereo_mm=item.stereo_mm if is_localized else None,
             )
-            for one in figures.spheres
+            for item in figures.spheres
         ),
-        trajectories=figures.trajectories if matched else (),
-        predictions=tuple(one for one in figures.predictions if registered(one.target)),
+        trajectories=figures.trajectories if is_matched else (),
+        predictions=tuple(item for item in figures.predictions if is_registered(item.target)),
         tables=figures.tables if "registration" in names else (),
-        pictures=figures.pictures if localized else (),
+        pictures=figures.pictures if is_localized else (),
         cuts=figures.cuts if "plan_check" in names else (),
         course=figures.course if view.number == latest.number else "",
     )
@@ -71,38 +73,38 @@ class Figures:
         self.count = 0  # how often they were read
         self.heads = 0  # how often the surface of the head was built
         self._head = b""
-        self._tried = False
+        self._has_tried_head = False
 
     def key(self) -> object:
         """Return a key that changes with the figures; re-read them after a new result or the run's end."""
-        state = self._hub.view.results, self._hub.over
+        state = self._hub.view.results, self._hub.is_over
         if state != self._read_for and not self._reading:
             self._reading = True
             self._task = asyncio.get_running_loop().create_task(self._read(state))
         return self.count
 
     async def _read(self, state: tuple[int, bool]) -> None:
-        _, over = state
+        _, is_over = state
         try:
-            self.latest = await asyncio.to_thread(read_case_figures, self._hub.folder, every_file=over)
+            self.latest = await asyncio.to_thread(read_case_figures, self._hub.folder, every_file=is_over)
         finally:
             self._read_for, self._reading = state, False
             self.count += 1
-            self._hub.tell()
-        if self.latest is not None and self.latest.robot_from_ct is not None and not self._tried:
-            self._tried = True
+            self._hub.notify()
+        if self.latest is not None and self.latest.robot_from_ct is not None and not self._has_tried_head:
+            self._has_tried_head = True
             await self._make_head()
 
     async def _make_head(self) -> None:
-        series = series_of(self._hub.folder)
+        series = find_series_folder(self._hub.folder)
         if series is None:
             return
         try:
-            self._head = await asyncio.to_thread(head_stl, series)
+            self._head = await asyncio.to_thread(build_head_stl, series)
         except (OSError, ValueError, RonnaError):  # the step that imports the CT reports the reason
             return
         self.heads += 1
-        self._hub.tell()
+        self._hub.notify()
 
     def add_routes(self, app: Any) -> None:
         """Serve the images, by known names only."""
@@ -116,7 +118,9 @@ class Figures:
                 return PlainTextResponse("No such picture.", 404)
             path = self._hub.folder / PICTURES_FOLDER / name
             try:  # not through a link: whoever made the run would choose what viewers see of this computer
-                content = await asyncio.to_thread(read_bounded, path, LARGEST_PICTURE_BYTES, linked=False)
+                content = await asyncio.to_thread(
+                    read_bounded, path, LARGEST_PICTURE_BYTES, follow_links=False
+                )
             except (OSError, InputRefused):
                 return PlainTextResponse("No such picture.", 404)
             return Response(content, media_type="image/png")

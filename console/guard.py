@@ -32,7 +32,7 @@ LARGEST_HEAD_BYTES = 16 * 1024  # a browser sends one or two thousand
 LARGEST_BODY_BYTES = 65_536
 MOST_FIELDS = 8  # of a query
 SESSION = "ronna.session"  # key of a request's session in its scope
-READING = ("GET", "HEAD")
+READ_METHODS = ("GET", "HEAD")
 SOCKET_PATH = "/_nicegui_ws/"
 HEADERS = {
     # The page library builds its page from inline scripts and compiles its templates: both must be allowed.
@@ -50,7 +50,7 @@ HEADERS = {
 }
 
 
-class Rate:
+class RateLimit:
     """Rate limit: at most `count` in any span of time."""
 
     def __init__(self, count: int, span_s: float) -> None:
@@ -79,7 +79,7 @@ class Session:
 
     role: Role
     identifier: str
-    orders: Rate = field(default_factory=lambda: Rate(ORDERS_PER_SECOND, 1.0))
+    orders: RateLimit = field(default_factory=lambda: RateLimit(ORDERS_PER_SECOND, 1.0))
 
 
 class Sessions:
@@ -90,7 +90,7 @@ class Sessions:
         self.operator_token = secrets.token_urlsafe(TOKEN_BYTES)
         self.viewer_token = secrets.token_urlsafe(TOKEN_BYTES)
         self._sessions: dict[str, Session] = {}  # by cookie, oldest first
-        self._pages = {role: Rate(PAGES, PAGES_S) for role in Role}
+        self._pages = {role: RateLimit(PAGES, PAGES_S) for role in Role}
 
     def open(self, token: str, allowed: Collection[Role] = tuple(Role)) -> str | None:
         """Open a session for a token and return its cookie; None for a foreign or disallowed token."""
@@ -151,7 +151,7 @@ class Guard:
         self._is_foreign = is_foreign
         self.clients = dict.fromkeys(Role, 0)  # open sockets
 
-    def for_viewers(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
+    def viewer_guard(self, host: str, trust: Trust = lambda _peer, _role: True) -> Guard:
         """Guard the same application for viewers on other computers, over TLS, without the operator's key.
 
         Its clients count towards the limits of this guard.
@@ -163,14 +163,14 @@ class Guard:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         if scope["type"] == "http":
-            await self._http(scope, receive, send)
+            await self._serve_http(scope, receive, send)
         elif scope["type"] == "websocket":
-            await self._websocket(scope, receive, send)
+            await self._serve_websocket(scope, receive, send)
         else:
             await self._app(scope, receive, send)
 
-    async def _http(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = _headers(scope)
+    async def _serve_http(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _read_headers(scope)
         host = headers.get("host", "")
         if self._is_foreign(scope.get("client")):
             await _refuse(send, 403, "Open the page from the account of this computer that runs the console.")
@@ -181,13 +181,13 @@ class Guard:
         if _head_bytes(scope) > LARGEST_HEAD_BYTES:
             await _refuse(send, 431, "Request head too large.")
             return
-        if scope["method"] not in READING and headers.get("origin") != f"{self._scheme}://{host}":
+        if scope["method"] not in READ_METHODS and headers.get("origin") != f"{self._scheme}://{host}":
             await _refuse(send, 403, "The request does not come from a console page.")
             return
-        if scope["path"] == "/" and scope["method"] == "GET" and (token := _token(scope)) is not None:
-            await self._enter(token, scope, send)
+        if scope["path"] == "/" and scope["method"] == "GET" and (token := _read_token(scope)) is not None:
+            await self._open_session(token, scope, send)
             return
-        session = self._session(headers)
+        session = self._find_session(headers)
         if session is None:
             await _refuse(send, 401, "Open the address that the command printed: it contains the key.")
             return
@@ -206,9 +206,9 @@ class Guard:
             await _refuse(send, 429, "Too many pages were opened just now. Reload in some seconds.")
             return
         scope[SESSION] = session
-        await self._app(scope, _bounded(receive, self._largest_body_bytes), _with_headers(send))
+        await self._app(scope, _limit_body(receive, self._largest_body_bytes), _with_headers(send))
 
-    async def _enter(self, token: str, scope: Scope, send: Send) -> None:
+    async def _open_session(self, token: str, scope: Scope, send: Send) -> None:
         cookie = self._sessions.open(token, self._roles)
         if cookie is None:
             await _refuse(send, 401, "This key belongs to another run, or is truncated.")
@@ -221,8 +221,8 @@ class Guard:
             kept += "; Secure"
         await _answer(send, 303, b"", {"location": "/", "set-cookie": kept})
 
-    async def _websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
-        headers = _headers(scope)
+    async def _serve_websocket(self, scope: Scope, receive: Receive, send: Send) -> None:
+        headers = _read_headers(scope)
         host = headers.get("host", "")
         allowed = (
             host in self._hosts
@@ -230,7 +230,7 @@ class Guard:
             and not self._is_foreign(scope.get("client"))
             and _head_bytes(scope) <= LARGEST_HEAD_BYTES
         )
-        session = self._session(headers) if allowed else None
+        session = self._find_session(headers) if allowed else None
         if (
             session is None
             or self.clients[session.role] >= MOST_CLIENTS[session.role]
@@ -246,23 +246,23 @@ class Guard:
         finally:
             self.clients[session.role] -= 1
 
-    def _session(self, headers: dict[str, str]) -> Session | None:
+    def _find_session(self, headers: dict[str, str]) -> Session | None:
         # Ours is never quoted; `http.cookies` takes quadratic time for quoted backslashes (CVE-2024-7592).
         # Any program on this computer can set one of the same name, which the browser may send first.
         pairs = (pair.strip().partition("=") for pair in headers.get("cookie", "").split(";"))
         found = (self._sessions.find(value) for name, _, value in pairs if name == self._cookie)
-        return next((one for one in found if one is not None and one.role in self._roles), None)
+        return next((item for item in found if item is not None and item.role in self._roles), None)
 
 
-def _headers(scope: Scope) -> dict[str, str]:
+def _read_headers(scope: Scope) -> dict[str, str]:
     """Return the headers by lower-case name; a duplicated one is ignored."""
     found: dict[str, str] = {}
-    twice = set()
+    repeated = set()
     for name, value in scope["headers"]:
         key = name.decode("latin-1").lower()
-        twice |= {key} & found.keys()
+        repeated |= {key} & found.keys()
         found[key] = value.decode("latin-1")
-    return {name: value for name, value in found.items() if name not in twice}
+    return {name: value for name, value in found.items() if name not in repeated}
 
 
 def _head_bytes(scope: Scope) -> int:
@@ -271,7 +271,7 @@ def _head_bytes(scope: Scope) -> int:
     return line + sum(len(name) + len(value) for name, value in scope["headers"])
 
 
-def _token(scope: Scope) -> str | None:
+def _read_token(scope: Scope) -> str | None:
     try:
         given = parse_qs(scope["query_string"].decode("latin-1"), max_num_fields=MOST_FIELDS).get("token")
     except ValueError:
@@ -279,16 +279,16 @@ def _token(scope: Scope) -> str | None:
     return given[0] if given else None
 
 
-def _bounded(receive: Receive, left: int) -> Receive:
+def _limit_body(receive: Receive, remaining_bytes: int) -> Receive:
     """End a body that exceeds its limit as if its sender had disconnected."""
 
-    async def bounded() -> Message:
-        nonlocal left
+    async def receive_limited() -> Message:
+        nonlocal remaining_bytes
         message = await receive()
-        left -= len(message.get("body", b""))
-        return message if left >= 0 else {"type": "http.disconnect"}
+        remaining_bytes -= len(message.get("body", b""))
+        return message if remaining_bytes >= 0 else {"type": "http.disconnect"}
 
-    return bounded
+    return receive_limited
 
 
 def _with_headers(send: Send) -> Send:
@@ -296,7 +296,9 @@ def _with_headers(send: Send) -> Send:
         if message["type"] == "http.response.start":
             ours = [(name.encode(), value.encode()) for name, value in HEADERS.items()]
             kept = [
-                one for one in message.get("headers", []) if one[0].decode("latin-1").lower() not in HEADERS
+                item
+                for item in message.get("headers", [])
+                if item[0].decode("latin-1").lower() not in HEADERS
             ]
             message = {**message, "headers": [*kept, *ours]}
         await send(message)
@@ -311,7 +313,7 @@ async def _refuse(send: Send, status: int, why: str) -> None:
 
 async def _answer(send: Send, status: int, body: bytes, headers: dict[str, str]) -> None:
     with_length = {**headers, "content-length": str(len(body))}
-    named = [(name.encode(), value.encode("latin-1")) for name, value in with_length.items()]
+    encoded_headers = [(name.encode(), value.encode("latin-1")) for name, value in with_length.items()]
     guarded = _with_headers(send)
-    await guarded({"type": "http.response.start", "status": status, "headers": named})
+    await guarded({"type": "http.response.start", "status": status, "headers": encoded_headers})
     await guarded({"type": "http.response.body", "body": body})

@@ -35,11 +35,11 @@ class Hub(ChangeNotifier):
         super().__init__()
         self.folder = folder
         self.view = CaseView()
-        self.ended = False  # the engine has closed its end
+        self.has_ended = False  # the engine has closed its end
         self.live = False  # fed by a running engine
         self.review: RecordedCase | None = None  # of a case that this console does not operate
         self._granted = ("", "")  # session and name to which the engine last gave the seat
-        self.broken_off = ""  # why nothing more can be read of a case under review
+        self.break_reason = ""  # why nothing more can be read of a case under review
         self.pair = b""  # PNG of the stereo head's last pair
         self.pairs = 0  # number of pairs received
         self._paired_s = 0.0
@@ -61,10 +61,10 @@ class Hub(ChangeNotifier):
     def show(self, view: CaseView) -> None:
         """Show another view: the next moment, or one that was selected."""
         self.view = view
-        self.tell()
+        self.notify()
 
     @property
-    def seated(self) -> str:
+    def seated_session(self) -> str:
         """Session in the operator's seat, unless the engine's events name someone else.
 
         The engine's reply to its claim may arrive before the event that its predecessor has left.
@@ -73,7 +73,7 @@ class Hub(ChangeNotifier):
         return session if self.view.seat is None or self.view.seat.holder == name else ""
 
     @property
-    def aged(self) -> CaseView:
+    def aged_view(self) -> CaseView:
         """The view; the readings of devices without news from the engine age by host time."""
         view = self.view
         unseen_s = {name: self._now_s() - seen_s for name, seen_s in self._seen_s.items()}
@@ -84,12 +84,14 @@ class Hub(ChangeNotifier):
             name: replace(row, age_s=row.age_s + old_s.get(name, 0.0)) if row.age_s is not None else row
             for name, row in view.devices.items()
         }
-        stood = view.pose
-        if stood is not None:
-            stood = replace(stood, said_s=stood.said_s - old_s.get(stood.pose.arm, 0.0))
-        return replace(view, devices=devices, pose=stood)
+        reported_pose = view.pose
+        if reported_pose is not None:
+            reported_pose = replace(
+                reported_pose, reported_s=reported_pose.reported_s - old_s.get(reported_pose.pose.arm, 0.0)
+            )
+        return replace(view, devices=devices, pose=reported_pose)
 
-    def heard(self) -> None:
+    def note_heartbeat(self) -> None:
         """Record that the engine is alive."""
         self._heard_s = self._now_s()
 
@@ -99,8 +101,8 @@ class Hub(ChangeNotifier):
         if self.review is None:
             return self.live and self.silent_s > SILENT_S
         rows = self.view.devices.values()
-        speaks = any(row.age_s is not None and row.seen.state != Lifecycle.CLOSED for row in rows)
-        return speaks and self.silent_s > SILENT_FILE_S
+        is_speaking = any(row.age_s is not None and row.seen.state != Lifecycle.CLOSED for row in rows)
+        return is_speaking and self.silent_s > SILENT_FILE_S
 
     @property
     def silent_s(self) -> float:
@@ -108,18 +110,18 @@ class Hub(ChangeNotifier):
         return self._now_s() - self._heard_s
 
     @property
-    def over(self) -> bool:
+    def is_over(self) -> bool:
         """Whether the case is under review and its own program is gone: nothing in its folder changes."""
-        return self.review is not None and self.review.over
+        return self.review is not None and self.review.is_over
 
     @property
     def frozen(self) -> str:
         """Why the display is frozen; empty if it is not."""
-        if self.broken_off:
-            return f"{self.broken_off} The data shown is out of date."
+        if self.break_reason:
+            return f"{self.break_reason} The data shown is out of date."
         if self.view.outcome:
             return ""
-        if self.ended or self.over:
+        if self.has_ended or self.is_over:
             return (
                 "THE ENGINE HAS ENDED. The data shown is out of date; "
                 "the arm may have stopped anywhere on its path."
@@ -130,22 +132,22 @@ class Hub(ChangeNotifier):
 
     def end(self) -> None:
         """Note that the engine has ended."""
-        self.ended = True
+        self.has_ended = True
         for reply in self._replies.values():
             if not reply.done():
                 reply.set_result("the engine has ended")
-        self.tell()
+        self.notify()
 
-    def break_off(self, why: str) -> None:
-        """Note that nothing more can be read; `why` gives the code and the action."""
-        self.broken_off = why
-        self.tell()
+    def break_off(self, reason: str) -> None:
+        """Note that nothing more can be read; `reason` gives the code and the action."""
+        self.break_reason = reason
+        self.notify()
 
     def take_pair(self, picture: bytes) -> None:
         """Store the stereo head's latest images."""
         self.pair, self._paired_s = picture, self._now_s()
         self.pairs += 1
-        self.tell()
+        self.notify()
 
     @property
     def pair_age_s(self) -> float:
@@ -158,7 +160,7 @@ class Hub(ChangeNotifier):
         """Route orders this way from now on."""
         self._send = send
         self.live = True
-        self.heard()
+        self.note_heartbeat()
 
     def reply(self, reply: Reply) -> None:
         """Handle the engine's reply to an order."""
@@ -174,7 +176,7 @@ class Hub(ChangeNotifier):
         sent = read_order(json.dumps({"nonce": new_nonce(), **content, "session": session.identifier}))
         if session.role is not Role.OPERATOR:
             return "viewers cannot give orders"
-        if self._send is None or self.ended:
+        if self._send is None or self.has_ended:
             return NOT_RUNNING if self._send is None else "the engine has ended"
         if not isinstance(sent.order, Renew | Stop) and not session.orders.allows(self._now_s()):
             return "too many orders in one second"
@@ -192,7 +194,7 @@ class Hub(ChangeNotifier):
             self._replies.pop(sent.nonce, None)
         if isinstance(sent.order, Claim) and not refused:
             self._granted = session.identifier, sent.order.name.strip()
-            self.tell()
+            self.notify()
         return refused
 
 

@@ -18,7 +18,7 @@ from uvicorn.protocols.http.h11_impl import H11Protocol
 from console.errors import PortTaken
 from console.guard import LARGEST_BODY_BYTES, LARGEST_HEAD_BYTES, Guard, Role
 from ronna_hw.command_line.viewers_address import ViewersAddress
-from ronna_hw.host.network import account_at
+from ronna_hw.host.network import find_account
 
 REQUEST_LIMIT_S = 5.0  # host time, from the connection or the last answer to the complete next head
 ANSWER_LIMIT_S = 60.0  # host time from there until the answer was taken: five megabytes by a slow line
@@ -42,7 +42,7 @@ def listen(address: str, port: int, family: socket.AddressFamily = socket.AF_INE
     return listening
 
 
-def server_of(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
+def build_server(guard: Guard, viewers: ViewersAddress | None = None) -> uvicorn.Server:
     """Build the server with everything behind the guard; that of `viewers` uses TLS."""
     tls = {} if viewers is None else {"ssl_certfile": viewers.certificate, "ssl_keyfile": str(viewers.key)}
     return uvicorn.Server(
@@ -89,7 +89,7 @@ class ListeningSocket(socket.socket):
                 oldest.shutdown(socket.SHUT_RDWR)
         self._strangers[address[:2]] = connection
         here = connection.getsockname()
-        if here[0] == HOST and account_at(address, here) != os.geteuid():
+        if here[0] == HOST and find_account(address, here) != os.geteuid():
             self._foreign[address[:2]] = connection
         return connection, address
 
@@ -112,14 +112,14 @@ class ListeningSocket(socket.socket):
 
 
 def _still_open(connections: dict[object, socket.socket]) -> dict[object, socket.socket]:
-    return {peer: one for peer, one in connections.items() if one.fileno() != -1}
+    return {peer: item for peer, item in connections.items() if item.fileno() != -1}
 
 
 class Connection(H11Protocol):
     """HTTP/1.1 connection, dropped once the time for a head or an answer is up."""
 
-    def __init__(self, *arguments: Any, **named: Any) -> None:
-        super().__init__(*arguments, **named)
+    def __init__(self, *arguments: Any, **keywords: Any) -> None:
+        super().__init__(*arguments, **keywords)
         self._deadline: asyncio.TimerHandle | None = None
         self._is_answering = False
         self._answer_ends_s = 0.0
@@ -164,9 +164,9 @@ class Connection(H11Protocol):
 
     def _end(self) -> None:
         """Drop the connection, unless a complete answer is still on its way to a slow reader."""
-        left_s = self._answer_ends_s - self.loop.time()
-        if left_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
-            self._wait(min(left_s, REQUEST_LIMIT_S))
+        remaining_s = self._answer_ends_s - self.loop.time()
+        if remaining_s > 0.0 and not self._is_answering and self.transport.get_write_buffer_size() > 0:
+            self._wait(min(remaining_s, REQUEST_LIMIT_S))
         else:
             self.transport.abort()
 

@@ -10,7 +10,7 @@ import os
 import sys
 from pathlib import Path
 
-from ronna_hw.host.process import single_threaded
+from ronna_hw.host.process import limit_to_one_thread
 
 NICER = 10  # than the engine: a page must never cost it a cycle
 
@@ -24,7 +24,7 @@ def main() -> None:
     parser.add_argument("--viewers", nargs=3, metavar=("ADDRESS", "CERTIFICATE", "KEY"))
     arguments = parser.parse_args()
     os.nice(NICER)
-    single_threaded()
+    limit_to_one_thread()
     from console.app import serve
     from ronna_hw.command_line.viewers_address import ViewersAddress
     from ronna_hw.errors import RonnaError

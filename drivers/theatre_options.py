@@ -11,7 +11,7 @@ from pydantic import BaseModel, ValidationError
 
 from ronna_hw.errors import ConfigurationError
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 M = TypeVar("M", bound=BaseModel)
 
@@ -25,7 +25,7 @@ def parse_options(
         return model.model_validate_json(json.dumps(options, default=os.fspath))
     except ValidationError as error:
         mistakes = describe_mistakes(error, model)
-        said = f"{subject} have {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
-        raise refusal(said) from error
+        summary = f"{subject} have {format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
+        raise refusal(summary) from error
     except TypeError as error:
         raise refusal(f"{subject}: {error}") from error

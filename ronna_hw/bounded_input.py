@@ -40,21 +40,21 @@ class InputRefused(DataError):
     action = "Find out where it comes from; files written by these programs are far below the limit."
 
 
-GIVE_A_FILE = "Give a file: pipes, sockets and devices are not read."
+FILE_ADVICE = "Give a file: pipes, sockets and devices are not read."
 
 
-def read_bounded(path: Path, limit_bytes: int, *, linked: bool = True) -> bytes:
+def read_bounded(path: Path, limit_bytes: int, *, follow_links: bool = True) -> bytes:
     """Read a complete file. Raises INP-001 for more than `limit_bytes`, OSError.
 
-    Never blocks: a pipe, socket or device in its place is refused, and without `linked` also a link
+    Never blocks: a pipe, socket or device in its place is refused, and without `follow_links` also a link
     (OSError).
     """
     try:
-        with open_regular(path, linked=linked) as file:
+        with open_regular(path, follow_links=follow_links) as file:
             content = file.read(limit_bytes + 1)
     except OSError as error:
-        if linked and error.errno in (errno.EINVAL, errno.ENXIO):  # the second for a socket
-            raise InputRefused(f"{path} is not a regular file", action=GIVE_A_FILE) from error
+        if follow_links and error.errno in (errno.EINVAL, errno.ENXIO):  # the second for a socket
+            raise InputRefused(f"{path} is not a regular file", action=FILE_ADVICE) from error
         error.filename = error.filename or str(path)  # errors while reading do not name the file
         raise
     if len(content) > limit_bytes:
@@ -80,7 +80,7 @@ def parse_json(text: bytes | str, limit_bytes: int = LARGEST_JSON_BYTES) -> Any:
     if b"\0" in content:  # as in every other encoding, whose depth is not seen
         raise ValueError("JSON that is not UTF-8")
     try:
-        return json.loads(content, parse_int=_whole, parse_float=_finite, parse_constant=_finite)
+        return json.loads(content, parse_int=_parse_whole, parse_float=_finite, parse_constant=_finite)
     except RecursionError as error:  # from brackets that never close
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels") from error
 
@@ -90,21 +90,21 @@ def read_json_bytes(
     limit_bytes: int = LARGEST_JSON_BYTES,
     most_values: int = MOST_VALUES_OF_A_MODEL,
     *,
-    linked: bool = True,
+    follow_links: bool = True,
 ) -> bytes:
-    """Read a JSON file as bytes for a model to validate; `linked` as in `read_bounded`.
+    """Read a JSON file as bytes for a model to validate; `follow_links` as in `read_bounded`.
 
     Raises INP-001, OSError.
     """
-    return check_json(read_bounded(path, limit_bytes, linked=linked), limit_bytes, most_values)
+    return check_json(read_bounded(path, limit_bytes, follow_links=follow_links), limit_bytes, most_values)
 
 
-def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, linked: bool = True) -> bytes:
-    """Read JSON lines, the last of which may be torn; `linked` as in `read_bounded`.
+def read_json_lines(path: Path, limit_bytes: int = LARGEST_JSON_BYTES, *, follow_links: bool = True) -> bytes:
+    """Read JSON lines, the last of which may be torn; `follow_links` as in `read_bounded`.
 
     Raises INP-001, OSError.
     """
-    return _check_count(read_bounded(path, limit_bytes, linked=linked), MOST_VALUES_OF_LINES)
+    return _check_count(read_bounded(path, limit_bytes, follow_links=follow_links), MOST_VALUES_OF_LINES)
 
 
 def check_json(
@@ -114,23 +114,23 @@ def check_json(
     if len(content) > limit_bytes:
         raise InputRefused("the JSON is too large", limit=f"{limit_bytes} bytes", got=f"{len(content)}")
     _check_count(content, most_values)
-    if content.count(b"[") + content.count(b"{") > DEEPEST and _deeper_than_allowed(content):
+    if content.count(b"[") + content.count(b"{") > DEEPEST and _is_too_deep(content):
         raise InputRefused("JSON nested too deep", limit=f"{DEEPEST} levels")
     return content
 
 
 def _check_count(content: bytes, most_values: int) -> bytes:
-    if values_in(content) > most_values:
+    if count_values(content) > most_values:
         raise InputRefused("too many values in JSON", limit=str(most_values))
     return content
 
 
-def values_in(content: bytes) -> int:
+def count_values(content: bytes) -> int:
     """Upper bound for the number of values in a JSON text."""
     return sum(content.count(mark) for mark in (b"[", b"{", b",", b":"))
 
 
-def _deeper_than_allowed(content: bytes) -> bool:
+def _is_too_deep(content: bytes) -> bool:
     """Whether brackets remain after removing the innermost ones once per level."""
     brackets = _NO_BRACKETS.sub(b"", _STRING.sub(b"", content))
     for _ in range(DEEPEST):
@@ -140,7 +140,7 @@ def _deeper_than_allowed(content: bytes) -> bool:
     return bool(brackets)
 
 
-def _whole(digits: str) -> int:
+def _parse_whole(digits: str) -> int:
     if len(digits) > MOST_DIGITS:
         raise InputRefused("a whole number in JSON has too many digits", limit=f"{MOST_DIGITS} digits")
     return int(digits)
@@ -175,10 +175,10 @@ def read_toml(path: Path, refusal: Callable[[str], RonnaError]) -> dict[str, Any
         content = read_bounded(path, LARGEST_TOML_BYTES)
     except InputRefused as error:
         raise refusal(f"{path.name} is refused: {error.summary}") from error
-    return toml_of(content, path.name, refusal)
+    return parse_toml_bytes(content, path.name, refusal)
 
 
-def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
+def parse_toml_bytes(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> dict[str, Any]:
     """Parse the bytes of a file with this name; raises `refusal` like `read_toml`."""
     try:
         return parse_toml(content.decode("utf-8-sig"))
@@ -187,19 +187,19 @@ def toml_of(content: bytes, name: str, refusal: Callable[[str], RonnaError]) -> 
     except UnicodeDecodeError as error:
         raise refusal(f"{name} is not TOML: it is not UTF-8 text") from error
     except ValueError as error:
-        raise refusal(f"{name} is not TOML: {error}{_line_of(error, content)}") from error
+        raise refusal(f"{name} is not TOML: {error}{_describe_line(error, content)}") from error
 
 
-def _line_of(error: ValueError, content: bytes) -> str:
+def _describe_line(error: ValueError, content: bytes) -> str:
     """Quote the line that failed to parse, with a hint if it looks like a date or a decimal."""
     found = _LINE_NUMBER.search(str(error))
     lines = content.decode("utf-8-sig").splitlines()
     if found is None or not 0 < int(found[1]) <= len(lines):
         return ""
     line = lines[int(found[1]) - 1].strip()
-    written = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
-    written = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else written
-    return f": {line[:LONGEST_SHOWN]}{written}"
+    writing_advice = "; a date is written 2026-12-31" if _LIKE_A_DATE.search(line) else ""
+    writing_advice = "; decimals have a point, not a comma" if _DECIMAL_COMMA.search(line) else writing_advice
+    return f": {line[:LONGEST_SHOWN]}{writing_advice}"
 
 
 def parse_toml(text: str) -> dict[str, Any]:
@@ -216,7 +216,7 @@ def parse_toml(text: str) -> dict[str, Any]:
         raise InputRefused("TOML nested too deep", limit=f"{DEEPEST_TOML} levels") from error
     level: list[Any] = [content]
     for _ in range(DEEPEST_TOML):
-        inside = [inner for outer in level for inner in _inside(outer)]
+        inside = [inner for outer in level for inner in _iterate_values(outer)]
         if any(isinstance(value, int) and value not in WHOLE for value in inside):
             raise InputRefused("a whole number in TOML is too large", limit="64 bits, signed")
         level = [inner for inner in inside if isinstance(inner, dict | list)]
@@ -225,7 +225,7 @@ def parse_toml(text: str) -> dict[str, Any]:
     raise InputRefused("TOML nested too deep", limit=f"{DEEPEST_TOML} levels")
 
 
-def _inside(value: Any) -> Iterator[Any]:
+def _iterate_values(value: Any) -> Iterator[Any]:
     return iter(value.values() if isinstance(value, dict) else value)
 
 

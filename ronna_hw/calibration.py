@@ -21,7 +21,7 @@ from pydantic import (
     model_validator,
 )
 
-from ronna_hw.arm.catalogue import known_arm
+from ronna_hw.arm.catalogue import require_known_arm
 from ronna_hw.errors import EXIT_REFUSED, DataError
 from ronna_hw.plausible import (
     FARTHEST_ON_TOOL_MM,
@@ -49,14 +49,14 @@ UNIT_NORM_TOLERANCE = 1e-6
 Numbers3 = tuple[float, float, float]
 Numbers4 = tuple[float, float, float, float]
 Numbers2 = tuple[float, float]
-ArmName = Annotated[str, AfterValidator(known_arm)]
+ArmName = Annotated[str, AfterValidator(require_known_arm)]
 
 STEREO_HEAD_NUMBER = 1  # as the controller's inputs report it; 0 is an empty mount
 CLOCKS_AGREE = timedelta(days=1)  # between two computers, whatever their time zones
 AS_MACHINED_RAD = 1.7e-3  # 0.1 degrees: for a guide assumed to point as drawn, never measured
 
 
-def _whole_moment(value: object, info: ValidationInfo) -> object:
+def _require_whole_moment(value: object, info: ValidationInfo) -> object:
     if isinstance(value, date) and getattr(value, "tzinfo", None) is None:
         raise ValueError("expected day, time and time zone, as 2026-12-21T12:00:00Z")
     if info.mode == "json" and isinstance(value, str):  # the result is no longer JSON
@@ -64,14 +64,14 @@ def _whole_moment(value: object, info: ValidationInfo) -> object:
     return value
 
 
-Moment = Annotated[AwareDatetime, BeforeValidator(_whole_moment)]
+Moment = Annotated[AwareDatetime, BeforeValidator(_require_whole_moment)]
 
 
-def _listed(pair: tuple[float, float]) -> str:
+def _as_pair(pair: tuple[float, float]) -> str:
     return "[{:g}, {:g}]".format(*pair)
 
 
-def _readable(moment: datetime) -> str:
+def _as_text(moment: datetime) -> str:
     return f"{moment:%Y-%m-%d %H:%M} {moment.tzname() or ''}".rstrip()
 
 
@@ -98,7 +98,7 @@ class PoseRecord(Strict):
     quaternion_wxyz: Numbers4 = Field(description="Rotation as a unit quaternion, scalar first.")
 
     @model_validator(mode="after")
-    def _plausible(self) -> Self:
+    def _is_rotation(self) -> Self:
         norm = sum(value * value for value in self.quaternion_wxyz) ** 0.5
         if abs(norm - 1.0) > UNIT_NORM_TOLERANCE:
             raise ValueError(f"quaternion_wxyz has norm {norm:.6f}, not 1: give a rotation, not angles")
@@ -113,13 +113,13 @@ class PoseRecord(Strict):
         )
 
 
-def _on_the_mount(pose: PoseRecord) -> PoseRecord:
+def _require_on_mount(pose: PoseRecord) -> PoseRecord:
     if (length_mm := math.hypot(*pose.translation_mm)) > FARTHEST_ON_TOOL_MM:
         raise ValueError(f"has length {length_mm:.3g}: expected at most {FARTHEST_ON_TOOL_MM:g} mm")
     return pose
 
 
-OnTheMount = Annotated[PoseRecord, AfterValidator(_on_the_mount)]
+MountPose = Annotated[PoseRecord, AfterValidator(_require_on_mount)]
 
 
 class CameraCalibration(Strict):
@@ -143,18 +143,18 @@ class CameraCalibration(Strict):
     camera_from_tool: PoseRecord = Field(description="Pose camera <- tool centre.")
 
     @model_validator(mode="after")
-    def _of_this_sensor(self) -> Self:
+    def _fits_sensor(self) -> Self:
         """Check principal point (swapped columns and rows) and focal length (in other pixels)."""
         for count, at_px in zip(self.sensor_px, self.principal_point_px, strict=True):
             if not 0.25 * count < at_px < 0.75 * count:
                 raise ValueError(
-                    f"principal_point_px {_listed(self.principal_point_px)} is not in the middle half of "
-                    f"sensor_px {_listed(self.sensor_px)}: give columns first, then rows"
+                    f"principal_point_px {_as_pair(self.principal_point_px)} is not in the middle half of "
+                    f"sensor_px {_as_pair(self.sensor_px)}: give columns first, then rows"
                 )
         view_deg = 2.0 * math.degrees(math.atan2(0.5 * max(self.sensor_px), min(self.focal_px)))
         if view_deg > WIDEST_VIEW_DEG:
             raise ValueError(
-                f"focal_px {_listed(self.focal_px)} with sensor_px {_listed(self.sensor_px)} is a view of "
+                f"focal_px {_as_pair(self.focal_px)} with sensor_px {_as_pair(self.sensor_px)} is a view of "
                 f"{view_deg:.0f} degrees, expected at most {WIDEST_VIEW_DEG:g}: give the focal length in "
                 "pixels of this sensor"
             )
@@ -175,7 +175,7 @@ class Dated(Strict):
     def _expires_after_creation(self) -> Self:
         if self.expires < self.created:
             raise ValueError(
-                f"expires {_readable(self.expires)}, before it was created, {_readable(self.created)}"
+                f"expires {_as_text(self.expires)}, before it was created, {_as_text(self.created)}"
             )
         return self
 
@@ -186,15 +186,15 @@ class Dated(Strict):
         """
         if moment < self.created - CLOCKS_AGREE:
             raise CalibrationExpired(
-                f"{self.what} {self.identifier} is dated {_readable(self.created)}, which is in the future",
-                got=f"now {_readable(moment)}",
+                f"{self.what} {self.identifier} is dated {_as_text(self.created)}, which is in the future",
+                got=f"now {_as_text(moment)}",
                 action="Set this computer's clock, or correct the record's date.",
             )
         if moment > self.expires:
             raise CalibrationExpired(
                 f"{self.what} {self.identifier} expired",
-                limit=_readable(self.expires),
-                got=f"now {_readable(moment)}",
+                limit=_as_text(self.expires),
+                got=f"now {_as_text(moment)}",
                 action=self._renewing,
             )
 
@@ -217,12 +217,12 @@ class StereoHeadCalibration(DatedRecord):
         description="Stated error of a point measured in the tool frame, one standard deviation; not that of "
         "the tool centre on the flange."
     )
-    flange_from_tool: OnTheMount = Field(description="Pose flange <- tool centre of the head.")
+    flange_from_tool: MountPose = Field(description="Pose flange <- tool centre of the head.")
     left: CameraCalibration = Field(description="The left camera.")
     right: CameraCalibration = Field(description="The right camera.")
 
 
-def _not_of_the_head(number: int) -> int:
+def _require_guide_number(number: int) -> int:
     if number == STEREO_HEAD_NUMBER:
         raise ValueError("is the number of the stereo head: expected another for the guide")
     return number
@@ -232,11 +232,11 @@ class ToolTipCalibration(DatedRecord):
     """A surgical guide: nominal pose of its tip on the flange, z along the guide's axis."""
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
-    tool_number: Annotated[int, Field(ge=1, le=16), AfterValidator(_not_of_the_head)] = Field(
+    tool_number: Annotated[int, Field(ge=1, le=16), AfterValidator(_require_guide_number)] = Field(
         description="Tool number reported by the controller's inputs; "
         f"{STEREO_HEAD_NUMBER} is that of the stereo head."
     )
-    flange_from_tool: OnTheMount = Field(description="Pose flange <- tip, z along the guide.")
+    flange_from_tool: MountPose = Field(description="Pose flange <- tip, z along the guide.")
     stated_direction_error_rad: Annotated[float, Field(ge=0, lt=0.1)] = Field(
         default=AS_MACHINED_RAD,
         description="Angle between z and the bore, one standard deviation; default: as machined.",
@@ -248,23 +248,25 @@ class TrackerFrameCalibration(DatedRecord):
 
     stated_error_mm: MountedError = Field(description="Stated error, one standard deviation.")
     tool: Words = Field(description="Name of the tool definition in the tracker's options.")
-    tool_from_marker: OnTheMount = Field(description="Pose tool centre <- reference frame.")
+    tool_from_marker: MountPose = Field(description="Pose tool centre <- reference frame.")
 
 
-def _numbers(rows: object) -> object:
+def _parse_rows(rows: object) -> object:
     """Parse rows of numbers from lines of text; return anything else unchanged."""
     if isinstance(rows, list | tuple):
         return tuple(tuple(map(float, row.split())) if isinstance(row, str) else row for row in rows)
     return rows
 
 
-def _lines(rows: tuple[tuple[float, ...], ...]) -> tuple[str, ...]:
+def _format_rows(rows: tuple[tuple[float, ...], ...]) -> tuple[str, ...]:
     return tuple(" ".join(map(str, row)) for row in rows)
 
 
 # A line of text for each row: TOML would have one for each of three thousand numbers.
 Rows = Annotated[
-    tuple[tuple[float, ...], ...], BeforeValidator(_numbers), PlainSerializer(_lines, tuple[str, ...])
+    tuple[tuple[float, ...], ...],
+    BeforeValidator(_parse_rows),
+    PlainSerializer(_format_rows, tuple[str, ...]),
 ]
 
 
@@ -319,7 +321,7 @@ class ArmCalibration(DatedRecord):
     )
 
     @model_validator(mode="after")
-    def _of_one_arm(self) -> Self:
+    def _has_equal_counts(self) -> Self:
         counts = {name: len(getattr(self, name)) for name in ARM_DEVIATIONS}
         if len(set(counts.values())) != 1:
             listed = ", ".join(f"{name} {count}" for name, count in counts.items())

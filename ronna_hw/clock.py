@@ -95,13 +95,13 @@ class SharedClock:
         try:
             self._file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         except (OSError, ValueError) as error:  # the latter for what is no path at all
-            why = error.strerror if isinstance(error, OSError) else error
-            raise ClockUnavailable(f"cannot open the clock at {path}: {why}") from error
-        self._close_file = weakref.finalize(self, os.close, self._file)
+            reason = error.strerror if isinstance(error, OSError) else error
+            raise ClockUnavailable(f"cannot open the clock at {path}: {reason}") from error
+        self._file_closer = weakref.finalize(self, os.close, self._file)
         try:
             self._memory = mmap.mmap(self._file, CLOCK.size_bytes)
         except (OSError, ValueError) as error:
-            self._close_file()
+            self._file_closer()
             raise ClockUnavailable(f"{path} is too short for a clock file") from error
         memory = self._memory
         if not CLOCK.is_marked(memory) or VERSION.read(memory) != LAYOUT_VERSION:
@@ -143,10 +143,10 @@ class SharedClock:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
         while True:
-            with self.locked():
+            with self.hold_lock():
                 if self.now_ns() >= moment_ns:
                     return
-                if not self.streaming():
+                if not self.is_streaming():
                     TIME_NS.write(self._memory, moment_ns)
                     return
                 if WANTED_NS.read(self._memory) < moment_ns:
@@ -157,7 +157,7 @@ class SharedClock:
         """Whether any process waits for a future theatre time."""
         return WANTED_NS.read(self._memory) > TIME_NS.read(self._memory)
 
-    def streaming(self) -> bool:
+    def is_streaming(self) -> bool:
         """Whether a cyclic device controls the pace of time."""
         last = STREAM_HOST_NS.read(self._memory)
         return last != 0 and time.monotonic_ns() - last < STREAM_SILENCE_NS
@@ -166,7 +166,7 @@ class SharedClock:
         """Add one cycle of the cyclic device and return the new time. No effect when paced."""
         if self._paced:
             return self.now_ns()
-        with self.locked():
+        with self.hold_lock():
             STREAM_HOST_NS.write(self._memory, time.monotonic_ns())
             moment = TIME_NS.read(self._memory) + duration_ns
             TIME_NS.write(self._memory, moment)
@@ -185,11 +185,11 @@ class SharedClock:
 
     def end_stream(self) -> None:
         """Release the pace of time at the end of a cyclic stream."""
-        with self.locked():
+        with self.hold_lock():
             STREAM_HOST_NS.write(self._memory, 0)
 
     @contextmanager
-    def locked(self) -> Iterator[None]:
+    def hold_lock(self) -> Iterator[None]:
         """Hold the clock's lock, which excludes other processes and other threads of this one."""
         with self._thread_lock:
             fcntl.flock(self._file, fcntl.LOCK_EX)
@@ -201,7 +201,7 @@ class SharedClock:
     def close(self) -> None:
         """Release the shared memory; may be called twice."""
         self._memory.close()
-        self._close_file()
+        self._file_closer()
 
 
 def open_clock(endpoint: Endpoint | str) -> HostClock | SharedClock:

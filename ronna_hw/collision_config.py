@@ -107,50 +107,50 @@ class HeadZone(Strict):
         return self
 
 
-def _tool(name: str, start: Numbers3, end: Numbers3, radius: float) -> ToolBody:
+def _build_tool_body(name: str, start: Numbers3, end: Numbers3, radius: float) -> ToolBody:
     return ToolBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
 
 
-def _room(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
+def _build_room_body(name: str, start: Numbers3, end: Numbers3, radius: float) -> RoomBody:
     return RoomBody(name=name, start_mm=start, end_mm=end, radius_mm=radius)
 
 
 # As drawn. The plate starts on the flange, at (-220, 0, -60); up to its start here the hand covers it.
 _MOUNT = (
-    _tool("plate of the mount", (-175.0, 0.0, -60.0), (-130.0, 0.0, -60.0), 13.0),
-    _tool("mount", (-130.0, 0.0, -60.0), (-130.0, 0.0, -170.0), 13.0),
+    _build_tool_body("plate of the mount", (-175.0, 0.0, -60.0), (-130.0, 0.0, -60.0), 13.0),
+    _build_tool_body("mount", (-130.0, 0.0, -60.0), (-130.0, 0.0, -170.0), 13.0),
 )
 STEREO_HEAD = (
     *_MOUNT,
-    _tool("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -257.0), 15.0),
-    _tool("beam of the stereo head", (0.0, -130.0, -257.0), (0.0, 130.0, -257.0), 20.0),
-    _tool("left camera", (0.0, -101.6, -195.1), (0.0, -144.0, -276.8), 30.0),
-    _tool("right camera", (0.0, 101.6, -195.1), (0.0, 144.0, -276.8), 30.0),
+    _build_tool_body("bridge of the stereo head", (-130.0, 0.0, -170.0), (0.0, 0.0, -257.0), 15.0),
+    _build_tool_body("beam of the stereo head", (0.0, -130.0, -257.0), (0.0, 130.0, -257.0), 20.0),
+    _build_tool_body("left camera", (0.0, -101.6, -195.1), (0.0, -144.0, -276.8), 30.0),
+    _build_tool_body("right camera", (0.0, 101.6, -195.1), (0.0, 144.0, -276.8), 30.0),
 )
 # The tube ends flat, at -85: a round end would either miss its rim or reach 4 mm beyond it.
 _FLAT_END = tuple(
-    _tool("end of the guide", (-half_mm, y_mm, -86.5), (half_mm, y_mm, -86.5), 2.5)
+    _build_tool_body("end of the guide", (-half_mm, y_mm, -86.5), (half_mm, y_mm, -86.5), 2.5)
     for y_mm, half_mm in ((-6.0, 6.95), (-2.0, 8.0), (2.0, 8.0), (6.0, 6.95))
 )
 GUIDE = (
     *_MOUNT,
-    _tool("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
-    _tool("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -94.0), 10.0),
+    _build_tool_body("bridge of the guide", (-130.0, 0.0, -170.0), (0.0, 0.0, -170.0), 15.0),
+    _build_tool_body("tube of the guide", (0.0, 0.0, -160.0), (0.0, 0.0, -94.0), 10.0),
     *_FLAT_END,
 )
 AROUND_THE_PATIENT = (
-    _room("left pin of the clamp", (95.0, 15.0, 10.0), (125.0, 30.0, 5.0), 8.0),
-    _room("right pin of the clamp", (-95.0, 15.0, 10.0), (-125.0, 30.0, 5.0), 8.0),
-    _room("left arm of the clamp", (125.0, 30.0, 5.0), (125.0, 130.0, -20.0), 14.0),
-    _room("right arm of the clamp", (-125.0, 30.0, 5.0), (-125.0, 130.0, -20.0), 14.0),
-    _room("cross bar of the clamp", (125.0, 130.0, -20.0), (-125.0, 130.0, -20.0), 16.0),
-    _room("adaptor of the clamp", (0.0, 135.0, -20.0), (0.0, 200.0, -160.0), 25.0),
-    _room("neck", (0.0, 20.0, -100.0), (0.0, 30.0, -200.0), 60.0),
-    _room("shoulders", (-150.0, 40.0, -280.0), (150.0, 40.0, -280.0), 80.0),
-    _room("torso", (0.0, 40.0, -330.0), (0.0, 40.0, -800.0), 150.0),
-    _room("left side of the table", (170.0, 240.0, -220.0), (170.0, 240.0, -1500.0), 50.0),
-    _room("middle of the table", (0.0, 240.0, -220.0), (0.0, 240.0, -1500.0), 50.0),
-    _room("right side of the table", (-170.0, 240.0, -220.0), (-170.0, 240.0, -1500.0), 50.0),
+    _build_room_body("left pin of the clamp", (95.0, 15.0, 10.0), (125.0, 30.0, 5.0), 8.0),
+    _build_room_body("right pin of the clamp", (-95.0, 15.0, 10.0), (-125.0, 30.0, 5.0), 8.0),
+    _build_room_body("left arm of the clamp", (125.0, 30.0, 5.0), (125.0, 130.0, -20.0), 14.0),
+    _build_room_body("right arm of the clamp", (-125.0, 30.0, 5.0), (-125.0, 130.0, -20.0), 14.0),
+    _build_room_body("cross bar of the clamp", (125.0, 130.0, -20.0), (-125.0, 130.0, -20.0), 16.0),
+    _build_room_body("adaptor of the clamp", (0.0, 135.0, -20.0), (0.0, 200.0, -160.0), 25.0),
+    _build_room_body("neck", (0.0, 20.0, -100.0), (0.0, 30.0, -200.0), 60.0),
+    _build_room_body("shoulders", (-150.0, 40.0, -280.0), (150.0, 40.0, -280.0), 80.0),
+    _build_room_body("torso", (0.0, 40.0, -330.0), (0.0, 40.0, -800.0), 150.0),
+    _build_room_body("left side of the table", (170.0, 240.0, -220.0), (170.0, 240.0, -1500.0), 50.0),
+    _build_room_body("middle of the table", (0.0, 240.0, -220.0), (0.0, 240.0, -1500.0), 50.0),
+    _build_room_body("right side of the table", (-170.0, 240.0, -220.0), (-170.0, 240.0, -1500.0), 50.0),
 )
 
 
@@ -178,7 +178,7 @@ class CollisionConfig(Strict):
             raise ValueError("live_margin_mm must be less than margin_mm, the clearance of planned paths")
         return self
 
-    def around_head(
+    def build_surroundings(
         self,
         tool: tuple[ToolBody, ...],
         flange_from_tool: Pose,
@@ -198,10 +198,15 @@ class CollisionConfig(Strict):
             in_robot = capsule if body.frame is BodyFrame.ROBOT else capsule.moved(robot_from_head)
             obstacles.append(Obstacle(body.name, in_robot))
         for number, centre in enumerate(fiducials_mm, start=1):
-            obstacles.append(Obstacle(f"{FIDUCIAL} {number}", _post(centre, robot_from_head.position_mm)))
+            obstacles.append(
+                Obstacle(f"{FIDUCIAL} {number}", _build_post(centre, robot_from_head.position_mm))
+            )
         zone, arm = self.zone, self.arm
         return Surroundings(
-            tool=tuple(Part(one.name, one.capsule.moved(flange_from_tool), one.enters_head) for one in tool),
+            tool=tuple(
+                Part(tool_body.name, tool_body.capsule.moved(flange_from_tool), tool_body.enters_head)
+                for tool_body in tool
+            ),
             obstacles=tuple(obstacles),
             radii=ArmRadii(arm.column_mm, arm.upper_arm_mm, arm.forearm_mm, arm.wrist_mm, arm.hand_mm),
             margin_mm=self.margin_mm,
@@ -211,7 +216,7 @@ class CollisionConfig(Strict):
         )
 
 
-def _post(centre: Numbers3, middle: Numbers3) -> Capsule:
+def _build_post(centre: Numbers3, middle: Numbers3) -> Capsule:
     """A sphere on its post, which points to the centre of the head."""
     away = [m - c for m, c in zip(middle, centre, strict=True)]
     length = sum(value * value for value in away) ** 0.5

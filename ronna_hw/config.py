@@ -80,7 +80,7 @@ def closest_to_flange_mm(flange_from_tool: PoseRecord, bore: GuideBore | None = 
     axis = (2.0 * (x * z + w * y), 2.0 * (y * z - w * x), 1.0 - 2.0 * (x * x + y * y))
     tip_mm = flange_from_tool.translation_mm
     length_mm = 0.0 if bore is None else bore.reach_mm + bore.length_mm
-    up_mm = sum(at * along for at, along in zip(tip_mm, axis, strict=True))
+    up_mm = sum(coordinate * along for coordinate, along in zip(tip_mm, axis, strict=True))
     up_mm = min(max(up_mm, 0.0), length_mm)
     return math.dist(tip_mm, [up_mm * along for along in axis])
 
@@ -109,7 +109,7 @@ class ClockConfig(Strict):
 
     @field_validator("endpoint")
     @classmethod
-    def _parses(cls, value: str) -> str:
+    def _is_clock_address(cls, value: str) -> str:
         parse_endpoint(value).require("host", "shm")
         return value
 
@@ -134,7 +134,7 @@ class DeviceConfig(Strict):
         """Folder of the theatre file, to which paths in `options` are relative; None without a file."""
         return self._folder
 
-    def read_from(self, folder: Path) -> Self:
+    def with_folder(self, folder: Path) -> Self:
         """Copy with paths in its options relative to `folder`."""
         here = self.model_copy()
         here._folder = folder
@@ -187,14 +187,14 @@ class Calibrations(Strict):
         return {name: record for name, record in found.items() if record is not None}
 
 
-def _in_order(angles: tuple[float, float]) -> tuple[float, float]:
+def _require_order(angles: tuple[float, float]) -> tuple[float, float]:
     if angles[0] > angles[1]:
         raise ValueError(f"the least angle comes first, got {angles[0]:g} and {angles[1]:g}")
     return angles
 
 
 Angle = Annotated[float, Field(ge=-45.0, le=90.0)]
-Recline = Annotated[tuple[Angle, Angle], AfterValidator(_in_order)]
+Recline = Annotated[tuple[Angle, Angle], AfterValidator(_require_order)]
 HeadTurn = Annotated[float, Field(gt=0.0, le=60.0)]
 
 
@@ -300,7 +300,7 @@ class TheatreFile(Strict):
 
     @field_validator("tools")
     @classmethod
-    def _have_numbers_of_their_own(cls, tools: dict[str, ToolRecord]) -> dict[str, ToolRecord]:
+    def _have_unique_numbers(cls, tools: dict[str, ToolRecord]) -> dict[str, ToolRecord]:
         owners: dict[int, str] = {}
         for name, tool in tools.items():
             if (owner := owners.setdefault(tool.number, name)) != name:
@@ -365,10 +365,10 @@ def read_theatre_file(path: Path) -> TheatreFile:
     folder = path.resolve().parent
     return theatre.model_copy(
         update={
-            "tracker": theatre.tracker and theatre.tracker.read_from(folder),
-            "stereo": theatre.stereo and theatre.stereo.read_from(folder),
-            "robot": {name: arm.read_from(folder) for name, arm in theatre.robot.items()},
-            "device": {name: device.read_from(folder) for name, device in theatre.device.items()},
+            "tracker": theatre.tracker and theatre.tracker.with_folder(folder),
+            "stereo": theatre.stereo and theatre.stereo.with_folder(folder),
+            "robot": {name: arm.with_folder(folder) for name, arm in theatre.robot.items()},
+            "device": {name: device.with_folder(folder) for name, device in theatre.device.items()},
         }
     )
 

@@ -49,8 +49,8 @@ class ControlAddress:
     @classmethod
     def parse(cls, text: str) -> ControlAddress:
         """Parse an address; raises CFG-002 for any other form, without quoting the token."""
-        where, _, token = text.partition(_TOKEN_MARK)
-        endpoint = parse_endpoint(where).require("tcp")
+        location, _, token = text.partition(_TOKEN_MARK)
+        endpoint = parse_endpoint(location).require("tcp")
         if not token:
             raise BadEndpoint(
                 f"{endpoint} has no token",
@@ -78,7 +78,7 @@ class ControlPortClient:
                 (found.endpoint.host, found.endpoint.port), ANSWER_LIMIT_S
             )
         except OSError as error:
-            raise self._silent(error) from error
+            raise self._silence_error(error) from error
         try:
             self._exchange("the token", {TOKEN_KEY: found.token})
         except BaseException:  # whatever happened: no one else knows of this connection
@@ -107,27 +107,27 @@ class ControlPortClient:
             raise ControlRequestRefused(f"{what} is refused: a number is not finite") from error
         try:
             self._socket.sendall(line)
-            answer = parse_json(self._answer() or b"{}")
+            answer = parse_json(self._receive_answer() or b"{}")
         except (OSError, ValueError) as error:
-            raise self._silent(error) from error
+            raise self._silence_error(error) from error
         if not isinstance(answer, dict):
-            raise self._silent("what answers is no control port")
+            raise self._silence_error("what answers is no control port")
         if not answer:
-            raise self._silent("the connection was closed")
+            raise self._silence_error("the connection was closed")
         if not answer.get("ok"):
             reason = answer.get("reason", "no reason given")
             raise ControlRequestRefused(f"{what} is refused: {reason}", action=str(answer.get("advice", "")))
         return answer
 
-    def _answer(self) -> bytes:
+    def _receive_answer(self) -> bytes:
         """Receive one line within the limit for all of it; less if the port hangs up."""
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         line = bytearray()
         while b"\n" not in line and len(line) < LONGEST_LINE:
-            left_s = deadline_s - time.monotonic()
-            if left_s <= 0:
+            remaining_s = deadline_s - time.monotonic()
+            if remaining_s <= 0:
                 raise TimeoutError("timed out")
-            self._socket.settimeout(left_s)
+            self._socket.settimeout(remaining_s)
             part = self._socket.recv(LONGEST_LINE - len(line))
             if not part:
                 break
@@ -135,7 +135,7 @@ class ControlPortClient:
         self._socket.settimeout(ANSWER_LIMIT_S)
         return bytes(line)
 
-    def _silent(self, reason: object) -> ControlPortSilent:
+    def _silence_error(self, reason: object) -> ControlPortSilent:
         words = reason.strerror if isinstance(reason, OSError) and reason.strerror else reason
         return ControlPortSilent(f"no answer from the control port {self._endpoint}: {words}")
 

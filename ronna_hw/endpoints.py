@@ -45,7 +45,7 @@ class Endpoint:
         host = f"[{self.host}]" if ":" in self.host else self.host
         return f"{self.scheme}://{host}:{self.port}" if self.port else f"{self.scheme}://{host}"
 
-    def resolved(self) -> Endpoint:
+    def resolve_names(self) -> Endpoint:
         """Follow links and names to the place itself; an unknown name stays."""
         if self.path:
             return replace(self, path=os.path.realpath(self.path))
@@ -54,7 +54,7 @@ class Endpoint:
             found = socket.getaddrinfo(name, None, type=socket.SOCK_STREAM) if name else []
         except (OSError, UnicodeError):
             found = []
-        return replace(self, host=min((str(each[4][0]) for each in found), default=name))
+        return replace(self, host=min((str(entry[4][0]) for entry in found), default=name))
 
     def require(self, *schemes: str) -> Endpoint:
         """Return itself, or raise CFG-002 if its scheme is not one of `schemes`."""

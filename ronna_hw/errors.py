@@ -86,7 +86,7 @@ class RonnaError(Exception):
 
     def __reduce__(self) -> tuple[object, ...]:
         """Pickle the error as it is: recreated from its one-line form it would say everything twice."""
-        return _restored, (type(self), self.args, vars(self))
+        return _restore_error, (type(self), self.args, vars(self))
 
     def _one_line(self) -> str:
         line = f"{self.code}: {self.summary}" if self.code else self.summary
@@ -96,7 +96,7 @@ class RonnaError(Exception):
         return f"{sentence} {self.advice}" if self.advice else line
 
 
-def _restored(kind: type[RonnaError], line: tuple[str], content: dict[str, Any]) -> RonnaError:
+def _restore_error(kind: type[RonnaError], line: tuple[str], content: dict[str, Any]) -> RonnaError:
     error = kind.__new__(kind, *line)
     vars(error).update(content)
     return error

@@ -42,7 +42,7 @@ class FrameMismatch(DataError):
     action = "Check which frame each transform maps from and to; invert one of them if it is reversed."
 
 
-def rigid_of(translation_mm: Array, rotation: Rotation) -> RigidTransform:
+def build_rigid(translation_mm: Array, rotation: Rotation) -> RigidTransform:
     """Translate by (3,) mm after a rotation; other shapes raise ValueError, non-finite numbers FRM-001.
 
     `RigidTransform.from_components` multiplies two transforms and checks the product, which takes several
@@ -76,7 +76,7 @@ class Transform:
     ) -> Self:
         """Build from a translation (3, mm) and a scalar-first unit quaternion (4)."""
         rotation = Rotation.from_quat(np.asarray(quaternion_wxyz, dtype=float), scalar_first=True)
-        return cls(target, source, rigid_of(np.asarray(translation_mm, dtype=float), rotation))
+        return cls(target, source, build_rigid(np.asarray(translation_mm, dtype=float), rotation))
 
     @classmethod
     def from_matrix(cls, target: Frame, source: Frame, matrix: ArrayLike) -> Self:
@@ -112,10 +112,10 @@ class Transform:
         """Map points (3,) or (n, 3) in mm from source to target."""
         return np.asarray(self.rigid.apply(np.asarray(points_mm, dtype=float)), dtype=float)
 
-    def displaced(self, by_mm: ArrayLike) -> Transform:
+    def displace(self, by_mm: ArrayLike) -> Transform:
         """Displace the origin by (3,) mm in the target frame, with the same rotation."""
         place_mm = self.translation_mm + np.asarray(by_mm, dtype=float)
-        return Transform(self.target, self.source, rigid_of(place_mm, self.rigid.rotation))
+        return Transform(self.target, self.source, build_rigid(place_mm, self.rigid.rotation))
 
     def inverse(self) -> Transform:
         """The transform source <- target."""

@@ -16,13 +16,13 @@ from pathlib import Path
 from typing import Any, TextIO
 
 from ronna_hw.logs import ALL, logger
-from ronna_hw.redaction import REDACTED, redacted_arguments, scrubbed
+from ronna_hw.redaction import REDACTED, redact_arguments, scrub_text
 
 LOG_FILE = "log.jsonl"
 FILE_BYTES = 1_000_000
 OLD_FILES = 3  # log.jsonl.1 to .3: a run keeps at most four megabytes
 
-_READ_PATIENT_FILES = ("pydicom", "pynetdicom", "highdicom", "gdcm")
+_PATIENT_FILE_LIBRARIES = ("pydicom", "pynetdicom", "highdicom", "gdcm")
 _WARNING_PLACE = re.compile(r"\w+\.py:\d+: \w+")  # series.py:52: UserWarning
 _VERSIONS_LOGGED = (
     "ronna-hw",
@@ -39,7 +39,7 @@ def show_log(stream: TextIO) -> None:
     """Write the log to a stream for the rest of the process, one readable line per event."""
     import structlog
 
-    _attach(_Shown(stream), structlog.dev.ConsoleRenderer(colors=False))
+    _attach(_StreamOutput(stream), structlog.dev.ConsoleRenderer(colors=False))
     logging.captureWarnings(True)
 
 
@@ -59,14 +59,14 @@ def keep_log(folder: Path, **facts: Any) -> Iterator[None]:
         structlog.processors.JSONRenderer(default=str),
     )
     try:
-        logger(part="log").info("opened", **about_this_computer(), **facts)
+        logger(part="log").info("opened", **describe_computer(), **facts)
         yield
     finally:
         logging.getLogger().removeHandler(handler)
         handler.close()
 
 
-def about_this_computer() -> dict[str, Any]:
+def describe_computer() -> dict[str, Any]:
     """Versions, platform and the command line, redacted: what a support request needs first."""
     from importlib import metadata
 
@@ -79,22 +79,22 @@ def about_this_computer() -> dict[str, Any]:
         "python": platform.python_version(),
         "system": f"{platform.system()} {platform.release()} {platform.machine()}",
         "command": Path(sys.argv[0]).name,
-        "arguments": redacted_arguments(sys.argv[1:]),
+        "arguments": redact_arguments(sys.argv[1:]),
     }
 
 
-class _NeverStops(logging.Handler):
+class _TolerantHandler(logging.Handler):
     """Loses lines that a full disk or a closed pipe refuses: a run needs its journal, not its log."""
 
     def handleError(self, record: logging.LogRecord) -> None:
         """Lose the line."""
 
 
-class _Shown(_NeverStops, logging.StreamHandler[TextIO]):
+class _StreamOutput(_TolerantHandler, logging.StreamHandler[TextIO]):
     """Standard error."""
 
 
-class _BoundedFile(_NeverStops, logging.handlers.RotatingFileHandler):
+class _BoundedFile(_TolerantHandler, logging.handlers.RotatingFileHandler):
     """A file that rotates."""
 
     def close(self) -> None:
@@ -137,9 +137,9 @@ def _redact_library(_log: object, _method: str, event: MutableMapping[str, Any])
     if record.name == "py.warnings":
         place = _WARNING_PLACE.search(text)
         text = place.group() if place else REDACTED
-    elif record.name.split(".")[0] in _READ_PATIENT_FILES:
+    elif record.name.split(".")[0] in _PATIENT_FILE_LIBRARIES:
         text = REDACTED
     else:
-        text = scrubbed(text)
+        text = scrub_text(text)
     event.pop("exc_info", None)  # a traceback shows local values
     return {**event, "library": record.name, "event": text}

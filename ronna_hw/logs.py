@@ -28,7 +28,7 @@ class Logger:
 
     def __init__(self, names: Mapping[str, str]) -> None:
         self._names = dict(names)
-        self._channel = logging.getLogger(_channel(".".join((ALL, *names.values()))))
+        self._channel_name = logging.getLogger(_channel_name(".".join((ALL, *names.values()))))
 
     def debug(self, event: str, **facts: Any) -> None:
         """Log details for debugging."""
@@ -47,7 +47,7 @@ class Logger:
         self._log(logging.ERROR, event, facts)
 
     def _log(self, level: int, event: str, facts: dict[str, Any]) -> None:
-        if self._channel.isEnabledFor(level):
+        if self._channel_name.isEnabledFor(level):
             getattr(self._bound, logging.getLevelName(level).lower())(event, **facts)
 
     @cached_property
@@ -57,7 +57,7 @@ class Logger:
         from ronna_hw.redaction import redact_event
 
         return structlog.wrap_logger(
-            self._channel,
+            self._channel_name,
             processors=[
                 structlog.processors.TimeStamper(fmt="iso", utc=True),
                 structlog.stdlib.add_log_level,
@@ -77,21 +77,21 @@ def logger(**names: str) -> Logger:
     return Logger(names)
 
 
-def known_loggers() -> tuple[str, ...]:
+def list_loggers() -> tuple[str, ...]:
     """First parts that a logger's name may have."""
     return (*sorted((*PARTS, *TABLES)), f"{PROGRAMS}COMMAND")
 
 
-def is_known(name: str) -> bool:
+def is_known_logger(name: str) -> bool:
     """Whether loggers with that name, or below it, can exist."""
     if len(name) > LONGEST_NAME:  # each part of it would get a logger of its own
         return False
     first = name.split(".")[0]
-    parts = (part for known in PARTS for part in (known, _channel(known).split(".")[0]))
+    parts = (part for known in PARTS for part in (known, _channel_name(known).split(".")[0]))
     return first in (*parts, *TABLES) or first.startswith(PROGRAMS)
 
 
-def _channel(name: str) -> str:
+def _channel_name(name: str) -> str:
     return name.replace(" ", ".")
 
 
@@ -102,4 +102,4 @@ def set_level(level: str, name: str = "") -> None:
     """
     if level not in LEVELS:
         raise ValueError(f"expected a level ({', '.join(LEVELS)}), got {level!r}")
-    logging.getLogger(_channel(f"{ALL}.{name}") if name else ALL).setLevel(LEVELS[level])
+    logging.getLogger(_channel_name(f"{ALL}.{name}") if name else ALL).setLevel(LEVELS[level])

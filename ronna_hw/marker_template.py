@@ -43,7 +43,7 @@ class TemplateMarker(Strict):
     post: Point = Field(description="Unit vector from the skull to the sphere, same axes.")
 
     @model_validator(mode="after")
-    def _has_a_direction(self) -> Self:
+    def _has_unit_post(self) -> Self:
         if abs(math.hypot(*self.post) - 1.0) > UNIT_TOLERANCE:
             raise ValueError(f"post is not a unit vector: its length is {math.hypot(*self.post):.3f}")
         return self
@@ -67,7 +67,7 @@ class MarkerTemplate(Strict):
     @property
     def distances_mm(self) -> tuple[float, ...]:
         """Distances between all pairs of markers, ascending."""
-        return tuple(sorted(math.dist(one, other) for one, other in combinations(self.centres_mm, 2)))
+        return tuple(sorted(math.dist(first, other) for first, other in combinations(self.centres_mm, 2)))
 
     @property
     def least_difference_mm(self) -> float:

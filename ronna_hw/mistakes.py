@@ -12,7 +12,7 @@ from pydantic.fields import FieldInfo
 from pydantic_core import ErrorDetails
 
 from ronna_hw.plausible import NAME_PATTERN
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 MISTAKES_SHOWN = 20  # per file: more help no one, and a hostile file has thousands
 LONGEST_KEY = 100  # compared with known ones, which takes a hundred bytes for each letter
@@ -27,15 +27,15 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
     lines = []
     found = mistakes_in(error)
     for item in found[:MISTAKES_SHOWN]:
-        where = _place(item["loc"])
+        location = _format_place(item["loc"])
         message = describe_mistake(item)
         if item["type"] == "extra_forbidden":
-            known = () if model is None else known_keys(model, item["loc"][:-1])
-            message = f"unknown key{_suggestion(str(item['loc'][-1]), known)}"
+            known = () if model is None else list_known_keys(model, item["loc"][:-1])
+            message = f"unknown key{_suggest_keys(str(item['loc'][-1]), known)}"
         value = item.get("input")
         found_is = str(value) if isinstance(value, date) else repr(value)
         shown = f" (found {found_is})" if isinstance(value, str | int | float | bool | date) else ""
-        lines.append(f"{where}: {message}{shown}")
+        lines.append(f"{location}: {message}{shown}")
     if len(found) > MISTAKES_SHOWN:
         lines.append(f"and {len(found) - MISTAKES_SHOWN} more mistakes")
     return lines
@@ -44,7 +44,7 @@ def describe_mistakes(error: ValidationError, model: type[BaseModel] | None = No
 def count_mistakes(error: ValidationError, model: type[BaseModel] | None = None) -> str:
     """Count and describe all mistakes in one line: `2 mistakes: a: is missing; b: unknown key`."""
     mistakes = describe_mistakes(error, model)
-    return f"{counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
+    return f"{format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
 
 
 def mistakes_in(error: ValidationError) -> list[ErrorDetails]:
@@ -61,7 +61,7 @@ def _is_only_emptied(item: ErrorDetails) -> bool:
     )
 
 
-def _place(parts: tuple[int | str, ...]) -> str:
+def _format_place(parts: tuple[int | str, ...]) -> str:
     """Word the place of a mistake, such as `trajectories 1.entry_mm`: list items count from 1."""
     text = ""
     for part in parts:
@@ -69,13 +69,13 @@ def _place(parts: tuple[int | str, ...]) -> str:
     return text.strip(" .") or "file"
 
 
-def known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
+def list_known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
     """Keys of a model, or of the model nested at that place; none if there is no model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}
         if names and str(part) in names:
-            here = _model_in(names[str(part)])
+            here = _find_model(names[str(part)])
     return tuple(field.alias or name for name, field in _fields(here).items())
 
 
@@ -83,14 +83,16 @@ def _fields(model: Any) -> dict[str, FieldInfo]:
     return model.model_fields if isinstance(model, type) and issubclass(model, BaseModel) else {}
 
 
-def _model_in(annotation: Any) -> Any:
+def _find_model(annotation: Any) -> Any:
     """The model in the annotation of a field: itself, optional, or as values of a table or a list."""
     if isinstance(annotation, type) and issubclass(annotation, BaseModel):
         return annotation
-    return next((found for one in get_args(annotation) if (found := _model_in(one)) is not None), None)
+    return next(
+        (found for argument in get_args(annotation) if (found := _find_model(argument)) is not None), None
+    )
 
 
-def _suggestion(key: str, known: Sequence[str]) -> str:
+def _suggest_keys(key: str, known: Sequence[str]) -> str:
     """The most similar known key as a question, or else all known keys."""
     if alike := get_close_matches(key[:LONGEST_KEY], known, n=1):
         return f" (did you mean '{alike[0]}'?)"
@@ -113,15 +115,19 @@ def describe_mistake(item: ErrorDetails) -> str:
             return f"{context['actual_length']} values, expected {expected}"
         case "string_pattern_mismatch" if context.get("pattern") == NAME_PATTERN:
             return "expected letters, digits, _ . or -, a letter or a digit first"
-    said = item["msg"].removeprefix("Value error, ")
+    message_text = item["msg"].removeprefix("Value error, ")
     for prefix in ("Input should be", "String should have"):
-        said = said.replace(prefix, "expected", 1)
+        message_text = message_text.replace(prefix, "expected", 1)
     if item["type"] == "string_type" and isinstance(item["input"], int | float):
         return "expected text: put it in quotes"
-    return f"{said} without quotes" if item["type"] in UNQUOTED and _only_quoted(item["input"]) else said
+    return (
+        f"{message_text} without quotes"
+        if item["type"] in UNQUOTED and _is_only_quoted(item["input"])
+        else message_text
+    )
 
 
-def _only_quoted(value: object) -> bool:
+def _is_only_quoted(value: object) -> bool:
     if not isinstance(value, str):
         return False
     try:

@@ -39,44 +39,44 @@ LONGEST_LIFE = timedelta(days=366)  # of a record; also the most that a calibrat
 def not_in_metres(shortest_mm: float) -> AfterValidator:
     """Validator of a length that is 0 or at least this long; in metres it would be shorter."""
 
-    def in_millimetres(length_mm: float) -> float:
+    def check_millimetres(length_mm: float) -> float:
         if 0.0 < length_mm < shortest_mm:
             raise ValueError("give millimetres, not metres")
         return length_mm
 
-    return AfterValidator(in_millimetres)
+    return AfterValidator(check_millimetres)
 
 
 def not_in_micrometres(largest_mm: float) -> AfterValidator:
     """Validator of an error that is smaller than this; in micrometres it would be larger."""
 
-    def in_millimetres(error_mm: float) -> float:
+    def check_millimetres(error_mm: float) -> float:
         if error_mm >= largest_mm:
             raise ValueError(f"expected less than {largest_mm:g} mm: give millimetres, not micrometres")
         return error_mm
 
-    return AfterValidator(in_millimetres)
+    return AfterValidator(check_millimetres)
 
 
 def farther_than(shortest_mm: float, farthest_mm: float = FARTHEST_MM) -> AfterValidator:
     """Validator of a position at its origin or this far from it; in metres it would be closer."""
 
-    def in_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
+    def check_millimetres(place_mm: tuple[float, float, float]) -> tuple[float, float, float]:
         if 0.0 < (length_mm := math.hypot(*place_mm)) < shortest_mm:
             raise ValueError(f"has length {length_mm:.3g}: give millimetres, not metres")
         if length_mm > farthest_mm:
             raise ValueError(f"has length {length_mm:.3g}: expected at most {farthest_mm:g} mm")
         return place_mm
 
-    return AfterValidator(in_millimetres)
+    return AfterValidator(check_millimetres)
 
 
-def in_degrees(angles: tuple[float, ...]) -> bool:
+def are_degrees(angles: tuple[float, ...]) -> bool:
     """Whether joint angles of a pose can be degrees: in radians all would be within one turn."""
     return any(abs(angle) > math.tau for angle in angles)
 
 
-def _bore(length_mm: float) -> float:
+def _check_bore_length(length_mm: float) -> float:
     if 0.0 < length_mm < SHORTEST_BORE_MM:
         raise ValueError(
             f"is {length_mm:g}, expected at least {SHORTEST_BORE_MM:g} mm: give millimetres, not centimetres"
@@ -84,22 +84,22 @@ def _bore(length_mm: float) -> float:
     return length_mm
 
 
-def _pixels(focal_px: float) -> float:
+def _check_focal_pixels(focal_px: float) -> float:
     if focal_px < SHORTEST_FOCAL_PX:
         raise ValueError("give the focal length in pixels, not in millimetres or metres")
     return focal_px
 
 
-def _not_blank(text: str) -> str:
+def _require_text(text: str) -> str:
     if not text.strip():
         raise ValueError("is empty")
     return text
 
 
-Words = Annotated[str, AfterValidator(_not_blank)]
+Words = Annotated[str, AfterValidator(_require_text)]
 Length = not_in_metres(SHORTEST_MM)  # of something large enough to tell metres from millimetres
-BoreLength = AfterValidator(_bore)
-FocalPixels = Annotated[float, Field(gt=0, le=LONGEST_FOCAL_PX), AfterValidator(_pixels)]
+BoreLength = AfterValidator(_check_bore_length)
+FocalPixels = Annotated[float, Field(gt=0, le=LONGEST_FOCAL_PX), AfterValidator(_check_focal_pixels)]
 SensorPixels = Annotated[int, Field(ge=16, le=65_535)]  # a GigE Vision image is no larger
 StatedError = Annotated[
     float, Field(gt=0), not_in_metres(FINEST_MM), not_in_micrometres(LARGEST_MEASURED_ERROR_MM)

@@ -80,7 +80,7 @@ def preview(
     path = sweep_path(kinematics, plan, surroundings)
     slowed = with_speed_steps(plan, path, limits.body_speed_mm_s)
     states = [] if plan.is_standstill else drive_states(slowed.limits, slowed.speed_steps, limits.cycle_s)
-    speeds = _speeds(path, states)
+    speeds = _interval_speeds(path, states)
     joints = path.joints_rad
     rates = np.abs(np.diff(joints, axis=0)) / np.diff(path.fractions)[:, None]
     shares = (rates * speeds[:, None]) / np.array(limits.speed_rad_s)
@@ -102,7 +102,7 @@ def preview(
     )
 
 
-def _speeds(path: SweptPath, states: Sequence[State]) -> Array:
+def _interval_speeds(path: SweptPath, states: Sequence[State]) -> Array:
     """Largest speed of the path parameter in each interval, as driven: a short path stays slow."""
     positions = np.array([0.0, *(state.position[0] for state in states)])
     velocities = np.array([0.0, *(state.velocity[0] for state in states)])

@@ -67,7 +67,7 @@ class Record:
         return hashlib.sha256(canonical_json(vars(self))).hexdigest()
 
 
-FILE_FIELDS = frozenset(one.name for one in fields(Record)) | {"parents_sha256", "sha256"}
+FILE_FIELDS = frozenset(record_field.name for record_field in fields(Record)) | {"parents_sha256", "sha256"}
 
 
 def canonical_json(content: Any) -> bytes:
@@ -79,7 +79,7 @@ def write_record(record: Record, folder: Path) -> Path:
     """Write `<identifier>.json` atomically; raises REC-002 rather than write a record twice."""
     path = folder / f"{record.identifier}.json"
     try:
-        write_whole(path, _file_of(record), exclusive=True)
+        write_atomically(path, _encode_record(record), exclusive=True)
     except FileExistsError as error:
         raise RecordExists(f"{path.name} already exists") from error
     return path
@@ -87,23 +87,23 @@ def write_record(record: Record, folder: Path) -> Path:
 
 def file_sha256(record: Record) -> str:
     """Hash of the file that `write_record` writes."""
-    return hashlib.sha256(_file_of(record)).hexdigest()
+    return hashlib.sha256(_encode_record(record)).hexdigest()
 
 
-def has_file(path: Path, sha256: str) -> bool:
+def is_stored(path: Path, sha256: str) -> bool:
     """Whether a record's file exists with exactly these bytes; cheaper than reading it back."""
     try:
-        found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
+        found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
     except (OSError, ValueError):
         return False
     return hashlib.sha256(found).hexdigest() == sha256
 
 
-def _file_of(record: Record) -> bytes:
-    return "".join(_as_written(record)).encode()
+def _encode_record(record: Record) -> bytes:
+    return "".join(_iterate_encoded(record)).encode()
 
 
-def _as_written(record: Record) -> Iterator[str]:
+def _iterate_encoded(record: Record) -> Iterator[str]:
     """The only form of a record's file, in parts."""
     content = {
         **vars(record),
@@ -113,7 +113,7 @@ def _as_written(record: Record) -> Iterator[str]:
     return json.JSONEncoder(indent=1, allow_nan=False).iterencode({**content, "sha256": record.sha256})
 
 
-def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed: bool = True) -> None:
+def write_atomically(path: Path, content: bytes, *, exclusive: bool = False, flushed: bool = True) -> None:
     """Write a file so that it is never seen half written, not even after a crash.
 
     With `exclusive` an existing file is never replaced: raises FileExistsError. A file that is worthless
@@ -137,15 +137,15 @@ def write_whole(path: Path, content: bytes, *, exclusive: bool = False, flushed:
             temporary.unlink()
         if isinstance(problem, OSError):
             no_folder = isinstance(problem, FileNotFoundError | NotADirectoryError)
-            named = str(path.parent if no_folder else path)
-            raise OSError(problem.errno, problem.strerror, named) from problem  # not the temporary one
+            error_path = str(path.parent if no_folder else path)
+            raise OSError(problem.errno, problem.strerror, error_path) from problem  # not the temporary one
         raise
 
 
 def read_record(path: Path) -> Record:
     """Read a record back and check its hash and its form, to the byte; raises REC-001."""
     try:
-        found = read_json_bytes(path, most_values=MOST_VALUES, linked=False)
+        found = read_json_bytes(path, most_values=MOST_VALUES, follow_links=False)
         content = parse_json(found)
         if not isinstance(content, dict):
             raise ValueError("it is no JSON object")
@@ -160,15 +160,15 @@ def read_record(path: Path) -> Record:
         raise BadRecord(f"{path.name} is not a record: {error}") from error
     if sha256 != claimed:
         raise BadRecord(f"{path.name} does not match its hash", got=sha256[:12], expected=str(claimed)[:12])
-    if not _is_as_written(found, record):
+    if not _has_canonical_form(found, record):
         raise BadRecord(f"{path.name} was rewritten: same content, different bytes")
     return record
 
 
-def _is_as_written(found: bytes, record: Record) -> bool:
+def _has_canonical_form(found: bytes, record: Record) -> bool:
     """Compare part by part, up to the first difference: the form of deep content is ten times as long."""
     at = 0
-    for part in _as_written(record):
+    for part in _iterate_encoded(record):
         if not found.startswith(part.encode(), at):
             return False
         at += len(part)

@@ -25,14 +25,14 @@ from ronna_hw.errors import (
     RonnaError,
     StateError,
 )
-from ronna_hw.text import without_controls
+from ronna_hw.text import escape_controls
 
 REDACTED = "[redacted]"
 TEXT_LIMIT = 1000  # characters of one value: a line stays a line
 ELEMENTS_LIMIT = 50  # of one sequence or mapping
 
 # Their text is about devices, limits and configuration. A DataError quotes the patient's files.
-_SAID_IN_FULL = (
+_LOGGED_IN_FULL = (
     ConfigurationError,
     ConnectError,
     DeviceError,
@@ -43,7 +43,7 @@ _SAID_IN_FULL = (
     StateError,
 )
 # They name trajectories, and a trajectory may be named after the patient; their words are in the journal.
-_NAME_TRAJECTORIES = ("PLAN-", "PRO-", "TOOL-001")
+_CODES_WITH_TRAJECTORIES = ("PLAN-", "PRO-", "TOOL-001")
 _PATIENT_KEY = re.compile(
     r"patient|birth|accession|institution|physician|operator|person|acknowledged|confirmed_by|token|secret",
     re.IGNORECASE,
@@ -62,10 +62,10 @@ _FILE_NAME = re.compile(r"[^\s'\"/]+\.(?:dcm|ima|nii|gz|toml|jsonl?|csv|html)\b"
 
 def redact_event(_log: object, _method: str, event: MutableMapping[str, Any]) -> MutableMapping[str, Any]:
     """Remove everything personal or secret from an event; a structlog processor."""
-    return {key: redacted(key, value) for key, value in event.items()}
+    return {key: redact_value(key, value) for key, value in event.items()}
 
 
-def redacted(key: str, value: Any) -> Any:
+def redact_value(key: str, value: Any) -> Any:
     """Make a value fit for the log: numbers unchanged, text scrubbed, errors by `error_text`."""
     if _PATIENT_KEY.search(key):
         return REDACTED
@@ -80,41 +80,44 @@ def redacted(key: str, value: Any) -> Any:
     if dataclasses.is_dataclass(value) and not isinstance(value, type):
         value = {field.name: getattr(value, field.name) for field in dataclasses.fields(value)}
     if isinstance(value, Mapping):
-        kept = {str(inner): redacted(str(inner), one) for inner, one in islice(value.items(), ELEMENTS_LIMIT)}
-        return kept | {"...": _more(value)} if len(value) > ELEMENTS_LIMIT else kept
+        kept = {
+            str(inner): redact_value(str(inner), item)
+            for inner, item in islice(value.items(), ELEMENTS_LIMIT)
+        }
+        return kept | {"...": _describe_rest(value)} if len(value) > ELEMENTS_LIMIT else kept
     if isinstance(value, Sequence | set | frozenset) and not isinstance(value, str | bytes):
-        first = [redacted(key, one) for one in islice(value, ELEMENTS_LIMIT)]
-        return [*first, _more(value)] if len(value) > ELEMENTS_LIMIT else first
+        first = [redact_value(key, item) for item in islice(value, ELEMENTS_LIMIT)]
+        return [*first, _describe_rest(value)] if len(value) > ELEMENTS_LIMIT else first
     if isinstance(value, bytes):
         return value[:TEXT_LIMIT].hex(" ")
-    return scrubbed(str(value))
+    return scrub_text(str(value))
 
 
-def _more(value: Sized) -> str:
+def _describe_rest(value: Sized) -> str:
     return f"{len(value) - ELEMENTS_LIMIT} more"
 
 
-def scrubbed(text: str) -> str:
+def scrub_text(text: str) -> str:
     """Remove tokens, DICOM UIDs, paths and file names from text; endpoints and device nodes are kept."""
     text = _TOKEN.sub(rf"\1{REDACTED}", text)
-    text = _WORD_WITH_SLASH.sub(_path_out, text)
+    text = _WORD_WITH_SLASH.sub(_redact_path, text)
     text = _FILE_NAME.sub(REDACTED, text)
-    return without_controls(_UID.sub(REDACTED, text)[:TEXT_LIMIT])
+    return escape_controls(_UID.sub(REDACTED, text)[:TEXT_LIMIT])
 
 
 def error_text(error: BaseException) -> str:
     """Text of an error about a device, a limit or the theatre; of any other, its code or type."""
     code = error.code if isinstance(error, RonnaError) else ""
-    if isinstance(error, _SAID_IN_FULL) and not code.startswith(_NAME_TRAJECTORIES):
-        return scrubbed(str(error))
+    if isinstance(error, _LOGGED_IN_FULL) and not code.startswith(_CODES_WITH_TRAJECTORIES):
+        return scrub_text(str(error))
     return code or type(error).__name__
 
 
-def redacted_arguments(arguments: Sequence[str]) -> list[str]:
+def redact_arguments(arguments: Sequence[str]) -> list[str]:
     """Keep subcommand, options, numbers and endpoints of a command line, and remove all else."""
     if arguments and re.fullmatch(r"[a-z-]+", arguments[0]):
         return [arguments[0], *map(_argument, arguments[1:])]
-    return [_argument(one) for one in arguments]
+    return [_argument(item) for item in arguments]
 
 
 def _argument(argument: str) -> str:
@@ -123,7 +126,7 @@ def _argument(argument: str) -> str:
         return f"{option}={_argument(value)}" if equals else option
     if _is_number(argument):
         return argument
-    return scrubbed(argument) if re.match(r"[a-z]+:", argument) else REDACTED
+    return scrub_text(argument) if re.match(r"[a-z]+:", argument) else REDACTED
 
 
 def _is_number(text: str) -> bool:
@@ -134,6 +137,6 @@ def _is_number(text: str) -> bool:
     return True
 
 
-def _path_out(found: re.Match[str]) -> str:
+def _redact_path(found: re.Match[str]) -> str:
     word = found.group()
     return word if _HARMLESS_SLASH.fullmatch(word.rstrip(".:")) else REDACTED

@@ -25,8 +25,8 @@ from ronna_hw.devices.probing import (
     Inspection,
     Probe,
     Progress,
-    connect_and_leave,
-    leave_alone,
+    connect_and_identify,
+    inspect_nothing,
 )
 
 GROUP = "ronna_hw.drivers"
@@ -39,7 +39,7 @@ class DriverFactory(Protocol):
     def __call__(self, name: str, config: DeviceConfig, clock: Clock) -> Device: ...
 
 
-def driver_names() -> tuple[str, ...]:
+def list_driver_names() -> tuple[str, ...]:
     """Names of all installed drivers."""
     return tuple(sorted(point.name for point in entry_points(group=GROUP)))
 
@@ -49,7 +49,9 @@ def load_driver(name: str) -> Any:
     for point in entry_points(group=GROUP):
         if point.name == name:
             return point.load()
-    raise UnknownDriver(f"no driver {name!r} is installed", expected="one of " + ", ".join(driver_names()))
+    raise UnknownDriver(
+        f"no driver {name!r} is installed", expected="one of " + ", ".join(list_driver_names())
+    )
 
 
 def make_device(name: str, config: DeviceConfig, clock: Clock) -> Device:
@@ -64,25 +66,25 @@ def load_probe(driver: str) -> Probe:
         if point.name == driver:
             probe: Probe = point.load()
             return probe
-    return _default_probe
+    return _probe_by_connecting
 
 
 def endpoint_probes() -> dict[str, EndpointProbe]:
     """Probes that can check bare endpoints, by driver."""
-    return {driver: probe for driver, probe in _probes() if isinstance(probe, EndpointProbe)}
+    return {driver: probe for driver, probe in _load_probes() if isinstance(probe, EndpointProbe)}
 
 
-def finders() -> dict[str, Finder]:
+def load_finders() -> dict[str, Finder]:
     """Probes that can search lines and networks for their devices, by driver."""
-    return {driver: probe for driver, probe in _probes() if isinstance(probe, Finder)}
+    return {driver: probe for driver, probe in _load_probes() if isinstance(probe, Finder)}
 
 
-def _probes() -> list[tuple[str, Any]]:
+def _load_probes() -> list[tuple[str, Any]]:
     """Every installed probe with its driver."""
     return sorted((point.name, point.load()) for point in entry_points(group=PROBE_GROUP))
 
 
-def _default_probe(
-    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+def _probe_by_connecting(
+    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
 ) -> Sequence[Diagnostic]:
-    return connect_and_leave(name, config, make_device, inspect=inspect)
+    return connect_and_identify(name, config, make_device, inspect=inspect)

@@ -42,10 +42,12 @@ class Software:
         if self.lock_sha256 is None:
             return f"{PACKAGE} {self.version}{commit}, packages not locked"
         lock = f"lock {self.lock_sha256[:SHORT_HASH]}"
-        return f"{PACKAGE} {self.version}{commit}, {lock}" + "".join(f"; {one}" for one in self.otherwise)
+        return f"{PACKAGE} {self.version}{commit}, {lock}" + "".join(
+            f"; {difference}" for difference in self.otherwise
+        )
 
 
-def this_software(checkout: Path = CHECKOUT) -> Software:
+def identify_software(checkout: Path = CHECKOUT) -> Software:
     """The running software, as installed and as checked out in a folder."""
     try:
         version = metadata.version(PACKAGE)
@@ -57,18 +59,18 @@ def this_software(checkout: Path = CHECKOUT) -> Software:
     content = lock.read_bytes()
     return Software(
         version,
-        _commit(checkout),
+        _read_commit(checkout),
         hashlib.sha256(content).hexdigest(),
-        tuple(_differing_packages(content.decode())),
+        tuple(_find_differing_packages(content.decode())),
     )
 
 
-def _commit(checkout: Path) -> str | None:
+def _read_commit(checkout: Path) -> str | None:
     """Commit according to git; None without git or if the folder is not its own checkout."""
     if not (checkout / ".git").exists():
         return None
     try:
-        done = subprocess.run(
+        completed = subprocess.run(
             ["git", "-C", str(checkout), "describe", "--always", "--dirty", "--abbrev=12"],
             capture_output=True,
             text=True,
@@ -78,10 +80,10 @@ def _commit(checkout: Path) -> str | None:
         )
     except (OSError, subprocess.SubprocessError):
         return None
-    return done.stdout.strip() or None
+    return completed.stdout.strip() or None
 
 
-def _differing_packages(lock: str) -> list[str]:
+def _find_differing_packages(lock: str) -> list[str]:
     """Find packages of the lock installed in another version. A missing one is not needed here."""
     locked: dict[str, set[str]] = {}  # several versions of one package, for different versions of Python
     for match in _PINNED.finditer(lock):

@@ -20,10 +20,10 @@ def printable(text: str) -> str:
 
     Anything too long is shortened in the middle: a path is recognised by its beginning and end.
     """
-    line = without_controls(text)
+    line = escape_controls(text)
     if len(line) <= LONGEST_WORD:
         return line
-    return _shortened(_LONG_WORD.sub(lambda word: _shortened(word[0], LONGEST_WORD), line), LONGEST_LINE)
+    return _shorten(_LONG_WORD.sub(lambda word: _shorten(word[0], LONGEST_WORD), line), LONGEST_LINE)
 
 
 def printable_lines(text: str) -> str:
@@ -31,14 +31,14 @@ def printable_lines(text: str) -> str:
     return "\n".join(map(printable, text.split("\n")))
 
 
-def without_controls(text: str) -> str:
+def escape_controls(text: str) -> str:
     """Show white space as blanks; escapes, direction marks and the like as `\\x1b`, `\\u202e`."""
     if text.isprintable():
         return text
-    return "".join(map(_shown, text))
+    return "".join(map(_escape_character, text))
 
 
-def _shown(letter: str) -> str:
+def _escape_character(letter: str) -> str:
     if letter.isprintable():
         return letter
     if letter.isspace():
@@ -46,7 +46,7 @@ def _shown(letter: str) -> str:
     return letter.encode("unicode_escape").decode("ascii")
 
 
-def _shortened(text: str, most: int) -> str:
+def _shorten(text: str, most: int) -> str:
     if len(text) <= most:
         return text
     end = (most - len(GAP)) // 2
@@ -56,12 +56,12 @@ def _shortened(text: str, most: int) -> str:
 MOST_SHOWN = 5  # of a list of names
 
 
-def counted(number: int, one: str, several: str | None = None) -> str:
+def format_count(number: int, one: str, several: str | None = None) -> str:
     """Count things in words: `1 mistake`, `2 mistakes`; `several` if the plural is more than an s."""
     return f"{number} {one if number == 1 else several or one + 's'}"
 
 
-def some_of(names: Sequence[str]) -> str:
+def format_names(names: Sequence[str]) -> str:
     """List the first names, and how many more there are: `a, b and 4 more`."""
     listed = ", ".join(names[:MOST_SHOWN])
     return listed if len(names) <= MOST_SHOWN else f"{listed} and {len(names) - MOST_SHOWN} more"
@@ -70,22 +70,22 @@ def some_of(names: Sequence[str]) -> str:
 MOST_MORE = 6  # decimals; a value still indistinguishable from the limit equals it
 
 
-def beyond(value: float, limit: float, decimals: int) -> str:
+def format_against_limit(value: float, limit: float, decimals: int) -> str:
     """Format a value next to a limit shown in full: with as many decimals as show on which side it is.
 
-    `beyond(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
+    `format_against_limit(0.1504, 0.15, 2)` is `0.1504`: "limit 0.15 mm, got 0.15 mm" would say nothing.
     """
-    for more in range(MOST_MORE):
-        shown = round(value, decimals + more)
+    for extra_decimals in range(MOST_MORE):
+        shown = round(value, decimals + extra_decimals)
         if (shown > limit) == (value > limit) and shown != limit:
-            return f"{value:.{decimals + more}f}"
+            return f"{value:.{decimals + extra_decimals}f}"
     return f"{value:.{decimals}f}"
 
 
-def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
+def format_distinct(value: float, limit: float, decimals: int) -> tuple[str, str]:
     """Format a value and a computed limit with as many decimals as distinguish them."""
-    for more in range(MOST_MORE):
-        shown, refused_from = (f"{one:.{decimals + more}f}" for one in (value, limit))
+    for extra_decimals in range(MOST_MORE):
+        shown, refused_from = (f"{one:.{decimals + extra_decimals}f}" for one in (value, limit))
         if shown != refused_from:
             return shown, refused_from
     return f"{value:.{decimals}f}", f"{limit:.{decimals}f}"
@@ -94,19 +94,19 @@ def side_by_side(value: float, limit: float, decimals: int) -> tuple[str, str]:
 _NUMBER = re.compile(r"[+-]?(\d+([.,]\d*)?|[.,]\d+)", re.ASCII)
 
 
-def typed_number(typed: str, unit: str = "") -> float:
+def parse_typed_number(typed: str, unit: str = "") -> float:
     """Parse a finite number with a decimal point or comma; raises ValueError with the text typed.
 
     The `unit` may follow it, with or without a space; another unit may not.
     """
-    words = without_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
+    words = strip_unit(typed, unit).replace("\N{MINUS SIGN}", "-")
     number = float(words.replace(",", ".")) if _NUMBER.fullmatch(words) else math.nan
     if not math.isfinite(number):
         raise ValueError(repr(typed.strip()))
     return number
 
 
-def without_unit(typed: str, unit: str) -> str:
+def strip_unit(typed: str, unit: str) -> str:
     """Strip surrounding space and a trailing unit from what was typed."""
     words = typed.strip()
     return words[: -len(unit)].rstrip() if unit and words.casefold().endswith(unit.casefold()) else words

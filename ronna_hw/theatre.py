@@ -29,7 +29,7 @@ from ronna_hw.devices.robot import RobotArm, StopKind
 from ronna_hw.devices.sensors import OpticalTracker, StereoPair
 from ronna_hw.errors import summary_of
 from ronna_hw.host.child_process import ChildProcess, command
-from ronna_hw.host.process import interruption_deferred
+from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
 from ronna_hw.registry import make_device
 
@@ -82,12 +82,12 @@ class Theatre:
     @property
     def tracker(self) -> OpticalTracker:
         """Optical tracker; raises DEV-007 if the file has none."""
-        return self._device("tracker", OpticalTracker)
+        return self._get_device_as("tracker", OpticalTracker)
 
     @property
     def stereo(self) -> StereoPair:
         """Stereo head; raises DEV-007 if the file has none."""
-        return self._device("stereo", StereoPair)
+        return self._get_device_as("stereo", StereoPair)
 
     @property
     def calibrations(self) -> Calibrations:
@@ -102,14 +102,14 @@ class Theatre:
     @property
     def devices(self) -> dict[str, Device]:
         """All devices, by their tables in the file, such as `robot.master`."""
-        return {name: self._device_named(name) for name in self.file.devices}
+        return {name: self._get_device(name) for name in self.file.devices}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
         """Device of the table `[device.NAME]` as `interface`: a runtime-checkable protocol, or a class.
 
         Raises DEV-007 if the file has no such table, DEV-008 if the device is of another kind.
         """
-        return self._device(f"device.{name}", interface)
+        return self._get_device_as(f"device.{name}", interface)
 
     def require(self, *names: str) -> None:
         """Raise DEV-007 naming every one of these tables missing from the file, such as `robot.master`."""
@@ -132,7 +132,7 @@ class Theatre:
         Raises the driver's error of the first that fails; earlier ones stay connected.
         """
         for name in self.file.devices:
-            device = self._device_named(name)
+            device = self._get_device(name)
             if device.state is Lifecycle.DISCONNECTED:
                 device.connect(timeout_s)
             if device.state is Lifecycle.CONNECTED:
@@ -145,7 +145,7 @@ class Theatre:
         """
         failures: list[str] = []
         moving = [  # also one that is being started; in HOLD an earlier stop may still be under way
-            threading.Thread(target=_stop, args=(device, failures))
+            threading.Thread(target=_stop_arm, args=(device, failures))
             for device in self._devices.values()
             if isinstance(device, RobotArm) and device.observe().state in (Lifecycle.CONFIGURED, *RUNNING)
         ]
@@ -160,9 +160,11 @@ class Theatre:
 
         An interruption in the meantime takes effect afterwards.
         """
-        with interruption_deferred():
+        with defer_interruption():
             self.stop()
-            for device in sorted(self._devices.values(), key=lambda one: not isinstance(one, RobotArm)):
+            for device in sorted(
+                self._devices.values(), key=lambda candidate: not isinstance(candidate, RobotArm)
+            ):
                 try:
                     device.close()
                 except Exception as error:  # the others must be closed nevertheless
@@ -186,15 +188,15 @@ class Theatre:
         if self._closed:
             raise TheatreClosed(f"theatre {self.file.theatre} is closed")
 
-    def _device(self, name: str, interface: Callable[..., D]) -> D:
-        device = self._device_named(name)
+    def _get_device_as(self, name: str, interface: Callable[..., D]) -> D:
+        device = self._get_device(name)
         if self._checked.get((name, interface)) is device:
             return cast("D", device)
         fitting = require_interface(name, self.file.devices[name].driver, device, interface)
         self._checked[name, interface] = device
         return fitting
 
-    def _device_named(self, name: str) -> Device:
+    def _get_device(self, name: str) -> Device:
         self._require_open()
         if name not in self._devices:
             self.require(name)
@@ -211,7 +213,7 @@ class _Arms(Mapping[str, RobotArm]):
         self._theatre = theatre
 
     def __getitem__(self, name: str) -> RobotArm:
-        return self._theatre._device(f"robot.{name}", RobotArm)
+        return self._theatre._get_device_as(f"robot.{name}", RobotArm)
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._theatre.file.robot)
@@ -225,7 +227,7 @@ def _record_bytes(device: Device, sink: ByteSink | None) -> None:
         device.record_bytes(sink)
 
 
-def _stop(arm: RobotArm, failures: list[str]) -> None:
+def _stop_arm(arm: RobotArm, failures: list[str]) -> None:
     try:
         arm.stop(StopKind.HOLD, STOP_LIMIT_S)
     except Exception as error:  # `close` continues, and the link stops the arm when it ends
@@ -233,16 +235,16 @@ def _stop(arm: RobotArm, failures: list[str]) -> None:
         failures.append(f"{arm.name} may not be at rest, the stop failed: {summary_of(error)}")
 
 
-_OF_KIND: dict[str, Callable[..., Device]] = {
+_INTERFACES: dict[str, Callable[..., Device]] = {
     "tracker": OpticalTracker,
     "robot": RobotArm,
     "stereo": StereoPair,
 }
 
 
-def interface_of(table: str) -> Callable[..., Device]:
+def required_interface(table: str) -> Callable[..., Device]:
     """Interface for the device of a table such as `robot.master`; any device will do for `[device.NAME]`."""
-    return _OF_KIND.get(table.partition(".")[0], Device)
+    return _INTERFACES.get(table.partition(".")[0], Device)
 
 
 def require_interface(table: str, driver: str, device: object, interface: Callable[..., D]) -> D:
@@ -251,10 +253,12 @@ def require_interface(table: str, driver: str, device: object, interface: Callab
     Raises DEV-008 naming what the driver lacks.
     """
     if not isinstance(device, cast("type", interface)):
-        lacking = [each for each in dir(interface) if each[0] != "_" and not hasattr(device, each)]
+        missing_names = [
+            member for member in dir(interface) if member[0] != "_" and not hasattr(device, member)
+        ]
         raise WrongKind(
             f"{table}: driver {driver} does not provide {interface.__name__}",
-            got=f"it lacks {', '.join(lacking)}" if lacking else None,
+            got=f"it lacks {', '.join(missing_names)}" if missing_names else None,
         )
     return cast("D", device)
 
@@ -328,5 +332,5 @@ class TheatreProcess:
 
     def end(self) -> None:
         """End the process in bounded time; never raises. An interruption takes effect afterwards."""
-        with interruption_deferred():
+        with defer_interruption():
             self.child.stop()

@@ -35,14 +35,14 @@ class MixedTheatre(RefusedError):
     action = "Use one theatre per file: ronna-sim theatre writes the simulated one, you write the real one."
 
 
-def on_this_computer(endpoint: Endpoint) -> bool | None:
+def is_on_this_computer(endpoint: Endpoint) -> bool | None:
     """Whether only a program on this computer can be at an address; None if the address does not tell.
 
     Links and names count as what they lead to.
     """
     if endpoint.scheme == "shm":
         return True
-    endpoint = endpoint.resolved()
+    endpoint = endpoint.resolve_names()
     if endpoint.scheme == "serial":
         return endpoint.path.startswith(PSEUDO_TERMINALS)
     if endpoint.scheme == "host":
@@ -56,13 +56,13 @@ def on_this_computer(endpoint: Endpoint) -> bool | None:
 
 def is_simulated(theatre: Addresses) -> bool:
     """Whether everything in it is simulated, as far as addresses tell."""
-    simulated, real = _kinds(theatre)
+    simulated, real = _sort_by_kind(theatre)
     return bool(simulated) and not real
 
 
 def require_one_kind(theatre: Addresses) -> None:
     """Raise CFG-004 for mixed simulated and real devices, and for a simulated theatre without a banner."""
-    simulated, real = _kinds(theatre)
+    simulated, real = _sort_by_kind(theatre)
     if simulated and real:
         raise MixedTheatre(
             "the theatre file mixes simulated and real devices",
@@ -76,13 +76,13 @@ def require_one_kind(theatre: Addresses) -> None:
         )
 
 
-def _kinds(theatre: Addresses) -> tuple[list[str], list[str]]:
+def _sort_by_kind(theatre: Addresses) -> tuple[list[str], list[str]]:
     """Simulated and real devices, each with its address."""
     simulated: list[str] = []
     real: list[str] = []
     for name, addresses in theatre.addresses.items():
         for address in addresses:
-            here = on_this_computer(parse_endpoint(address))
+            here = is_on_this_computer(parse_endpoint(address))
             if here is not None:
                 (simulated if here else real).append(f"{name} at {address}")
     clock = theatre.clock_address

@@ -15,9 +15,9 @@ from pydantic import Field, field_validator, model_validator
 from ronna_hw.calibration import (
     STEREO_HEAD_NUMBER,
     Dated,
+    MountPose,
     Numbers3,
     Numbers4,
-    OnTheMount,
     PoseRecord,
     Strict,
 )
@@ -31,8 +31,8 @@ from ronna_hw.plausible import (
     JointDegrees,
     Length,
     Words,
+    are_degrees,
     farther_than,
-    in_degrees,
 )
 
 Angles6 = tuple[JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees, JointDegrees]
@@ -100,8 +100,8 @@ class Gauge(Strict):
 
     @field_validator("joints_deg")
     @classmethod
-    def _in_degrees(cls, joints_deg: Angles6) -> Angles6:
-        if not in_degrees(joints_deg):  # the arm would go there, stretched out
+    def _require_degrees(cls, joints_deg: Angles6) -> Angles6:
+        if not are_degrees(joints_deg):  # the arm would go there, stretched out
             listed = " ".join(f"{angle:g}" for angle in joints_deg)
             raise ValueError(f"are {listed}, all within 2 pi: give degrees, not radians")
         return joints_deg
@@ -117,7 +117,7 @@ class ToolFrame(Strict):
     """A frame of spheres on the tool itself, by which the tracker identifies it."""
 
     tool: Words = Field(description="Name of the frame among the tracker's tools.")
-    mount_from_frame: OnTheMount = Field(description="Pose of the frame in that on the arm's mount.")
+    mount_from_frame: MountPose = Field(description="Pose of the frame in that on the arm's mount.")
 
 
 class TipInHead(Strict):

@@ -49,13 +49,13 @@ class Body(NamedTuple):
 def bodies() -> tuple[Body, ...]:
     """Both bars and the foot, down to the skin."""
     bars = (
-        Body(f"bar {number} of the frame", _below(one), _below(other), BAR_RADIUS_MM)
-        for number, (one, other) in enumerate(BARS, start=1)
+        Body(f"bar {number} of the frame", _bar_end(start_sphere), _bar_end(end_sphere), BAR_RADIUS_MM)
+        for number, (start_sphere, end_sphere) in enumerate(BARS, start=1)
     )
     foot = Body("foot of the frame", (0.0, 0.0, -BAR_BELOW_MM), (0.0, 0.0, -STANDOFF_MM), FOOT_RADIUS_MM)
     return (*bars, foot)
 
 
-def _below(sphere: int) -> Point:
+def _bar_end(sphere: int) -> Point:
     x, y, z = SPHERE_CENTRES_MM[sphere]
     return (x, y, z - BAR_BELOW_MM)

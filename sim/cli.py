@@ -9,7 +9,7 @@ import ronna_hw.host.process  # noqa: F401 - first of all: a parent that dies du
 import typer
 
 from ronna_hw.command_line.terminal import run
-from ronna_hw.host.process import begin_start
+from ronna_hw.host.process import suspend_garbage_collection
 
 app = typer.Typer(
     name="ronna-sim",
@@ -40,7 +40,7 @@ register(app)
 
 def main() -> None:
     """Entry point of the console script."""
-    begin_start()  # ends with the READY line
+    suspend_garbage_collection()  # ends with the READY line
     run(app)
 
 

@@ -23,25 +23,25 @@ TRUE_WORDS, FALSE_WORDS = ("true", "yes", "on", "1"), ("false", "no", "off", "0"
 
 
 @dataclass(frozen=True)
-class Most:
+class MaximumValue:
     """Largest value of a parameter."""
 
     value: float
 
 
-def changed(
+def apply_assignments(
     defaults: Parameters, assignments: Iterable[str], refusal: type[ConfigurationError]
 ) -> Parameters:
     """Apply `NAME=VALUE` assignments; raises `refusal` for an unknown name or an invalid value."""
     values: dict[str, Any] = {}
-    kinds = _kinds(type(defaults))
+    kinds = _list_kinds(type(defaults))
     for assignment in assignments:
         name, _, text = assignment.partition("=")
         if name not in kinds:
             alike = " or ".join(get_close_matches(name, kinds)) or f"one of {len(kinds)} names"
             raise refusal(f"unknown parameter {name!r}", expected=alike)
         kind, _, *most = kinds[name]
-        value, expected = _value(kind, text, getattr(defaults, name), most)
+        value, expected = _parse_value(kind, text, getattr(defaults, name), most)
         if value is None:
             raise refusal(f"{name} cannot be {text!r}", expected=expected)
         values[name] = value
@@ -51,7 +51,7 @@ def changed(
 def rows(parameters: type) -> list[tuple[str, str, str]]:
     """List (name, default, meaning) of each parameter, with the choices of an enumeration."""
     found = []
-    for name, (kind, meaning, *_) in _kinds(parameters).items():
+    for name, (kind, meaning, *_) in _list_kinds(parameters).items():
         default: Any = getattr(parameters, name)
         text = f"{int(default):02X}" if isinstance(default, IntEnum) else str(default)
         choices = f" ({', '.join(get_args(kind))})" if get_origin(kind) is Literal else ""
@@ -59,13 +59,13 @@ def rows(parameters: type) -> list[tuple[str, str, str]]:
     return found
 
 
-def _kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
+def _list_kinds(parameters: Any) -> dict[str, tuple[Any, ...]]:
     """Type, meaning and, if any, largest value of each parameter."""
     hints = get_type_hints(parameters, include_extras=True)
     return {entry.name: get_args(hints[entry.name]) for entry in fields(parameters)}
 
 
-def _value(kind: Any, text: str, default: Any, most: list[Most]) -> tuple[Any, str]:
+def _parse_value(kind: Any, text: str, default: Any, most: list[MaximumValue]) -> tuple[Any, str]:
     """Parse a value; return it, or None if invalid, and what was expected."""
     if get_origin(kind) is Literal:
         return (text if text in get_args(kind) else None), " or ".join(get_args(kind))
@@ -74,16 +74,16 @@ def _value(kind: Any, text: str, default: Any, most: list[Most]) -> tuple[Any, s
         return (word in TRUE_WORDS if word in TRUE_WORDS + FALSE_WORDS else None), "true or false"
     if kind is str:
         return text or None, "a text"
-    coded = issubclass(kind, IntEnum)
+    enumeration_values = issubclass(kind, IntEnum)
     largest = most[0].value if most else math.inf
     least = "of at least 0" if default == 0 else "above 0"
     expected = f"{'a whole number' if kind is int else 'a number'} {least}"
     expected += f", at most {largest:g}" if most else ""
-    expected = "an error code of two hexadecimal digits" if coded else expected
+    expected = "an error code of two hexadecimal digits" if enumeration_values else expected
     try:
-        value = kind(int(text, 16)) if coded else kind(text)
+        value = kind(int(text, 16)) if enumeration_values else kind(text)
     except ValueError:
         return None, expected
     least_met = value > 0 or (default == 0 and value == 0)
-    in_range = coded or (least_met and value <= largest and value < math.inf)
+    in_range = enumeration_values or (least_met and value <= largest and value < math.inf)
     return (value if in_range else None), expected

@@ -64,7 +64,7 @@ class ApplicationErrorStudy:
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Our figures next to the paper's."""
     rows: list[dict[str, Cell]] = []
-    for (depth, markers, strategy, count), errors in _errors(sums).items():
+    for (depth, markers, strategy, count), errors in _collect_errors(sums).items():
         published = PUBLISHED_MM[depth] if (markers, strategy, count) == COMPARED else None
         mean = float(errors.mean())
         rows.append(
@@ -98,12 +98,12 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """A box for each depth, markers and strategy."""
     groups = {
         f"{strategy} {markers} {count}, {depth}": errors.ravel()
-        for (depth, markers, strategy, count), errors in _errors(sums).items()
+        for (depth, markers, strategy, count), errors in _collect_errors(sums).items()
     }
     return {"application-error.png": boxes("Error at the target by depth", "mm", groups)}
 
 
-def _errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
+def _collect_errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
     """Errors (arms, n) in mm, arm by arm."""
     found: dict[Series, dict[int, list[float]]] = {}
     for condition, content in sums.items():
@@ -112,10 +112,10 @@ def _errors(sums: Mapping[str, Sums]) -> dict[Series, Array]:
             strategy, count, arm, _ = key.split("|")
             of_series = found.setdefault((depth, markers, strategy, int(count)), {})
             of_series.setdefault(int(arm), []).append(error_mm)
-    return {series: np.array(list(found[series].values())) for series in sorted(found, key=_order)}
+    return {series: np.array(list(found[series].values())) for series in sorted(found, key=_order_key)}
 
 
-def _order(series: Series) -> tuple[int, int, int, int]:
+def _order_key(series: Series) -> tuple[int, int, int, int]:
     depth, markers, strategy, count = series
     # the frame first, as used in the paper
     return list(DEPTHS_MM).index(depth), markers == Markers.FREE, STRATEGIES.index(strategy), count

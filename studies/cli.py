@@ -13,7 +13,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.errors import EXIT_FAILED
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from studies.campaign.study import Study, Sums, Table
@@ -110,7 +110,7 @@ def correspondence(
         bool, typer.Option("--xframe", help="An x-shaped frame: 17 scans, readings of the simulated tracker.")
     ] = False,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Correspondence of unordered points with outliers: ours and the thesis method on the same data.
 
@@ -129,38 +129,43 @@ def correspondence(
             "their own"
         )
     if xframe:
-        _run_clinical(runs, asked)
+        _run_clinical(runs, study_options)
         return
     runs = runs or THESIS_RUNS
     if template:
-        from studies.correspondence import template as by_template
+        from studies.correspondence import template as template_study
 
-        _run(by_template.TemplateStudy(runs, asked.seed), by_template.tables, None, asked)
+        _run(
+            template_study.TemplateStudy(runs, study_options.seed), template_study.tables, None, study_options
+        )
         return
     chosen, own = select_methods(methods or (), terminal.tell)
     values_mm = tuple(sorted(set(tolerances_mm))) if tolerances_mm else USUAL_TOLERANCES_MM
     study = CorrespondenceStudy(
-        runs, asked.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
+        runs, study_options.seed, chosen, values_mm, own=own, refused_share=refused_share or REFUSED_SHARE
     )
     if sweep:
         study = CorrespondenceStudy(
-            runs, asked.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
+            runs, study_options.seed, OF_THE_THESIS, THESIS_TOLERANCES_MM, name="correspondence-sweep"
         )
     plots = correspondence_tables.plots if sweep else correspondence_tables.bars_beside_thesis
-    _run(study, correspondence_tables.tables, plots, asked)
+    _run(study, correspondence_tables.tables, plots, study_options)
 
 
-def _run_clinical(readings: int | None, asked: StudyOptions) -> None:
+def _run_clinical(readings: int | None, study_options: StudyOptions) -> None:
     """The readings are taken first and kept in the folder of the study."""
     from studies.correspondence import clinical
 
-    folder = asked.out or Path("campaigns") / clinical.ClinicalStudy.name
+    folder = study_options.out or Path("campaigns") / clinical.ClinicalStudy.name
     with terminal.progress_bar("readings of the tracker") as progress:
-        taken = clinical.load_or_take_readings(
-            folder, readings or clinical.THESIS_READINGS, asked.seed, progress
+        readings_mm = clinical.load_or_take_readings(
+            folder, readings or clinical.THESIS_READINGS, study_options.seed, progress
         )
     _run(
-        clinical.ClinicalStudy(taken, asked.seed), clinical.tables, clinical.plots, replace(asked, out=folder)
+        clinical.ClinicalStudy(readings_mm, study_options.seed),
+        clinical.tables,
+        clinical.plots,
+        replace(study_options, out=folder),
     )
 
 
@@ -170,13 +175,13 @@ def registration(
     runs: Annotated[int, typer.Option("--runs", min=1, help="Runs per cell.")] = 6_000,
     methods: OwnOption = None,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Rigid registration: how well its error formulas hold, and what weighting gains."""
     from studies.registration import RegistrationStudy, plots, tables
 
-    own = _tried_plugins("REGISTRATION", methods)
-    _run(RegistrationStudy(runs, asked.seed, own=own), tables, plots, asked)
+    own = _try_plugins("REGISTRATION", methods)
+    _run(RegistrationStudy(runs, study_options.seed, own=own), tables, plots, study_options)
 
 
 @app.command()
@@ -210,7 +215,7 @@ def localization(
     ] = None,
     methods: OwnOption = None,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Spheres in phantom CTs: error, detection and calibration of the predicted error, against the thesis."""
     from studies.localization.study import JUDGING, TUNING, LocalizationStudy
@@ -225,21 +230,28 @@ def localization(
             raise UsageMistake(
                 f"--family: there is no evaluation family {family!r}", expected=", ".join(JUDGING)
             )
-    own = _tried_plugins("LOCALIZER", methods)
+    own = _try_plugins("LOCALIZER", methods)
     if thesis:
         from studies.localization import thesis_protocol
 
-        _run(thesis_protocol.ThesisLocalizationStudy(asked.seed), thesis_protocol.tables, None, asked)
+        _run(
+            thesis_protocol.ThesisLocalizationStudy(study_options.seed),
+            thesis_protocol.tables,
+            None,
+            study_options,
+        )
         return
-    study = LocalizationStudy(volumes, sets, asked.seed, own=own)
+    study = LocalizationStudy(volumes, sets, study_options.seed, own=own)
     if tuning:
-        study = LocalizationStudy(volumes, sets, asked.seed, TUNING, name="localization-tuning", own=own)
+        study = LocalizationStudy(
+            volumes, sets, study_options.seed, TUNING, name="localization-tuning", own=own
+        )
     if frames:
-        study = LocalizationStudy(0, sets, asked.seed, (), name="localization-frames", own=own)
+        study = LocalizationStudy(0, sets, study_options.seed, (), name="localization-frames", own=own)
     if families:
         only = tuple(dict.fromkeys(families))
-        study = LocalizationStudy(volumes, 0, asked.seed, only, name="localization-families", own=own)
-    _run(study, tables_and_goals, plots, asked)
+        study = LocalizationStudy(volumes, 0, study_options.seed, only, name="localization-families", own=own)
+    _run(study, tables_and_goals, plots, study_options)
 
 
 @app.command()
@@ -256,7 +268,7 @@ def strategies(
     ] = False,
     methods: OwnOption = None,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Localization strategies on random arms, against table 4 of the thesis; quality of the prediction."""
     if identified and methods:
@@ -265,18 +277,18 @@ def strategies(
         from studies.strategies import identified as identified_arms
 
         _run(
-            identified_arms.IdentifiedStudy(arms, asked.seed),
+            identified_arms.IdentifiedStudy(arms, study_options.seed),
             identified_arms.tables,
             identified_arms.plots,
-            asked,
+            study_options,
         )
         return
     from studies.strategies.study import StrategiesStudy
     from studies.strategies.tables import plots, tables
 
-    own = _tried_plugins("STRATEGY", methods)
-    trials = StrategiesStudy(arms, asked.seed, "strategies-own" if own else "strategies", own)
-    _run(trials, tables, plots, asked)
+    own = _try_plugins("STRATEGY", methods)
+    trials = StrategiesStudy(arms, study_options.seed, "strategies-own" if own else "strategies", own)
+    _run(trials, tables, plots, study_options)
 
 
 @app.command(name="application-error")
@@ -286,12 +298,12 @@ def application_error(
         int, typer.Option("--arms", min=1, max=500, help="Random arms of parameter set S.")
     ] = 200,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Error at superficial and deep targets on random arms, against RONNA G3."""
     from studies.application_error import ApplicationErrorStudy, plots, tables
 
-    _run(ApplicationErrorStudy(arms, asked.seed), tables, plots, asked)
+    _run(ApplicationErrorStudy(arms, study_options.seed), tables, plots, study_options)
 
 
 @app.command()
@@ -308,7 +320,7 @@ def worlds(
         int | None, typer.Option("--only", min=0, metavar="K", help="Only this world, once more.")
     ] = None,
     *,
-    asked: StudyOptions,
+    study_options: StudyOptions,
 ) -> None:
     """Whole cases in worlds drawn at random, with one change in each, judged by the truth.
 
@@ -321,7 +333,9 @@ def worlds(
     if scene not in SCENES:
         raise UsageMistake(f"--scene: worlds are drawn for no scene {scene!r}", expected=" or ".join(SCENES))
     name = "worlds-quiet" if quiet else "worlds"
-    study = WorldsStudy(cases, asked.seed, asked.out or Path("campaigns") / name, scene, quiet)
+    study = WorldsStudy(
+        cases, study_options.seed, study_options.out or Path("campaigns") / name, scene, quiet
+    )
     if only is not None:
         world = study.world(only)
         if world.change is not None:
@@ -332,14 +346,17 @@ def worlds(
         terminal.tell(f"{found.verdict}: {place}")
         return
     sums = _run(
-        study, study.tables, None, replace(asked, workers=min(asked.workers or 2, MOST_CASES_AT_ONCE))
+        study,
+        study.tables,
+        None,
+        replace(study_options, workers=min(study_options.workers or 2, MOST_CASES_AT_ONCE)),
     )
-    if missed := study.missed_goals(sums):
+    if missed := study.list_missed_goals(sums):
         terminal.tell(f"missed: {'; '.join(missed)}")
         raise typer.Exit(EXIT_FAILED)
 
 
-def _tried_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
+def _try_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ...]:
     if not names:
         return ()
     from studies.plugin_trial import try_in_subprocess
@@ -348,36 +365,38 @@ def _tried_plugins(kind: str, names: list[str] | None) -> tuple[PluginMethod, ..
     return tuple(try_in_subprocess(MethodKind[kind], name, terminal.tell) for name in dict.fromkeys(names))
 
 
-def _run(study: Study, tables: Tables, plots: Plots | None, asked: StudyOptions) -> Mapping[str, Sums]:
+def _run(
+    study: Study, tables: Tables, plots: Plots | None, study_options: StudyOptions
+) -> Mapping[str, Sums]:
     from studies.campaign.folder import Ledger, publish
     from studies.campaign.study import add_up
     from studies.campaign.workers import run_study
 
-    folder = asked.out or Path("campaigns") / study.name
+    folder = study_options.out or Path("campaigns") / study.name
     ledger = Ledger(folder, study)
     if kept := len(ledger.finished):
         terminal.tell(f"resuming: {kept} of {len(study.units())} units are done in {folder}")
     if ledger.damaged:
         again = "its unit is rerun" if ledger.damaged == 1 else "their units are rerun"
-        terminal.tell(f"{counted(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
+        terminal.tell(f"{format_count(ledger.damaged, 'damaged line')} of {folder} left out, {again}")
     try:
         with terminal.progress_bar(study.name) as progress:
             run_study(
                 study,
                 ledger,
-                workers=asked.workers,
-                scheduler=asked.scheduler,
+                workers=study_options.workers,
+                scheduler=study_options.scheduler,
                 progress=progress,
                 tell=terminal.tell,
             )
     except KeyboardInterrupt:
-        units = counted(len(ledger.finished), "unit")
+        units = format_count(len(ledger.finished), "unit")
         terminal.tell(f"{units} kept in {folder}; the same command continues")
         raise
     sums = add_up(ledger.results())
     found = tables(sums)
     report = publish(folder, study.name, study.settings(), found, {} if plots is None else plots(sums))
-    if asked.as_json:
+    if study_options.as_json:
         terminal.print_json(
             {"study": study.name, "report": str(report), "tables": [table.document() for table in found]}
         )
@@ -394,11 +413,11 @@ def times(
     as_json: terminal.JsonOption = False,
 ) -> None:
     """Where the time of runs went: phases, steps, people; against the times of the thesis."""
-    from ronna_hw.evidence.inspection import inspected
+    from ronna_hw.evidence.inspection import inspect_run
     from studies.times import time_tables
 
     for run in runs:
-        inspected(run, every_file=False).require_unchanged()
+        inspect_run(run, every_file=False).require_unchanged()
     found = time_tables(runs)
     if as_json:
         terminal.print_json({"runs": len(runs), "tables": [table.document() for table in found]})

@@ -72,12 +72,12 @@ def per_axis_mm(sigma_mm: float, reading: NoiseReading) -> float:
     return sigma_mm if reading is NoiseReading.PER_AXIS else sigma_mm / float(np.sqrt(3.0))
 
 
-def stated_variance_mm2(noise: NoiseReading) -> float:
+def variance_from_thesis_mm2(noise: NoiseReading) -> float:
     """Variance per axis of both sets together, from the errors stated in the thesis."""
     return per_axis_mm(IMAGE_SIGMA_MM, noise) ** 2 + per_axis_mm(PHYSICAL_SIGMA_MM, noise) ** 2
 
 
-def any_pose(random: np.random.Generator) -> RigidTransform:
+def draw_pose(random: np.random.Generator) -> RigidTransform:
     return RigidTransform.from_components(random.normal(size=3) * AWAY_MM, Rotation.random(rng=random))
 
 
@@ -110,17 +110,19 @@ def draw_readings(
     points = np.take_along_axis(displaced, chosen[:, :, None], axis=1)
     rotations, shifts = Rotation.random(runs, rng=random), random.normal(size=(runs, 1, 3)) * AWAY_MM
     turned = points @ rotations.as_matrix().swapaxes(1, 2) + shifts
-    image, image_order = _shuffled(
+    image, image_order = _shuffle_with_outliers(
         points + draw_noise(points.shape, IMAGE_SIGMA_MM, noise, random), outliers, random
     )
-    physical, physical_order = _shuffled(
+    physical, physical_order = _shuffle_with_outliers(
         turned + draw_noise(points.shape, PHYSICAL_SIGMA_MM, noise, random), outliers, random
     )
-    where = [np.argsort(order, axis=1)[:, :count] for order in (image_order, physical_order)]
-    return Readings(image, physical, np.stack(where, axis=2), rotations)
+    columns = [np.argsort(order, axis=1)[:, :count] for order in (image_order, physical_order)]
+    return Readings(image, physical, np.stack(columns, axis=2), rotations)
 
 
-def _shuffled(points: Array, outliers: int, random: np.random.Generator) -> tuple[Array, NDArray[np.intp]]:
+def _shuffle_with_outliers(
+    points: Array, outliers: int, random: np.random.Generator
+) -> tuple[Array, NDArray[np.intp]]:
     """Points and outliers about their centre, in random order, and the permutation."""
     runs, count, _ = points.shape
     strays = uniform_in_ball(runs * outliers, OUTLIER_BALL_MM, random).reshape(runs, outliers, 3)

@@ -12,16 +12,16 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume, VoxelGeometry
-from ronna_hw.host.worker_processes import fresh_processes
+from ronna_hw.host.worker_processes import start_workers
 from studies.accuracy.phantom import Markers, draw_phantom, phantom_pose
 from studies.accuracy.postures import plan_postures
 from studies.campaign.workers import PROCESS_ENDED, SilenceWatch, Tell
 from studies.correspondence.study import Method
 from studies.errors import MethodAnswerWrong, MethodFailed, MethodRefused
-from studies.heads import NoiseReading, any_pose, draw_readings, sites_mm
+from studies.heads import NoiseReading, draw_pose, draw_readings, sites_mm
 from studies.plugins.answers import PluginLocalizer, PluginPairing, PluginRegistration
 from studies.plugins.contracts import MethodKind
-from studies.plugins.method import PluginMethod, find_plugin, installed_plugins
+from studies.plugins.method import PluginMethod, find_plugin, list_installed_plugins
 from studies.plugins.strategy import PluginStrategy
 from studies.strategies.study import DEPTHS_MM, TARGETS
 
@@ -50,7 +50,7 @@ def try_in_subprocess(kind: MethodKind, text: str, tell: Tell = lambda text: Non
     `tell` is called if it does not respond.
     """
     silence = SilenceWatch([text], tell)
-    with fresh_processes(1) as pool:
+    with start_workers(1) as pool:
         try:
             answer = pool.submit(try_plugin, kind, text)
             while not answer.done():
@@ -85,10 +85,10 @@ def select_methods(
     """
     if not names:
         return tuple(Method), ()
-    wanted = tuple(dict.fromkeys(names))
-    unknown = [name for name in wanted if name not in NAMES]
+    requested = tuple(dict.fromkeys(names))
+    unknown = [name for name in requested if name not in NAMES]
     for name in unknown:
-        if ":" not in name and name not in (there := installed_plugins()):
+        if ":" not in name and name not in (there := list_installed_plugins()):
             known = [*NAMES, *there]
             near = get_close_matches(name, known, n=1)
             raise MethodRefused(
@@ -97,10 +97,10 @@ def select_methods(
                 action=f"Did you mean {near[0]}? {MethodRefused.action}" if near else None,
             )
     own = tuple(try_in_subprocess(MethodKind.PAIRING, name, tell) for name in unknown)
-    return tuple(NAMES[name] for name in wanted if name in NAMES), own
+    return tuple(NAMES[name] for name in requested if name in NAMES), own
 
 
-def _pairs(method: PluginMethod) -> object:
+def _try_pairing(method: PluginMethod) -> object:
     random = np.random.default_rng(TRIAL_SEED)
     seen = draw_readings(sites_mm(PATIENT), FIDUCIALS, OUTLIERS, NoiseReading.NORM, 1, random)
     found = PluginPairing.of(method)(
@@ -109,16 +109,16 @@ def _pairs(method: PluginMethod) -> object:
     return None if found is None else found.tolist()
 
 
-def _transform(method: PluginMethod) -> object:
+def _try_registration(method: PluginMethod) -> object:
     image_mm = sites_mm(PATIENT)[:FIDUCIALS]
-    physical_mm = any_pose(np.random.default_rng(TRIAL_SEED)).apply(image_mm)
+    physical_mm = draw_pose(np.random.default_rng(TRIAL_SEED)).apply(image_mm)
     covariance_mm2 = np.tile(SIGMA_MM**2 * np.eye(3), (FIDUCIALS, 1, 1))
     fitted = PluginRegistration.of(method)(image_mm, physical_mm, covariance_mm2=covariance_mm2)
-    _require_sense(method.name, fitted, image_mm, physical_mm)
+    _require_direction(method.name, fitted, image_mm, physical_mm)
     return fitted.as_matrix().tolist()
 
 
-def _require_sense(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
+def _require_direction(name: str, fitted: RigidTransform, image_mm: Array, physical_mm: Array) -> None:
     """Raise STU-014 for an answer that fits these error-free points only when read in the opposite direction.
 
     One that fits in neither direction is a bad method, which the campaign measures.
@@ -143,7 +143,7 @@ def _fits(transform: RigidTransform, image_mm: Array, physical_mm: Array) -> boo
     return float(np.linalg.norm(transform.apply(image_mm) - physical_mm, axis=1).max()) < FITTING_MM
 
 
-def _centres(method: PluginMethod) -> object:
+def _try_localizer(method: PluginMethod) -> object:
     shape, centres = (TRIAL_VOXELS,) * 3, TRIAL_VOXELS * np.array(TRIAL_BALLS)
     places = np.moveaxis(np.indices(shape), 0, -1)
     away = np.min([np.linalg.norm(places - centre, axis=-1) for centre in centres], axis=0)
@@ -154,7 +154,7 @@ def _centres(method: PluginMethod) -> object:
     return PluginLocalizer.of(method)(Volume(voxels, geometry, "1.2.3", "1.2.4")).tolist()
 
 
-def _poses(method: PluginMethod) -> object:
+def _try_strategy(method: PluginMethod) -> object:
     """Plan for the free markers of the accuracy studies in their first position."""
     strategy = PluginStrategy.of(method)
     planned = plan_postures(strategy, draw_phantom(Markers.FREE, DEPTHS_MM, TARGETS), phantom_pose(1))
@@ -162,8 +162,8 @@ def _poses(method: PluginMethod) -> object:
 
 
 ANSWERS: dict[MethodKind, Callable[[PluginMethod], object]] = {
-    MethodKind.LOCALIZER: _centres,
-    MethodKind.PAIRING: _pairs,
-    MethodKind.REGISTRATION: _transform,
-    MethodKind.STRATEGY: _poses,
+    MethodKind.LOCALIZER: _try_localizer,
+    MethodKind.PAIRING: _try_pairing,
+    MethodKind.REGISTRATION: _try_registration,
+    MethodKind.STRATEGY: _try_strategy,
 }

@@ -20,7 +20,7 @@ from procedures.registration.point_registration import register
 from studies.campaign import bounds
 from studies.campaign.plots import Point, curves
 from studies.campaign.study import Cell, Sums, Table, Unit, blocks, generator, omit_empty_own
-from studies.heads import PATIENTS, any_pose, sites_mm
+from studies.heads import PATIENTS, draw_pose, sites_mm
 from studies.plugins.answers import PluginRegistration
 from studies.plugins.method import PluginMethod
 
@@ -77,37 +77,37 @@ class RegistrationStudy:
 def _register_once(
     points: Array, kind: str, random: np.random.Generator, own: Sequence[PluginRegistration]
 ) -> dict[str, float]:
-    truth = any_pose(random)
-    covariance = _covariances(len(points), kind, random)
+    truth = draw_pose(random)
+    covariance = _draw_covariances(len(points), kind, random)
     in_image = 0.5 if kind == ISOTROPIC else 0.0  # fraction of the variance
-    image = points + _noise(covariance * in_image, random)
-    measured = truth.apply(points) + _noise(covariance * (1.0 - in_image), random)
+    image = points + _draw_noise(covariance * in_image, random)
+    measured = truth.apply(points) + _draw_noise(covariance * (1.0 - in_image), random)
     target = points.mean(axis=0) - np.array([0.0, 0.0, TARGET_BELOW_MM])
     right = truth.apply(target)
     plain = register(image, measured)
-    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _target_error(
+    sums = {"runs": 1.0, "fre": plain.fre_mm, "fle2": plain.fle_mm**2} | _sum_target_error(
         PLAIN, plain.transform, target, right
     )
     for method in own:
         fitted = method(image, measured, covariance_mm2=covariance)
-        sums |= _target_error(f"{OWN}{method.name}", fitted, target, right)
+        sums |= _sum_target_error(f"{OWN}{method.name}", fitted, target, right)
     if kind == ISOTROPIC:
         predicted = tre_principal_axes_mm(np.array([right]), truth.apply(points), FLE_MM)[0]
         gate = fre_gate(plain.fre_mm, FLE_MM, len(points), GATE_CONFIDENCE)
         return sums | {"predicted2": float(predicted**2), "alarms": float(not gate.passed)}
     weighted = register(image, measured, covariance_mm2=covariance)
     predicted = weighted.predict_tre_mm(target)[0]
-    sums |= _target_error(WEIGHTED, weighted.transform, target, right)
+    sums |= _sum_target_error(WEIGHTED, weighted.transform, target, right)
     return sums | {"predicted2": float(predicted**2)}
 
 
-def _target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
+def _sum_target_error(who: str, fitted: RigidTransform, target: Array, right: Array) -> dict[str, float]:
     """Square (mm2) and fourth power (mm4) of the error at the target."""
     square = float(np.sum((fitted.apply(target) - right) ** 2))
     return {f"{who}2": square, f"{who}4": square**2}
 
 
-def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
+def _draw_noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
     """Draw an error (n, 3) for each covariance (n, 3, 3), which may be zero."""
     if not covariance_mm2.any():
         return np.zeros(covariance_mm2.shape[:2])
@@ -115,7 +115,7 @@ def _noise(covariance_mm2: Array, random: np.random.Generator) -> Array:
     return np.asarray(np.einsum("nij,nj->ni", np.linalg.cholesky(covariance_mm2), normal))
 
 
-def _covariances(count: int, kind: str, random: np.random.Generator) -> Array:
+def _draw_covariances(count: int, kind: str, random: np.random.Generator) -> Array:
     """(n, 3, 3) in the physical frame, mm2; the 3-D rms of a normal fiducial is FLE.
 
     Each sphere is viewed from a different side, so the direction of the noisy depth differs too.
@@ -165,7 +165,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     "TRE / predicted": weighted.value / predicted_mm,
                 }
             )
-    own = [_own_table(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
+    own = (
+        [_tabulate_own(sums)] if any(key.startswith(OWN) for total in sums.values() for key in total) else []
+    )
     return [
         Table.of(
             "Formulas of the rigid fit",
@@ -180,7 +182,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     ]
 
 
-def _own_table(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_own(sums: Mapping[str, Sums]) -> Table:
     rows: list[Sequence[Cell]] = []
     for condition, total in sums.items():
         kind, count = condition.split("|")

@@ -44,10 +44,10 @@ def time_tables(runs: Sequence[Path]) -> tuple[Table, Table]:
             )
         )
     columns = ("what", "name", "times in a run", "theatre s in a run", "computer s in a run")
-    return Table("Times", columns, tuple(rows)), _beside_thesis(each)
+    return Table("Times", columns, tuple(rows)), _compare_with_thesis(each)
 
 
-def _beside_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:
+def _compare_with_thesis(each: Sequence[Sequence[TimeTaken]]) -> Table:
     here = [one.host_s for times in each for one in times if one.name == LOCALIZATION and one.host_s]
     return Table(
         "Markers in the CT, seconds",

@@ -20,7 +20,12 @@ from benchmarks.figures import Figure
 from benchmarks.mount.tracker_frame_calibration import FLANKS, FrameCell
 from benchmarks.stereo_head.head_looks import TrueHead
 from procedures.calibration.head_model import cameras_of, intersect_rays, pose_record
-from procedures.calibration.pose_set import PlannedLook, held_out_indices, order_by_orientation, turned_about
+from procedures.calibration.pose_set import (
+    PlannedLook,
+    choose_held_out,
+    order_by_orientation,
+    plan_poses_about,
+)
 from procedures.calibration.tip_calibration import (
     BallLook,
     DivotReading,
@@ -65,10 +70,12 @@ class TipCell(FrameCell):
         ball = np.round(self.scene.stand.ball_mm)
         reference = tool_orientation(DOWN, ball, 0.0)
         total = count + validation
-        planned = turned_about(reference, ball, round(SPARE * total), tilt_rad=tilt_rad, turn_rad=TURN_RAD)
-        reached = {id(one): joints for one in planned if (joints := self._joints(one)) is not None}
+        planned = plan_poses_about(
+            reference, ball, round(SPARE * total), tilt_rad=tilt_rad, turn_rad=TURN_RAD
+        )
+        reached = {id(one): joints for one in planned if (joints := self._solve_joints(one)) is not None}
         first = [one for one in planned if id(one) in reached][:total]
-        looks = [self._ball(reached[id(one)]) for one in order_by_orientation(first)]
+        looks = [self._look_at_ball(reached[id(one)]) for one in order_by_orientation(first)]
         observed = TipLooks(
             created=datetime.now(UTC),
             arm=self.scene.arm.variant,
@@ -77,12 +84,12 @@ class TipCell(FrameCell):
             arm_record=self.calibrations.arm,
             looks=tuple(looks),
             readings=(),
-            validation=held_out_indices(len(looks), validation),
+            validation=choose_held_out(len(looks), validation),
         )
         for number, look in enumerate(looks):
             for _ in range(2):  # the second iteration is close
                 others = tuple(one for one in observed.readings if one.look != number)
-                reading = self._reading(observed, number, look)
+                reading = self._read_divot(observed, number, look)
                 observed = observed.model_copy(update={"readings": (*others, reading)})
         return observed
 
@@ -104,14 +111,14 @@ class TipCell(FrameCell):
         in_flange, _ = intersect_rays(cameras_of(self.calibrations.stereo_head), left, right)
         return self.head.inverse().apply(in_flange[0])
 
-    def _joints(self, look: PlannedLook) -> JointVector | None:
+    def _solve_joints(self, look: PlannedLook) -> JointVector | None:
         try:
-            return self.arm.compensated(look.pose @ self.head.inverse(), self.home).joints_rad
+            return self.arm.compensate(look.pose @ self.head.inverse(), self.home).joints_rad
         except LimitError:
             return None
 
-    def _ball(self, joints: JointVector) -> BallLook:
-        flange = self._at_rest(joints)
+    def _look_at_ball(self, joints: JointVector) -> BallLook:
+        flange = self._flange_at_rest(joints)
         tool = flange @ matrix_of(self.scene.mount.flange_from_tool_true)
         in_tool = (inverse(tool) @ np.append(self.scene.stand.ball_mm, 1.0))[:3]
         x, y, z = self.seen_mm(in_tool, noise_px=0.02).tolist()
@@ -119,7 +126,7 @@ class TipCell(FrameCell):
             joints_rad=joints, robot_from_flange=pose_record(self.arm.flange_pose(joints)), ball_mm=(x, y, z)
         )
 
-    def _reading(self, observed: TipLooks, number: int, look: BallLook) -> DivotReading:
+    def _read_divot(self, observed: TipLooks, number: int, look: BallLook) -> DivotReading:
         flange = look.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
         guide = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         tip = (self.head.inverse() @ guide).translation_mm
@@ -127,9 +134,9 @@ class TipCell(FrameCell):
             tip = tips_of(pairs_of(observed, observed.readings)).mean(axis=0)
         ball, rotation = (flange @ self.head).apply(look.ball_mm), flange.rigid.rotation
         origin = ball - rotation.apply(self.head.apply(tip))
-        wanted = Transform(Frame.ROBOT, Frame.FLANGE, RigidTransform.from_components(origin, rotation))
-        joints = self.arm.compensated(wanted, look.joints_rad).joints_rad
-        self._room.publish_arm(ArmState(joints, self._at_rest(joints), self._motions, True))
+        wanted_flange = Transform(Frame.ROBOT, Frame.FLANGE, RigidTransform.from_components(origin, rotation))
+        joints = self.arm.compensate(wanted_flange, look.joints_rad).joints_rad
+        self._room.publish_arm(ArmState(joints, self._flange_at_rest(joints), self._motions, True))
         return DivotReading(
             look=number,
             joints_rad=joints,
@@ -137,7 +144,7 @@ class TipCell(FrameCell):
             dials_mm=read_dials(self._room),
         )
 
-    def _at_rest(self, joints: JointVector) -> Array:
+    def _flange_at_rest(self, joints: JointVector) -> Array:
         self._motions += 1
         return self._arm_truth.at_rest(joints, FLANKS, self._motions)
 
@@ -149,11 +156,11 @@ GOAL_MM = 0.05
 
 
 def measure() -> list[Figure]:
-    return [*_figures(True), *_figures(False)]
+    return [*_make_figures(True), *_make_figures(False)]
 
 
-def _figures(calibrated: bool) -> list[Figure]:
-    rows = np.array([_errors(seed, calibrated) for seed in range(SEEDS)])
+def _make_figures(calibrated: bool) -> list[Figure]:
+    rows = np.array([_compute_errors(seed, calibrated) for seed in range(SEEDS)])
     arm = "calibrated arm" if calibrated else "uncalibrated arm"
     figures = []
     for column, what in enumerate(("relative to the head's measurement", "relative to the true tool centre")):
@@ -168,7 +175,7 @@ def _figures(calibrated: bool) -> list[Figure]:
     return figures
 
 
-def _errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
+def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float]:
     """Errors relative to the head's measurement and to the true tool centre, and the stated one, mm."""
     cell = TipCell.of(seed, calibrated=calibrated)
     result = calibrate_tip(cell.readings(READINGS, VALIDATION))

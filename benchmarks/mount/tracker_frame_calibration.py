@@ -44,7 +44,7 @@ from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import ArmResidual, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
@@ -66,7 +66,7 @@ class FrameCell:
     @classmethod
     def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> FrameCell:
         """The default scene of a seed, with or without a calibrated arm."""
-        scene = named_scene("default", seed=seed)
+        scene = draw_scene("default", seed=seed)
         if calibrated:
             error = scene.calibration_error.model_copy(update={"arm": ArmResidual()})
             scene = scene.model_copy(update={"calibration_error": error})
@@ -102,31 +102,35 @@ class FrameCell:
             if len(seen) == len(uses):
                 break
             try:
-                joints = self.arm.compensated(planned.pose @ head.inverse(), self.home).joints_rad
+                joints = self.arm.compensate(planned.pose @ head.inverse(), self.home).joints_rad
             except LimitError:
                 continue
-            look = self._look(joints, uses[len(seen)])
+            look = self._take_look(joints, uses[len(seen)])
             if look is not None:
                 seen.append(look)
-        back = [look for _ in range(returns) if (look := self._look(self.home, Use.RETURN)) is not None]
+        return_looks = [
+            look for _ in range(returns) if (look := self._take_look(self.home, Use.RETURN)) is not None
+        ]
         return FrameLooks(
             created=datetime.now(UTC),
             arm=self.scene.arm.variant,
             stereo_head=self.calibrations.stereo_head,
             start=self.calibrations.tracker_frame,
             arm_record=self.calibrations.arm,
-            looks=(*seen, *back),
+            looks=(*seen, *return_looks),
         )
 
-    def _look(self, joints: JointVector, use: Use) -> FrameLook | None:
+    def _take_look(self, joints: JointVector, use: Use) -> FrameLook | None:
         self._motions += 1
         flange = self._true.at_rest(joints, FLANKS, self._motions)
         if self.exact:
             tracker = inverse(matrix_of(self.scene.tracker.robot_from_tracker))
-            seen: PoseRecord | None = _record(tracker @ flange @ self.true_frame, Frame.TRACKER, Frame.MARKER)
+            seen: PoseRecord | None = _make_record(
+                tracker @ flange @ self.true_frame, Frame.TRACKER, Frame.MARKER
+            )
         else:
             self._world.publish_arm(ArmState(joints, flange, self._motions, True))
-            seen = self._measured()
+            seen = self._measure_frame()
         if seen is None:
             return None
         return FrameLook(
@@ -137,7 +141,7 @@ class FrameCell:
             frames=FRAMES,
         )
 
-    def _measured(self) -> PoseRecord | None:
+    def _measure_frame(self) -> PoseRecord | None:
         self._measurer.begin_tracking()
         self._measurer.forget_tools()
         poses = []
@@ -152,10 +156,10 @@ class FrameCell:
         turns = Rotation.from_quat([one.quaternion for one in poses], scalar_first=True)
         mean[:3, :3] = turns.mean().as_matrix()
         mean[:3, 3] = np.mean([one.position_mm for one in poses], axis=0)
-        return _record(mean, Frame.TRACKER, Frame.MARKER)
+        return _make_record(mean, Frame.TRACKER, Frame.MARKER)
 
 
-def _record(matrix: Array, target: Frame, source: Frame) -> PoseRecord:
+def _make_record(matrix: Array, target: Frame, source: Frame) -> PoseRecord:
     return pose_record(Transform.from_matrix(target, source, matrix))
 
 
@@ -166,11 +170,11 @@ GOAL_MM, GOAL_DEG = 0.15, 0.05
 
 
 def measure() -> list[Figure]:
-    return [*_figures(True), *_figures(False)]
+    return [*_make_figures(True), *_make_figures(False)]
 
 
-def _figures(calibrated: bool) -> list[Figure]:
-    rows = np.array([_errors(seed, calibrated) for seed in range(SEEDS)])
+def _make_figures(calibrated: bool) -> list[Figure]:
+    rows = np.array([_compute_errors(seed, calibrated) for seed in range(SEEDS)])
     arm = "calibrated arm" if calibrated else "uncalibrated arm"
     figures = []
     for column, (what, unit) in enumerate(
@@ -187,18 +191,18 @@ def _figures(calibrated: bool) -> list[Figure]:
     return figures
 
 
-def _errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
+def _compute_errors(seed: int, calibrated: bool) -> tuple[float, float, float, float, float]:
     """Errors against the frame on this arm and against its drawing (mm, degrees), and the stated one (mm)."""
     cell = FrameCell.of(seed, calibrated=calibrated)
     result = calibrate_frame(cell.looks(LOOKS, VALIDATION))
     found = result.fit.flange_from_marker
     exact = FrameCell.of(seed, calibrated=calibrated, exact=True).looks(LOOKS, VALIDATION)
     as_arm_has_it = solve(pairs_of([one for one in exact.looks if one.use is not Use.RETURN]))
-    own = apart(found, as_arm_has_it.flange_from_marker)
-    return (*own, *apart(found, cell.true_frame), result.tracker_frame.stated_error_mm)
+    own = pose_difference(found, as_arm_has_it.flange_from_marker)
+    return (*own, *pose_difference(found, cell.true_frame), result.tracker_frame.stated_error_mm)
 
 
-def apart(one: Array, other: Array) -> tuple[float, float]:
+def pose_difference(one: Array, other: Array) -> tuple[float, float]:
     """Difference between two poses, in mm and degrees."""
     turn = Rotation.from_matrix(one[:3, :3].T @ other[:3, :3]).magnitude()
     return float(np.linalg.norm(one[:3, 3] - other[:3, 3])), float(np.degrees(turn))

@@ -29,8 +29,8 @@ def measure() -> list[Figure]:
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as place:
-        bare = _figures_of(_run_alone(Path(place) / "alone"))
-        looked_at = _figures_of(_run_watched(Path(place)))
+        bare = _read_figures(_run_alone(Path(place) / "alone"))
+        watched = _read_figures(_run_watched(Path(place)))
     figures = []
     for what, unit, most in (
         ("time of the steps", "s", MOST_TIMES_LONGER),
@@ -38,8 +38,8 @@ def measure() -> list[Figure]:
         ("turnaround, 99 %", "us", None),
         ("late and lost cycles", "", None),
     ):
-        ratio = looked_at[what] / bare[what] if bare[what] else None
-        figure = Figure(what, WITH, looked_at[what], unit, ratio, WITHOUT)
+        ratio = watched[what] / bare[what] if bare[what] else None
+        figure = Figure(what, WITH, watched[what], unit, ratio, WITHOUT)
         figures += [figure if most is None else figure.at_most(most * bare[what])]
         figures += [Figure(what, WITHOUT, bare[what], unit)]
     return figures
@@ -62,19 +62,19 @@ def _run_watched(folder: Path) -> Path:
         return case.run
 
 
-def _figures_of(run: Path) -> dict[str, float]:
+def _read_figures(run: Path) -> dict[str, float]:
     journal = [json.loads(line) for line in (run / "journal.jsonl").read_text().splitlines()]
     records = [json.loads(path.read_text()) for path in sorted((run / "records").glob("*.json"))]
     link = [one["payload"]["link"] for one in records if one["kind"] == "retreat"][-1]
     return {
-        "time of the steps": _steps_s(journal),
+        "time of the steps": _sum_steps_s(journal),
         "turnaround, median": link["turnaround_median_us"],
         "turnaround, 99 %": link["turnaround_p99_us"],
         "late and lost cycles": float(link["late_cycles"] + link["lost_cycles"]),
     }
 
 
-def _steps_s(journal: list[dict[str, Any]]) -> float:
+def _sum_steps_s(journal: list[dict[str, Any]]) -> float:
     """Measure the host time from the intent of each step to its result."""
     total_s, began = 0.0, None
     for line in journal:

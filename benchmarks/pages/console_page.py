@@ -55,9 +55,9 @@ def measure() -> list[Figure]:
         began_s = time.monotonic()
         with served_console(Path(place)) as (process, address):
             ready_s = time.monotonic() - began_s
-            ours = _by_tabs(process, address, Path(place))
+            ours = _measure_by_tabs(process, address, Path(place))
         with bare_page() as (process, address):
-            bare = _by_tabs(process, address, Path(place))
+            bare = _measure_by_tabs(process, address, Path(place))
     figures.append(Figure("start of the console's server", OURS, ready_s, "s").at_most(3.0))
     most_percent, most_ms = {1: 10.0, 3: 30.0}, {1: 20.0, 3: 120.0}
     for tabs, (share_percent, late_ms) in ours.items():
@@ -67,19 +67,21 @@ def measure() -> list[Figure]:
         figures.append(cpu.at_most(most_percent[tabs]) if tabs in most_percent else cpu)
         figures.append(Figure(cpu.what, BARE, floor[0], "%"))
         if late_ms:
-            late = _late(tabs, OURS, late_ms)
-            figures += [late.at_most(most_ms[tabs]), _late(tabs, BARE, floor[1])]
+            late = _late_figure(tabs, OURS, late_ms)
+            figures += [late.at_most(most_ms[tabs]), _late_figure(tabs, BARE, floor[1])]
     return figures + console_case.measure()
 
 
-def _late(tabs: int, who: str, late_ms: list[float]) -> Figure:
+def _late_figure(tabs: int, who: str, late_ms: list[float]) -> Figure:
     p95_ms = sorted(late_ms)[int(0.95 * len(late_ms))]
     return Figure(f"fact to page, {tabs} pages", who, median(late_ms), "ms", more={"p95": p95_ms})
 
 
-def _by_tabs(process: psutil.Process, address: str, place: Path) -> dict[int, tuple[float, list[float]]]:
+def _measure_by_tabs(
+    process: psutil.Process, address: str, place: Path
+) -> dict[int, tuple[float, list[float]]]:
     if MISSING:
-        return {0: (_share_percent(process), [])}
+        return {0: (_measure_share_percent(process), [])}
     found = {}
     with modest_chromium(place) as browser:
         context, pages = opened_context(browser, viewport={"width": 1280, "height": 720}), []
@@ -95,12 +97,12 @@ def _by_tabs(process: psutil.Process, address: str, place: Path) -> dict[int, tu
             for page in pages:
                 page.wait_for_function(f"window.late.length >= {SETTLED_FACTS}")
                 page.evaluate("window.late = []")
-            share = _share_percent(process)
+            share = _measure_share_percent(process)
             found[tabs] = (share, [late for page in pages for late in page.evaluate("window.late")])
     return found
 
 
-def _share_percent(process: psutil.Process) -> float:
+def _measure_share_percent(process: psutil.Process) -> float:
     before = sum(process.cpu_times()[:2])
     time.sleep(MEASURED_S)
     return float(100.0 * (sum(process.cpu_times()[:2]) - before) / MEASURED_S)

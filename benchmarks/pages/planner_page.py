@@ -18,7 +18,7 @@ from benchmarks.figures import Figure
 from console.planning.slice_panel import CHOSEN
 from ronna_hw.arm.pose import Pose
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 ROOT = Path(__file__).resolve().parents[2]
 sys.path += map(str, (ROOT / "tests" / "support").iterdir())
@@ -72,30 +72,32 @@ def measure() -> list[Figure]:
             head_s = time.monotonic() - began_s
             enter_planner(page, page.url)
             shape = page.locator(".case .dim").inner_text()
-            scrolls_ms = [_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(SCROLLS)]
-            drags_ms = _drags_ms(page, DRAGS)
+            scrolls_ms = [
+                _measure_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(SCROLLS)
+            ]
+            drags_ms = _measure_drags_ms(page, DRAGS)
             page.close()
-        with open_planner(place, patient / "ct", *_arm(place)) as addresses:
+        with open_planner(place, patient / "ct", *_arm_options(place)) as addresses:
             page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
             page.add_init_script(WATCH)
             enter_planner(page, addresses["url"])
-            with_arm_ms = _drags_ms(page, DRAGS_WITH_ARM)
+            with_arm_ms = _measure_drags_ms(page, DRAGS_WITH_ARM)
     label = shape.split(",")[0].removeprefix("CT of ")
     return [
-        _of(f"scroll to picture, {label}", scrolls_ms).at_most(SCROLL_MS),
-        _of("drag to expected error", drags_ms).at_most(DRAG_MS),
-        _of("drag to expected error, with an arm", with_arm_ms).at_most(DRAG_MS),
+        _time_figure(f"scroll to picture, {label}", scrolls_ms).at_most(SCROLL_MS),
+        _time_figure("drag to expected error", drags_ms).at_most(DRAG_MS),
+        _time_figure("drag to expected error, with an arm", with_arm_ms).at_most(DRAG_MS),
         Figure("page to head", OURS, head_s, "s", head_s / bare_s, BARE).at_most(HEAD_S),
         Figure("page to its number", BARE, bare_s, "s"),
     ]
 
 
-def _of(what: str, times_ms: list[float]) -> Figure:
+def _time_figure(what: str, times_ms: list[float]) -> Figure:
     p95_ms = sorted(times_ms)[int(0.95 * len(times_ms))]
     return Figure(what, OURS, median(times_ms), "ms", more={"p95": p95_ms})
 
 
-def _scroll_ms(page: Any, steps: int) -> float:
+def _measure_scroll_ms(page: Any, steps: int) -> float:
     picture = page.locator("[data-plane=axial]").bounding_box()
     page.mouse.move(picture["x"] + 20, picture["y"] + 20)
     page.evaluate("window.times = {}")
@@ -104,23 +106,23 @@ def _scroll_ms(page: Any, steps: int) -> float:
     return float(page.evaluate("window.times.picture[0] - window.times.wheel[0]"))
 
 
-def _arm(place: Path) -> list[str]:
+def _arm_options(place: Path) -> list[str]:
     """The arm of the scene, with the head where it truly is."""
-    scene = named_scene("default", seed=3)
+    scene = draw_scene("default", seed=3)
     write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), place / "theatre.toml")
     head = scene.head.robot_from_ct
     pose = Pose.from_quaternion(head.translation_mm, head.quaternion_wxyz).to_kuka()
     return ["--config", str(place / "theatre.toml"), "--robot-from-ct", *(f"{one:.6f}" for one in pose)]
 
 
-def _drags_ms(page: Any, count: int) -> list[float]:
+def _measure_drags_ms(page: Any, count: int) -> list[float]:
     page.get_by_label("crosshair to the target").click()
     page.wait_for_selector(HANDLE, state="attached")
     page.wait_for_selector("[data-state=judged]")
-    return [_drag_ms(page, 3 if number % 2 else -3) for number in range(count)]
+    return [_measure_drag_ms(page, 3 if number % 2 else -3) for number in range(count)]
 
 
-def _drag_ms(page: Any, right_px: int) -> float:
+def _measure_drag_ms(page: Any, right_px: int) -> float:
     handle = page.locator(HANDLE).bounding_box()
     x, y = handle["x"] + handle["width"] / 2, handle["y"] + handle["height"] / 2
     page.mouse.move(x, y)

@@ -20,7 +20,7 @@ RETENTION_US = 4_000_000
 LIMIT_US = 5_000_000
 
 
-def opened(address, packet_bytes):
+def open_stream(address, packet_bytes):
     camera = Aravis.Camera.new(address)
     camera.set_pixel_format(Aravis.PIXEL_FORMAT_MONO_8)
     camera.set_exposure_time(2000.0)
@@ -37,7 +37,7 @@ def opened(address, packet_bytes):
 
 
 def main(job):
-    both = [opened(address, job["packet_bytes"]) for address in job["addresses"]]
+    both = [open_stream(address, job["packet_bytes"]) for address in job["addresses"]]
     for camera, _ in both:
         camera.start_acquisition()
     broken = 0

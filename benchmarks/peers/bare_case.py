@@ -26,7 +26,7 @@ from ronna_hw.recording import flight_recorder, reading_tape
 from ronna_hw.theatre import Theatre
 
 
-class _Nothing:
+class _NullObject:
     """Accepts everything and does nothing."""
 
     def __init__(self, *_given: object) -> None: ...
@@ -43,12 +43,12 @@ def keep_nothing() -> None:
     for owner, name, instead in (
         (journal.Journal, "_append", _ignore),
         (stream.EventStream, "publish", _ignore),
-        (event_file, "EventFile", _Nothing),
-        (flight_recorder, "FlightRecorder", _Nothing),
-        (reading_tape, "ReadingTape", _Tape),
-        (reading_tape, "taped", lambda device, _tape: device),
+        (event_file, "EventFile", _NullObject),
+        (flight_recorder, "FlightRecorder", _NullObject),
+        (reading_tape, "ReadingTape", _NullTape),
+        (reading_tape, "tape_device", lambda device, _tape: device),
         (Theatre, "record_bytes", _ignore),
-        (run_folder, "hashes_at_closing", lambda _folder: {}),
+        (run_folder, "hash_files_at_closing", lambda _folder: {}),
     ):
         patch.object(owner, name, instead).start()
 
@@ -56,7 +56,7 @@ def keep_nothing() -> None:
 def _ignore(*_words: object, **_more: object) -> None: ...
 
 
-class _Tape(_Nothing):
+class _NullTape(_NullObject):
     def beside(self) -> Any:
         return lifecycle.contextlib.nullcontext()
 

@@ -28,16 +28,16 @@ def main() -> None:
     if sys.argv[1] == "serial-pty":
         near, far = os.openpty()
         tty.setraw(far)
-        _ready(f"serial://{os.ttyname(far)}")
+        _print_ready(f"serial://{os.ttyname(far)}")
         _answer(lambda: os.read(near, LONGEST), lambda reply: os.write(near, reply))
     with socket.create_server(("127.0.0.1", 0)) as listener:
-        _ready(f"tcp://127.0.0.1:{listener.getsockname()[1]}")
+        _print_ready(f"tcp://127.0.0.1:{listener.getsockname()[1]}")
         host = listener.accept()[0]
         host.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         _answer(lambda: host.recv(LONGEST), host.send)
 
 
-def _ready(endpoint: str) -> None:
+def _print_ready(endpoint: str) -> None:
     print("READY " + json.dumps({"endpoint": endpoint}), flush=True)
 
 

@@ -18,14 +18,14 @@ from tests.support.devices.camera_stream import stream_pairs  # noqa: E402
 
 def main(job: dict[str, object]) -> None:
     """Receive, and report the result."""
-    came = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
+    outcome = stream_pairs(job["addresses"], job["pairs"], job["packet_bytes"])  # type: ignore[arg-type]
     summary = {
-        "seconds": came.seconds,
-        "cpu_s": came.receiver_cpu_s + came.driver_cpu_s,
-        "receiver_cpu_s": came.receiver_cpu_s,
-        "lost": came.lost,
-        "broken": came.broken,
-        "repeated": came.repeated,
+        "seconds": outcome.seconds,
+        "cpu_s": outcome.receiver_cpu_s + outcome.driver_cpu_s,
+        "receiver_cpu_s": outcome.receiver_cpu_s,
+        "lost": outcome.lost,
+        "broken": outcome.broken,
+        "repeated": outcome.repeated,
     }
     print(json.dumps(summary))
 

@@ -67,10 +67,10 @@ def _swing(link: LinkClient, model: Kr6R900, limits: MotionLimits) -> None:
             plan = plan_joint_move(model, link.state.commanded_rad, target, limits)
             number = link.command(CommandKind.MOVE, plan, link.stop_number)
 
-            def ended(state: object, number: int = number) -> bool:
+            def has_ended(state: object, number: int = number) -> bool:
                 return state.command_number >= number and state.result is not Result.RUNNING  # type: ignore[attr-defined]
 
-            while link.wait(ended, PATIENCE_S) is None:
+            while link.wait(has_ended, PATIENCE_S) is None:
                 pass
 
 

@@ -78,14 +78,18 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
     import ndicapy
     from sksurgerynditracker import nditracker  # type: ignore[import-untyped]
 
-    wanted: dict[str, Any] = {"romfiles": [str(rom) for rom in roms]}
+    settings: dict[str, Any] = {"romfiles": [str(rom) for rom in roms]}
     if endpoint.startswith("serial://"):
-        wanted |= {"tracker type": "polaris", "serial port": endpoint.removeprefix("serial://")}
+        settings |= {"tracker type": "polaris", "serial port": endpoint.removeprefix("serial://")}
     else:
-        wanted |= {"tracker type": "vega", "ip address": "127.0.0.1", "port": int(endpoint.rsplit(":", 1)[1])}
+        settings |= {
+            "tracker type": "vega",
+            "ip address": "127.0.0.1",
+            "port": int(endpoint.rsplit(":", 1)[1]),
+        }
         nditracker.call = lambda _arguments: 0  # it first runs the program ping, which need not exist
     with redirect_stdout(StringIO()):
-        tracker = nditracker.NDITracker(wanted)
+        tracker = nditracker.NDITracker(settings)
     # It chooses TX or BX by the firmware's name; here all clients read BX.
     tracker._get_frame, tracker._get_transform = ndicapy.ndiGetBXFrame, ndicapy.ndiGetBXTransform
     tracker._capture_string = "BX:0801"
@@ -102,13 +106,13 @@ def scikit(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> Reader:
 
 def ndicapi_bare(stack: ExitStack, endpoint: str, _roms: Sequence[Path]) -> Reader:
     """Read from a unit that answers everything with one fixed reply."""
-    device = _opened(stack, endpoint)
+    device = _open_device(stack, endpoint)
     import ndicapy
 
     return lambda: ndicapy.ndiCommand(device, BX)
 
 
-def _opened(stack: ExitStack, endpoint: str) -> Any:
+def _open_device(stack: ExitStack, endpoint: str) -> Any:
     import ndicapy
 
     if endpoint.startswith("serial://"):
@@ -123,7 +127,7 @@ def _opened(stack: ExitStack, endpoint: str) -> Any:
 def _ndicapi_tracking(stack: ExitStack, endpoint: str, roms: Sequence[Path]) -> tuple[Any, list[bytes]]:
     import ndicapy
 
-    device = _opened(stack, endpoint)
+    device = _open_device(stack, endpoint)
     ndicapy.ndiCommand(device, "INIT:")
     ndicapy.ndiCommand(device, ILLUMINATOR_REQUEST)
     handles = []

@@ -17,7 +17,7 @@ from itertools import pairwise
 from pathlib import Path
 from statistics import median
 
-from benchmarks.figures import Figure, compared, contest, family_cpu_s, process_cpu_s
+from benchmarks.figures import Figure, compare_samples, family_cpu_s, process_cpu_s, run_contest
 from benchmarks.robot.robot_cell import ControllerProbe, RobotCell, bare_telegram, peer
 from drivers.kuka_rsi.realtime.link_state import RecordedCycle
 from ronna_hw.vectors import JointVector
@@ -42,21 +42,25 @@ UNREHEARSED = "driver moving, without rehearsal"
 
 
 def measure() -> list[Figure]:
-    figures = [*_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
-    figures += _turnaround("turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI))
+    figures = [*_measure_lock_step("lock-step cycles per second", LOCK_STEP_ROUNDS, LOCK_STEP_GOAL_HZ)]
+    figures += _measure_turnaround(
+        "turnaround at 1 ms", FAST_S, FAST_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, RSIPI)
+    )
     at_cycle = (LINK_AT_REST, LINK_MOVING, UNREHEARSED, RSIPI)
-    figures += _turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
+    figures += _measure_turnaround("turnaround at 4 ms", CYCLE_S, CYCLE_TELEGRAMS, at_cycle)
     with peer("image_load"):  # another process decodes images continuously
         name = "lock-step cycles per second under an image load"
-        figures += _lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
+        figures += _measure_lock_step(name, LOADED_ROUNDS, LOADED_LOCK_STEP_GOAL_HZ)
         name = "turnaround at 1 ms under an image load"
-        figures += _turnaround(name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT))
+        figures += _measure_turnaround(
+            name, FAST_S, LOADED_TELEGRAMS, (LINK_AT_REST, LINK_MOVING, BUSY_PARENT)
+        )
         name = "turnaround at 4 ms under an image load"
-        figures += _turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
+        figures += _measure_turnaround(name, CYCLE_S, LOADED_CYCLE_TELEGRAMS, (LINK_MOVING, BUSY_PARENT))
     return figures
 
 
-def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
+def _measure_lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
     with RobotCell() as cell, peer("udp_echo") as echo:
         home = cell.arm.read_state().joints_rad
         away: JointVector = (home[0] + SWING_RAD, *home[1:])
@@ -90,9 +94,9 @@ def _lock_step(measure: str, rounds: int, goal_hz: float) -> list[Figure]:
             return BARE_EXCHANGES / (time.perf_counter() - began)
 
         baseline = "bare UDP exchange"
-        samples = contest({"simulator and driver": move, baseline: exchange}, rounds)
+        samples = run_contest({"simulator and driver": move, baseline: exchange}, rounds)
         probe.close()
-        figures = compared(measure, "1/s", samples, baseline)
+        figures = compare_samples(measure, "1/s", samples, baseline)
         figures[0] = figures[0].at_least(goal_hz)
         figures.append(Figure(f"{measure}, planning included", figures[0].who, median(whole_moves_hz), "1/s"))
         for name, cpu_s in spent.items():
@@ -110,7 +114,9 @@ def rate_in_motion(cycles: Sequence[RecordedCycle]) -> float:
     return len(gaps_ns) / sum(gaps_ns) * 1e9 if gaps_ns else 0.0
 
 
-def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]) -> list[Figure]:
+def _measure_turnaround(
+    measure: str, pace_s: float, telegrams: int, contestants: tuple[str, ...]
+) -> list[Figure]:
     """This many telegrams to each contestant and to an echo, in alternating blocks."""
     arguments = {
         ECHO: ("udp_echo",),
@@ -136,16 +142,16 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
             return found
 
         rounds = telegrams // TELEGRAMS_PER_BLOCK
-        samples = contest({name: partial(block, name) for name in peers}, rounds)
-        figures = compared(measure, "µs", samples, ECHO, scale=1e6)
+        samples = run_contest({name: partial(block, name) for name in peers}, rounds)
+        figures = compare_samples(measure, "µs", samples, ECHO, scale=1e6)
         sent = {name: len(probe.turnarounds_s) + probe.unanswered for name, probe in probes.items()}
         per_telegram = {name: [cpu_s[name] / sent[name]] for name in peers}
         share = {name: [cpu_s[name] / (sent[name] * pace_s)] for name in peers}
         figures = [_with_tail(figure, probes[figure.who]) for figure in figures]
         return [
             *figures,
-            *_held_against_echo(measure, probes),
-            *compared(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
+            *_compare_with_echo(measure, probes),
+            *compare_samples(f"CPU per telegram, {measure}", "µs", per_telegram, ECHO, scale=1e6),
             *(
                 Figure(f"share of one processor, {measure}", who, of[0] * 100.0, "%")
                 for who, of in share.items()
@@ -153,7 +159,7 @@ def _turnaround(measure: str, pace_s: float, telegrams: int, contestants: tuple[
         ]
 
 
-def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
+def _compare_with_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iterator[Figure]:
     """Median and tail over all telegrams, missed cycles and lost replies of each contestant."""
     echo = probes[ECHO]
     echo_median_s, echo_p99_s = echo.share(0.5), echo.share(0.99)
@@ -170,8 +176,8 @@ def _held_against_echo(measure: str, probes: dict[str, ControllerProbe]) -> Iter
         yield Figure(
             f"99th percentile, {measure}", who, p99_s * 1e6, "µs", ratio, base, goal=goal, met=tail_met
         )
-        missed = sum(turnaround > CYCLE_S for turnaround in probe.turnarounds_s)
-        yield Figure(f"longer than a cycle of 4 ms, {measure}", who, float(missed), "")
+        missed_cycles = sum(turnaround > CYCLE_S for turnaround in probe.turnarounds_s)
+        yield Figure(f"longer than a cycle of 4 ms, {measure}", who, float(missed_cycles), "")
         goal, met = ("value = 0", probe.unanswered == 0) if ours else ("", None)
         yield Figure(f"replies lost, {measure}", who, float(probe.unanswered), "", goal=goal, met=met)
 

@@ -9,7 +9,7 @@ from math import inf
 
 from ruckig import InputParameter, OutputParameter, Result, Ruckig
 
-from benchmarks.figures import Figure, compared, contest, cpu_of
+from benchmarks.figures import Figure, compare_samples, measure_cpu_s, run_contest
 from drivers.kuka_rsi.realtime.link_state import Choice
 from drivers.kuka_rsi.realtime.set_points import SetPoints
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -43,18 +43,18 @@ def measure() -> list[Figure]:
     line = plan_line(model, START, Pose((x, y + LINE_MM, z), here.rotation), limits, TOOL_MM)
     move = plan_joint_move(model, START, AWAY, limits)
     around = _surroundings(here)
-    samples = contest(
+    samples = run_contest(
         {
-            "joint move": lambda: _per_cycle(move),
-            "straight line": lambda: _per_cycle(line),
-            "joint move, watched": lambda: _per_cycle(_slowed(move, around), around),
-            "straight line, watched": lambda: _per_cycle(_slowed(line, around), around),
-            "at rest": lambda: _per_cycle(None),
-            BARE: _bare,
+            "joint move": lambda: _measure_cycle_s(move),
+            "straight line": lambda: _measure_cycle_s(line),
+            "joint move, watched": lambda: _measure_cycle_s(_slow_down(move, around), around),
+            "straight line, watched": lambda: _measure_cycle_s(_slow_down(line, around), around),
+            "at rest": lambda: _measure_cycle_s(None),
+            BARE: _measure_bare_s,
         },
         ROUNDS,
     )
-    figures = compared("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
+    figures = compare_samples("CPU per set-point, go and stop judged", "µs", samples, BARE, scale=1e6)
     return [figure.at_most(GOAL_US) if figure.who.endswith("watched") else figure for figure in figures]
 
 
@@ -64,14 +64,14 @@ def _surroundings(flange: Pose) -> Surroundings:
     tip = flange.apply(TOOL_MM)
     head = Pose.from_kuka(tip[0], tip[1], tip[2] - HEAD_BELOW_MM, 90.0, 0.0, 30.0)
     spheres = tuple((tip[0] + x, tip[1] + y, tip[2] - HEAD_BELOW_MM + 105.0) for x, y in SPHERES_MM)
-    return cell.around_head(cell.guide, Pose(TOOL_MM), head, HEAD_SEMI_AXES_MM, spheres)
+    return cell.build_surroundings(cell.guide, Pose(TOOL_MM), head, HEAD_SEMI_AXES_MM, spheres)
 
 
-def _slowed(plan: MotionPlan, around: Surroundings) -> MotionPlan:
+def _slow_down(plan: MotionPlan, around: Surroundings) -> MotionPlan:
     return with_speed_steps(plan, sweep_path(kr6_r900(ArmVariant.SIXX), plan, around), inf)
 
 
-def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> float:
+def _measure_cycle_s(plan: MotionPlan | None, around: Surroundings | None = None) -> float:
     model = kr6_r900(ArmVariant.SIXX)
     points = SetPoints(model, working_limits(model), CYCLE_S, START)
     if plan is not None:
@@ -82,28 +82,28 @@ def _per_cycle(plan: MotionPlan | None, around: Surroundings | None = None) -> f
         points.commit(Choice.GO)
         points.prepare()
 
-    spent = cpu_of(cycle, CYCLES_PER_ROUND)
+    spent = measure_cpu_s(cycle, CYCLES_PER_ROUND)
     if plan is not None and not (points.moving and points.violation is None):
         raise RuntimeError("the motion ended, or tripped, while it was measured")
     return spent
 
 
-def _bare() -> float:
+def _measure_bare_s() -> float:
     model = kr6_r900(ArmVariant.SIXX)
     limits = working_limits(model)
-    generator, wanted, found = Ruckig(6, CYCLE_S), InputParameter(6), OutputParameter(6)
-    wanted.current_position, wanted.target_position = list(START), list(AWAY)
-    wanted.current_velocity = wanted.current_acceleration = [0.0] * 6
-    wanted.max_velocity = list(limits.speed_rad_s)
-    wanted.max_acceleration = list(limits.acceleration_rad_s2)
-    wanted.max_jerk = list(limits.jerk_rad_s3)
+    generator, target, found = Ruckig(6, CYCLE_S), InputParameter(6), OutputParameter(6)
+    target.current_position, target.target_position = list(START), list(AWAY)
+    target.current_velocity = target.current_acceleration = [0.0] * 6
+    target.max_velocity = list(limits.speed_rad_s)
+    target.max_acceleration = list(limits.acceleration_rad_s2)
+    target.max_jerk = list(limits.jerk_rad_s3)
     results: list[Result] = []
 
     def cycle() -> None:
-        results.append(generator.update(wanted, found))
-        found.pass_to_input(wanted)
+        results.append(generator.update(target, found))
+        found.pass_to_input(target)
 
-    spent = cpu_of(cycle, CYCLES_PER_ROUND)
+    spent = measure_cpu_s(cycle, CYCLES_PER_ROUND)
     if results[-1] is not Result.Working:
         raise RuntimeError("the bare motion ended while it was measured")
     return spent

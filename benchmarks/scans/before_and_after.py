@@ -67,15 +67,17 @@ class Outcome:
     errors_mm: dict[str, list[float]] = field(default_factory=dict)  # of each marker; infinite if missed
     taken: Counter[str] = field(default_factory=Counter)
 
-    def add(self, where: str, found: Localization | None, painted: Painted) -> None:
-        self.counts.setdefault(where, Count()).add(found, (), painted)
+    def add(self, condition: str, found: Localization | None, painted: Painted) -> None:
+        self.counts.setdefault(condition, Count()).add(found, (), painted)
         centres_mm = np.empty((0, 3)) if found is None else found.centres_mm
-        self.errors_mm.setdefault(where, []).extend(_least_mm(one, centres_mm) for one in painted.centres_mm)
+        self.errors_mm.setdefault(condition, []).extend(
+            _least_distance_mm(one, centres_mm) for one in painted.centres_mm
+        )
         of_markers = np.concatenate([painted.centres_mm, painted.cut_mm])
         nearest = {
-            int(np.argmin([_least_mm(one, places) for _, places in painted.objects]))
+            int(np.argmin([_least_distance_mm(one, places) for _, places in painted.objects]))
             for one in centres_mm
-            if painted.objects and _least_mm(one, of_markers) >= SAME_SPHERE_MM
+            if painted.objects and _least_distance_mm(one, of_markers) >= SAME_SPHERE_MM
         }
         self.taken.update(painted.objects[number][0] for number in nearest)
 
@@ -126,11 +128,11 @@ def other_localizer(checkout: Path) -> Iterator[OtherLocalizer]:
             yield OtherLocalizer(child.stdin, child.stdout, Path(folder))
 
 
-def _least_mm(centre_mm: Array, places: Array) -> float:
+def _least_distance_mm(centre_mm: Array, places: Array) -> float:
     return float(np.linalg.norm(places - centre_mm, axis=1).min(initial=np.inf))
 
 
-def _today(volume: Volume) -> Localization | None:
+def _localize_today(volume: Volume) -> Localization | None:
     try:
         return localize(volume)
     except MarkerCountWrong:
@@ -152,21 +154,21 @@ def main() -> None:
                     painted = paint(scan, MARGINS_MM if FAMILIES[family].look_alikes else WHOLE_MM)
                     objects.update(kind for kind, _ in painted.objects)
                     before.add(f"{family} | {protocol}", other(painted.volume), painted)
-                    today.add(f"{family} | {protocol}", _today(painted.volume), painted)
+                    today.add(f"{family} | {protocol}", _localize_today(painted.volume), painted)
     print("| kind | objects | markers before | today |\n|---|---|---|---|")
     for kind, number in objects.items():
         print(f"| {kind} | {number} | {before.taken[kind]} | {today.taken[kind]} |")
     print("\nBefore and today; rms and largest error in µm, `both` of the markers that both found.\n")
     print("| family | protocol | markers | missed | false | rms | both | largest | chi² / 3n | beyond 99 % |")
     print("|---|---|---|---|---|---|---|---|---|---|")
-    for where, count in before.counts.items():
-        rows = zip(_figures(before, today, where), _figures(today, before, where), strict=True)
-        print(f"| {where} | {count.markers} | {' | '.join(', '.join(pair) for pair in rows)} |")
+    for condition, count in before.counts.items():
+        rows = zip(_figures(before, today, condition), _figures(today, before, condition), strict=True)
+        print(f"| {condition} | {count.markers} | {' | '.join(', '.join(pair) for pair in rows)} |")
 
 
-def _figures(outcome: Outcome, other: Outcome, where: str) -> tuple[str, ...]:
-    count = outcome.counts[where]
-    errors_mm, others_mm = np.array(outcome.errors_mm[where]), np.array(other.errors_mm[where])
+def _figures(outcome: Outcome, other: Outcome, condition: str) -> tuple[str, ...]:
+    count = outcome.counts[condition]
+    errors_mm, others_mm = np.array(outcome.errors_mm[condition]), np.array(other.errors_mm[condition])
     both_mm = errors_mm[(errors_mm < SAME_SPHERE_MM) & (others_mm < SAME_SPHERE_MM)]
     return (
         f"{count.missed}",

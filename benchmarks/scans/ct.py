@@ -24,13 +24,13 @@ import pydicom
 from numpy.typing import NDArray
 from scipy.special import erfc
 
-from benchmarks.figures import Figure, compared, cpu_of
+from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from benchmarks.scans.scanner_faults import with_noise
 from procedures.imaging import Localization, ThesisFit, Volume, localize, localize_as_thesis, read_series
 from ronna_hw.host.child_process import command
-from sim.basler.optics.canvas import blur
 from sim.phantom.case import write_case
 from sim.phantom.families.family_scan import family_scan
+from sim.phantom.head.painting import PLANE_SIGMA_MM, SLICE_SIGMA_MM
 from sim.phantom.scanner.faults import NO_FAULTS, ScannerFaults
 from studies.localization.phantom_scans import AIR_HU, bound_mm
 
@@ -79,8 +79,8 @@ def _shape(scan: BallScan) -> tuple[int, ...]:
 
 def _derivatives(scan: BallScan) -> list[Array]:
     """Derivatives of the image by centre (slice, row, column), radius, both blurs, contrast, surroundings."""
-    along = sqrt(blur.SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
-    across = sqrt(blur.PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
+    along = sqrt(SLICE_SIGMA_MM**2 + BOX_VARIANCE * scan.slice_mm**2)
+    across = sqrt(PLANE_SIGMA_MM**2 + BOX_VARIANCE * scan.pixel_mm**2)
     start = np.array([*(OFFSET * scan.spacing_mm), scan.radius_mm, along, across])
     places = [(np.arange(n) - n // 2) * step for n, step in zip(_shape(scan), scan.spacing_mm, strict=True)]
 
@@ -113,7 +113,7 @@ def _cover(places: list[Array], unknowns: Array) -> Array:
 
 def _noise_power(scan: BallScan) -> Array:
     """The spectrum of the phantom's noise, HU² per voxel: white, smoothed by three taps along two axes."""
-    side = exp(-0.5 * (scan.pixel_mm / blur.PLANE_SIGMA_MM) ** 2)
+    side = exp(-0.5 * (scan.pixel_mm / PLANE_SIGMA_MM) ** 2)
     gains = [
         (1.0 + 2.0 * side * np.cos(2.0 * np.pi * np.fft.fftfreq(count))) ** 2 / (1.0 + 2.0 * side**2)
         for count in _shape(scan)[1:]
@@ -220,31 +220,31 @@ def measure() -> list[Figure]:
     ours: dict[Case, Spheres] = {}
     for case in CASES:
         with tempfile.TemporaryDirectory() as folder:
-            scans = [_scan(Path(folder) / str(seed), case, seed) for seed in case.seeds]
-            made, ours[case] = _figures(case, scans)
+            scans = [_make_scan(Path(folder) / str(seed), case, seed) for seed in case.seeds]
+            made, ours[case] = _make_figures(case, scans)
             figures += made
             if case.family == "broad":
-                figures.append(_memory(case, scans[0].series))
-    return [*figures, *_over_all_families(ours)]
+                figures.append(_measure_memory(case, scans[0].series))
+    return [*figures, *_summarize_families(ours)]
 
 
-def _figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
+def _make_figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
     methods = OURS_ONLY if case.bare else METHODS
     cpu_s: dict[str, list[float]] = {name: [] for name in (*methods, READ, BARE_READ)}
     spheres = {name: Spheres() for name in methods}
-    _bare_read(scans[0].series)  # so that no measurement includes the decoders' first use
+    _read_barely(scans[0].series)  # so that no measurement includes the decoders' first use
     for scan in scans:
         volumes: list[Volume] = []
-        cpu_s[BARE_READ].append(cpu_of(lambda s=scan: _bare_read(s.series)))  # type: ignore[misc]
-        cpu_s[READ].append(cpu_of(lambda s=scan, v=volumes: v.append(read_series(s.series))))  # type: ignore[misc]
+        cpu_s[BARE_READ].append(measure_cpu_s(lambda s=scan: _read_barely(s.series)))  # type: ignore[misc]
+        cpu_s[READ].append(measure_cpu_s(lambda s=scan, v=volumes: v.append(read_series(s.series))))  # type: ignore[misc]
         for name, method in methods.items():
             results: list[Localization] = []
-            cpu_s[name].append(cpu_of(lambda m=method, v=volumes, r=results: r.append(m(v[0]))))  # type: ignore[misc]
+            cpu_s[name].append(measure_cpu_s(lambda m=method, v=volumes, r=results: r.append(m(v[0]))))  # type: ignore[misc]
             spheres[name].add(results[0], scan.centres_mm)
     limit_mm = math.sqrt(sum(scan.bound_mm**2 for scan in scans) / len(scans))
     figures = [
         figure.at_most(GOAL_CPU_S) if figure.who == OURS else figure
-        for figure in compared(f"CPU per series, {case.name}", "s", cpu_s, BARE_READ)
+        for figure in compare_samples(f"CPU per series, {case.name}", "s", cpu_s, BARE_READ)
     ]
     what = f"3-D error rms, {case.name}"
     for name, one in spheres.items():
@@ -266,7 +266,7 @@ def _figures(case: Case, scans: list[Scan]) -> tuple[list[Figure], Spheres]:
     return figures, mine
 
 
-def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
+def _summarize_families(ours: dict[Case, Spheres]) -> list[Figure]:
     there = sum(one.there for one in ours.values())
     missed, false = sum(one.missed for one in ours.values()), sum(one.false for one in ours.values())
     found = Figure(f"found of {there} spheres, {len(ours)} cases", OURS, 100.0 * (1 - missed / there), "%")
@@ -284,7 +284,7 @@ def _over_all_families(ours: dict[Case, Spheres]) -> list[Figure]:
     return figures
 
 
-def _memory(case: Case, series: Path) -> Figure:
+def _measure_memory(case: Case, series: Path) -> Figure:
     child = subprocess.Popen(
         command("procedures.cli.ct", "localize", str(series), "--json"), stdout=subprocess.DEVNULL
     )
@@ -296,22 +296,22 @@ def _memory(case: Case, series: Path) -> Figure:
     return figure.at_most(GOAL_MEMORY_GB)
 
 
-def _scan(folder: Path, case: Case, seed: int) -> Scan:
+def _make_scan(folder: Path, case: Case, seed: int) -> Scan:
     scan = replace(family_scan(case.family, case.protocol, seed=seed), faults=case.faults)
     scan = scan if case.noise_hu is None else with_noise(scan, case.noise_hu)
     written = write_case(scan.scene, folder, scan=scan)
     truth = json.loads(written.truth.read_text(encoding="utf-8"))
     centres = np.array([fiducial["centre_mm"] for fiducial in truth["fiducials"]])
-    return Scan(written.series, centres, bound_mm(truth), _typical(truth))
+    return Scan(written.series, centres, bound_mm(truth), _typical_ball(truth))
 
 
-def _typical(truth: dict[str, Any]) -> BallScan:
+def _typical_ball(truth: dict[str, Any]) -> BallScan:
     pixel_mm, _, slice_mm = truth["voxel_mm"]
     contrast = float(np.median([fiducial["HU"] - AIR_HU for fiducial in truth["fiducials"]]))
     return BallScan(pixel_mm, slice_mm, truth["noise_HU"], contrast, truth["fiducials"][0]["radius_mm"])
 
 
-def _bare_read(folder: Path) -> NDArray[np.int16]:
+def _read_barely(folder: Path) -> NDArray[np.int16]:
     slices = [pydicom.dcmread(path) for path in sorted(folder.iterdir())]
     slices.sort(key=lambda data: float(data.ImagePositionPatient[2]))
     return np.stack([data.pixel_array for data in slices]).astype(np.int16)

@@ -23,7 +23,7 @@ from procedures.imaging.errors import MarkerCountWrong
 from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS, Purpose
 from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scan import Planes, Scan
-from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
+from sim.phantom.scanner.dicom_series import INTERCEPT_HU, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.rigid import Point
 
@@ -78,7 +78,7 @@ class Count:
         for sphere, centre_mm in enumerate(painted.centres_mm):
             if found is None or not near[sphere].any():
                 self.missed += 1
-                self.lost += [one.reason for one in candidates if _near(one.centre_mm, centre_mm[None])]
+                self.lost += [one.reason for one in candidates if _is_near(one.centre_mm, centre_mm[None])]
                 continue
             marker = found.markers[int(distance[sphere].argmin())]
             error_mm = marker.centre_mm - centre_mm
@@ -86,12 +86,12 @@ class Count:
             self.largest_mm = max(self.largest_mm, float(np.linalg.norm(error_mm)))
             self.chi2.append(float(error_mm @ np.linalg.solve(marker.covariance_mm2, error_mm)))
         for candidate in candidates:
-            if _near(candidate.centre_mm, painted.centres_mm):
+            if _is_near(candidate.centre_mm, painted.centres_mm):
                 self.least_true = min(self.least_true, candidate.odds or 1.0)
-            elif not _near(candidate.centre_mm, painted.cut_mm):
+            elif not _is_near(candidate.centre_mm, painted.cut_mm):
                 self.most_other = max(self.most_other, candidate.odds)
         for centre_mm in centres_mm[~near.any(axis=0)]:
-            if not _near(centre_mm, painted.cut_mm):
+            if not _is_near(centre_mm, painted.cut_mm):
                 self.false += 1
                 self.kinds[_nearest_kind(centre_mm, painted)] += 1
 
@@ -99,12 +99,12 @@ class Count:
 def paint(scan: Scan, margins_mm: Point = MARGINS_MM) -> Painted:
     """Paint a scan of a family within the box around its markers and objects."""
     places = np.array(scan.anatomy.places)
-    grid = _cropped(scan.grid, places.min(axis=0) - margins_mm, places.max(axis=0) + margins_mm)
+    grid = _crop_grid(scan.grid, places.min(axis=0) - margins_mm, places.max(axis=0) + margins_mm)
     slices = Planes(replace(scan, grid=grid))
     with ThreadPoolExecutor(1) as pool:
         slices.paint_patches(pool)
     planes = [
-        stored_values(slices.paint(number), slices.largest_stored).astype(np.int16)
+        to_stored_values(slices.paint(number), slices.largest_stored).astype(np.int16)
         for number in range(grid.slices)
     ]
     x, y, z = grid.origin_mm
@@ -138,7 +138,7 @@ def scans(family: str, protocol: str, volumes: int, seed: int) -> Iterator[Scan]
         yield family_scan(family, protocol, seed=seed + number)
 
 
-def _cropped(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
+def _crop_grid(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
     x, y, z = (grid.indices(axis, float(low_mm[axis]), float(high_mm[axis])) for axis in range(3))
     origin = [
         round(first + part.start * step, ORIGIN_DIGITS)
@@ -155,7 +155,7 @@ def _cropped(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
     )
 
 
-def _near(place_mm: ArrayLike, centres_mm: Array) -> bool:
+def _is_near(place_mm: ArrayLike, centres_mm: Array) -> bool:
     return bool((np.linalg.norm(centres_mm - place_mm, axis=1) < SAME_SPHERE_MM).any())
 
 
@@ -185,16 +185,16 @@ def main() -> None:
             for scan in scans(family, protocol, arguments.volumes, arguments.seed):
                 judge(paint(scan, MARGINS_MM if FAMILIES[family].look_alikes else WHOLE_MM), count)
             if count.volumes:
-                print(_line(family, protocol, count), flush=True)
+                print(_format_line(family, protocol, count), flush=True)
 
 
-def _line(family: str, protocol: str, count: Count) -> str:
+def _format_line(family: str, protocol: str, count: Count) -> str:
     kinds = ", ".join(f"{number} {kind}" for kind, number in count.kinds.most_common())
     chi2 = sum(count.chi2) / (3.0 * max(len(count.chi2), 1))
-    beyond = sum(one > CHI2_99 for one in count.chi2)
+    beyond_99 = sum(one > CHI2_99 for one in count.chi2)
     return (
         f"{family:<12}{protocol:<8}{count.volumes:8}{count.markers:8}{count.missed:7}{count.objects:8}"
-        f"{count.false:6}{count.rms_um:6.1f}{1e3 * count.largest_mm:7.1f}{chi2:8.2f}{beyond:6}"
+        f"{count.false:6}{count.rms_um:6.1f}{1e3 * count.largest_mm:7.1f}{chi2:8.2f}{beyond_99:6}"
         f"{count.least_true:15.3f}{count.most_other:8.3f}  {kinds}; {', '.join(count.lost)}"
     )
 

@@ -16,17 +16,17 @@ from numpy.typing import NDArray
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.plan_model import Plan, PlannedTrajectory
-from procedures.postoperative.comparison import FoundTrajectory, compare
+from procedures.postoperative.comparison import FoundTrajectory, compare_with_plan
 from ronna_hw.errors import RonnaError
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan, draw_scan
 from sim.phantom.scan import Planes, plain_scan
-from sim.phantom.scanner.dicom_series import INTERCEPT_HU, stored_values
+from sim.phantom.scanner.dicom_series import INTERCEPT_HU, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.noise import noise
 from sim.world.options import InstrumentKind
 from sim.world.rigid import rotation_from_vector
 from sim.world.scene.model import CtProtocol, Scene
-from sim.world.scene.named_scenes import MINI_CT, named_scene
+from sim.world.scene.named_scenes import MINI_CT, draw_scene
 
 Array = NDArray[np.float64]
 
@@ -42,17 +42,17 @@ def volume_of(grid: CtGrid, slices: list[NDArray[np.uint16]], uid: str) -> Volum
     return Volume(voxels, geometry, uid, uid)
 
 
-def before(scene: Scene) -> Volume:
+def paint_before(scene: Scene) -> Volume:
     scan = plain_scan(scene)
     planes = Planes(scan)  # without the fine patches of the spheres, which are irrelevant here
-    return volume_of(scan.grid, [stored_values(planes.paint(k)) for k in range(scan.grid.slices)], "1.2.1")
+    return volume_of(scan.grid, [to_stored_values(planes.paint(k)) for k in range(scan.grid.slices)], "1.2.1")
 
 
-def after(scan: PostoperativeScan) -> Volume:
-    return volume_of(scan.grid, [stored_values(scan.paint(k)) for k in range(scan.grid.slices)], "1.2.2")
+def paint_after(scan: PostoperativeScan) -> Volume:
+    return volume_of(scan.grid, [to_stored_values(scan.paint(k)) for k in range(scan.grid.slices)], "1.2.2")
 
 
-def plan_of(scene: Scene) -> Plan:
+def make_plan(scene: Scene) -> Plan:
     trajectories = tuple(
         PlannedTrajectory(
             id=one.identifier, entry_mm=one.entry_ct_mm, target_mm=one.target_ct_mm, margin_mm=one.margin_mm
@@ -75,7 +75,7 @@ def plan_of(scene: Scene) -> Plan:
     )
 
 
-def misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instrument, ...]:
+def draw_misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instrument, ...]:
     generator = noise(seed, "misplaced", 0)
     found = []
     for target in scene.head.targets:
@@ -85,16 +85,20 @@ def misplaced(scene: Scene, kind: InstrumentKind, seed: int) -> tuple[Instrument
     return tuple(found)
 
 
-def errors_of(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
+def compare_instrument(truth: Instrument, found: FoundTrajectory) -> tuple[float, float, float]:
     """Distance of the tips (of the axes for a hole), of the axes at the entry, mm; between the axes, deg."""
     tip, outwards = np.array(truth.tip_mm), np.array(truth.outwards)
-    off = np.subtract(found.entry_mm, tip)
-    at_entry = float(np.linalg.norm(off - (off @ outwards) * outwards))
+    entry_offset_mm = np.subtract(found.entry_mm, tip)
+    at_entry = float(np.linalg.norm(entry_offset_mm - (entry_offset_mm @ outwards) * outwards))
     inner = found.tip_mm if found.tip_mm is not None else found.axis_at_target_mm
-    way = np.subtract(found.entry_mm, inner)
-    off = np.subtract(inner, tip)
-    at_tip = off if found.tip_mm is not None else off - (off @ outwards) * outwards
-    angle = np.arctan2(np.linalg.norm(np.cross(way, outwards)), way @ outwards)
+    offset_mm = np.subtract(found.entry_mm, inner)
+    entry_offset_mm = np.subtract(inner, tip)
+    at_tip = (
+        entry_offset_mm
+        if found.tip_mm is not None
+        else entry_offset_mm - (entry_offset_mm @ outwards) * outwards
+    )
+    angle = np.arctan2(np.linalg.norm(np.cross(offset_mm, outwards)), offset_mm @ outwards)
     return float(np.linalg.norm(at_tip)), at_entry, float(np.degrees(angle))
 
 
@@ -108,29 +112,31 @@ def main() -> None:
         choices=[kind.value for kind in InstrumentKind],
         default=InstrumentKind.ELECTRODE.value,
     )
-    given = options.parse_args()
-    kind = InstrumentKind(given.instrument)
+    arguments = options.parse_args()
+    kind = InstrumentKind(arguments.instrument)
     rows = []
-    for seed in range(given.first, given.first + given.phantoms):
-        scene = named_scene("default", seed=seed, targets=1).model_copy(
-            update={"ct": PROTOCOLS[given.protocol]}
+    for seed in range(arguments.first, arguments.first + arguments.phantoms):
+        scene = draw_scene("default", seed=seed, targets=1).model_copy(
+            update={"ct": PROTOCOLS[arguments.protocol]}
         )
-        left = misplaced(scene, kind, seed)
+        instruments = draw_misplaced(scene, kind, seed)
         try:
-            proof = compare(plan_of(scene), before(scene), after(draw_scan(scene, left, seed)))
+            proof = compare_with_plan(
+                make_plan(scene), paint_before(scene), paint_after(draw_scan(scene, instruments, seed))
+            )
         except RonnaError as refused:
             print(f"{seed} {refused.code} {refused.what}", flush=True)
             continue
-        for one, found in zip(left, proof.trajectories, strict=True):
-            rows.append(errors_of(one, found))
+        for one, found in zip(instruments, proof.trajectories, strict=True):
+            rows.append(compare_instrument(one, found))
             print(seed, *(f"{value:.3f}" for value in rows[-1]), flush=True)
     errors = np.array(rows)
-    print(f"{len(errors)} of {given.phantoms} phantoms: tip mm, entry mm, angle deg")
+    print(f"{len(errors)} of {arguments.phantoms} phantoms: tip mm, entry mm, angle deg")
     for name, share in (("median", 50), ("95 %", 95), ("largest", 100)):
         print(name, *(f"{value:.3f}" for value in np.percentile(errors, share, axis=0)))
     good = (errors[:, :2].max(axis=1) <= GOAL_MM) & (errors[:, 2] <= GOAL_DEG)
     print(f"within {GOAL_MM} mm and {GOAL_DEG} deg: {good.sum()}")
-    sys.exit(0 if good.all() and len(errors) >= given.phantoms else 1)
+    sys.exit(0 if good.all() and len(errors) >= arguments.phantoms else 1)
 
 
 if __name__ == "__main__":

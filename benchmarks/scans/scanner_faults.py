@@ -23,7 +23,7 @@ from benchmarks.scans.look_alikes import SAME_SPHERE_MM, WHOLE_SLICES_MM, Painte
 from procedures.imaging import Localization, localize, read_series
 from procedures.imaging.errors import MarkerCountWrong
 from procedures.imaging.localization import DIAMETER_MM
-from procedures.imaging.scan_faults import jumps, measure_distortion, motion_warnings
+from procedures.imaging.scan_faults import check_motion, estimate_jumps, measure_distortion
 from procedures.registration.point_registration import register
 from ronna_hw.errors import RonnaError
 from sim.phantom.case import write_case
@@ -31,7 +31,7 @@ from sim.phantom.families.catalogue import FAMILIES, PROTOCOLS
 from sim.phantom.families.family_scan import family_scan
 from sim.phantom.scan import Scan, plain_scan
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 Array = NDArray[np.float64]
 
@@ -100,10 +100,10 @@ class Cost:
         """Localize without the expected count."""
         self.volumes += 1
         try:
-            said = motion_warnings(painted.volume.voxels, painted.volume.geometry)
+            said = check_motion(painted.volume.voxels, painted.volume.geometry)
             found = localize(painted.volume)
         except RonnaError as error:
-            self.said.append(_refusal(error))
+            self.said.append(_format_refusal(error))
             if isinstance(error, MarkerCountWrong):
                 self.markers += len(painted.centres_mm)
                 self.missed += len(painted.centres_mm)
@@ -134,10 +134,14 @@ class Cost:
     def row(self, case: Case) -> dict[str, object]:
         said = sorted(set(self.said))
         if not self.squares_mm2:
-            return {"fault": case.words, "options": _options(case), "told": " / ".join(said) or "refused"}
+            return {
+                "fault": case.words,
+                "options": _format_options(case),
+                "told": " / ".join(said) or "refused",
+            }
         return {
             "fault": case.words,
-            "options": _options(case),
+            "options": _format_options(case),
             "volumes": self.volumes,
             "refused": self.refused,
             "markers": self.markers,
@@ -151,7 +155,7 @@ class Cost:
         }
 
 
-def _options(case: Case) -> str:
+def _format_options(case: Case) -> str:
     words = [
         f"--{name.replace('_', '-')}"
         + ("" if value is True else f" {value:g}" if isinstance(value, float) else f" {value}")
@@ -160,11 +164,11 @@ def _options(case: Case) -> str:
     return " ".join(words)
 
 
-def _refusal(error: RonnaError) -> str:
+def _format_refusal(error: RonnaError) -> str:
     return f"{error.code}: {error.summary.partition(';')[0].partition('. ')[0]}"
 
 
-def _scan(case: Case, seed: int) -> Scan:
+def _make_scan(case: Case, seed: int) -> Scan:
     scan = replace(family_scan(FAMILY, PROTOCOL, seed=seed), faults=case.faults)
     if case.slice_mm is not None:
         slices = int(scan.grid.slices * scan.grid.slice_mm / case.slice_mm)
@@ -181,7 +185,7 @@ def measure(case: Case, volumes: int, seed: int) -> dict[str, object]:
     cost = Cost()
     slow = case.faults.beam_hardening > 0.0  # to paint: one volume
     for number in range(1 if slow else volumes):
-        cost.add(paint(_scan(case, seed + number), WHOLE_SLICES_MM))
+        cost.add(paint(_make_scan(case, seed + number), WHOLE_SLICES_MM))
     return cost.row(case)
 
 
@@ -202,16 +206,16 @@ class Quiet:
         """Add a scan."""
         volume = painted.volume
         self.volumes += 1
-        found_jumps = jumps(volume.voxels, volume.geometry)
+        found_jumps = estimate_jumps(volume.voxels, volume.geometry)
         self.across_mm = max(self.across_mm, float(found_jumps.across_mm.max()))
         self.share = max(self.share, float(found_jumps.shares.max()))
         self.backwards = max(self.backwards, -float(found_jumps.runs.min()))
         try:
-            self.told += motion_warnings(volume.voxels, volume.geometry)
+            self.told += check_motion(volume.voxels, volume.geometry)
             found = localize(volume)
         except RonnaError as error:
             if not isinstance(error, MarkerCountWrong):
-                self.told.append(_refusal(error))
+                self.told.append(_format_refusal(error))
             return
         self.told += found.warnings
         distortion = measure_distortion(found.markers, 0.5 * DIAMETER_MM)
@@ -251,14 +255,14 @@ def quiet(volumes: int, seed: int) -> Quiet:
 
 
 def refused(case: Case, seed: int) -> dict[str, object]:
-    scan = replace(plain_scan(named_scene("mini", seed=seed)), faults=case.faults)
+    scan = replace(plain_scan(draw_scene("mini", seed=seed)), faults=case.faults)
     with tempfile.TemporaryDirectory() as folder:
         try:
             read_series(write_case(scan.scene, Path(folder), scan=scan).series)
             said = "read without a warning"
         except RonnaError as error:
             said = f"{error.code}: {error.summary}"
-    return {"fault": case.words, "options": _options(case), "told": said}
+    return {"fault": case.words, "options": _format_options(case), "told": said}
 
 
 def main() -> None:

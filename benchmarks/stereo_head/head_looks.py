@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 
 from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation, ObservationSet, Outline
-from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, self_check_variants
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibration import StereoHeadCalibration
@@ -27,7 +27,7 @@ from ronna_hw.vectors import JointVector
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 
 ENDPOINTS = {
@@ -58,7 +58,7 @@ class TrueHead:
         assert calibration is not None
         return calibration.stereo_head
 
-    def twisted(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
+    def with_twisted_camera(self, side: str, turn_rad: tuple[float, float, float]) -> TrueHead:
         """Rotate one camera of a head in its mount, about its own axes."""
         camera: CameraTruth = getattr(self.scene, side)
         turned = matrix_from(np.zeros(3), rotation_from_vector(turn_rad)) @ matrix_of(camera.camera_from_tool)
@@ -135,7 +135,7 @@ class TrueHead:
 
 
 def true_head(seed: int = 3, **noises: float) -> TrueHead:
-    return TrueHead(named_scene("mini", seed=seed), **noises)
+    return TrueHead(draw_scene("mini", seed=seed), **noises)
 
 
 def observation_set(head: TrueHead, observations) -> ObservationSet:
@@ -151,4 +151,4 @@ def observation_set(head: TrueHead, observations) -> ObservationSet:
 
 def check_looks(reference: Rotation, ball_mm: ArrayLike) -> tuple[PlannedLook, ...]:
     """The orientations of the self-check, if all of them are reachable."""
-    return tuple(check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))
+    return tuple(self_check_variants(reference, ball_mm, number)[0] for number in range(CHECK_ORIENTATIONS))

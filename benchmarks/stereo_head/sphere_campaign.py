@@ -110,9 +110,9 @@ def contour_ellipse(picture: GreyPicture, _radius_px: float) -> Array:
     return np.array([x, y], dtype=float)
 
 
-def triangulated(cameras: tuple[Camera, Camera], centres_px: tuple[Array, Array]) -> Array:
+def triangulate_linearly(cameras: tuple[Camera, Camera], centres_px: tuple[Array, Array]) -> Array:
     """The simple way: outline centres, distortion removed, no perspective bias, linear least squares."""
-    rays = [camera.undistorted(centre)[:, None] for camera, centre in zip(cameras, centres_px, strict=True)]
+    rays = [camera.undistort(centre)[:, None] for camera, centre in zip(cameras, centres_px, strict=True)]
     poses = [np.column_stack([camera.rotation, camera.translation_mm]) for camera in cameras]
     point = cv2.triangulatePoints(poses[0], poses[1], rays[0], rays[1]).ravel()
     return np.asarray(point[:3] / point[3], dtype=float)
@@ -145,7 +145,7 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
     cameras = (Camera(calibration.left, Frame.CAMERA_LEFT), Camera(calibration.right, Frame.CAMERA_RIGHT))
     tally = Tally(others_mm={name: [] for name in OTHERS if others})
     for number, pair in enumerate(studio.pairs(case, count, seed)):
-        outlines = [_measured(view, tally) for view in pair.views]
+        outlines = [_measure_view(view, tally) for view in pair.views]
         if number < others:
             _others(pair, cameras, tally)
         left, right = outlines
@@ -162,7 +162,7 @@ def campaign(studio: Studio, case: Case, count: int, *, seed: int = 3, others: i
     return tally
 
 
-def _measured(view: View, tally: Tally) -> SphereImage | None:
+def _measure_view(view: View, tally: Tally) -> SphereImage | None:
     tally.images += 1
     try:
         found = measure_sphere(view.picture)
@@ -171,13 +171,13 @@ def _measured(view: View, tally: Tally) -> SphereImage | None:
     if found.status is not SphereStatus.OK:
         return None
     tally.trusted += 1
-    return found.shifted(*view.offset_px)
+    return found.with_offset(*view.offset_px)
 
 
 def _others(pair: Pair, cameras: tuple[Camera, Camera], tally: Tally) -> None:
     for name, method in OTHERS.items():
         left, right = (method(view.picture, view.radius_px) + view.offset_px for view in pair.views)
-        error = triangulated(cameras, (left, right)) - pair.centre_mm
+        error = triangulate_linearly(cameras, (left, right)) - pair.centre_mm
         tally.others_mm[name].append(float(np.linalg.norm(error)))
 
 
@@ -238,11 +238,11 @@ def deceive(studio: Studio, case: Case, count: int, *, seed: int = 9) -> Verdict
         if point is None:
             verdicts.none += 1
         else:
-            _judge(point.position_mm, pair, verdicts)
+            _count_verdict(point.position_mm, pair, verdicts)
     return verdicts
 
 
-def _judge(point_mm: np.ndarray, pair: Pair, verdicts: Verdicts) -> None:
+def _count_verdict(point_mm: np.ndarray, pair: Pair, verdicts: Verdicts) -> None:
     if np.linalg.norm(point_mm - pair.centre_mm) <= RIGHT_MM:
         verdicts.right += 1
     elif pair.second_mm is not None and np.linalg.norm(point_mm - pair.second_mm) <= RIGHT_MM:

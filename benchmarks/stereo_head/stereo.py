@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.figures import Figure, compared, cpu_of
+from benchmarks.figures import Figure, compare_samples, measure_cpu_s
 from benchmarks.stereo_head.sphere_campaign import (
     CENTRED,
     DECEIVING,
@@ -45,10 +45,16 @@ POINT_UM = 20.0
 def measure() -> list[Figure]:
     """Cost per image and pair, errors of the campaign, deceptive images, and the servo loop."""
     studio = Studio()
-    return [*_cost(studio), *_accuracy(studio), *_distrust(studio), *_deceived(studio), *_servo()]
+    return [
+        *_measure_cost(studio),
+        *_measure_accuracy(studio),
+        *_measure_distrust(studio),
+        *_measure_deceptive(studio),
+        *_measure_servo(),
+    ]
 
 
-def _cost(studio: Studio) -> list[Figure]:
+def _measure_cost(studio: Studio) -> list[Figure]:
     methods: dict[str, Callable[[Picture, float], Array]] = {
         OURS: lambda picture, _radius: np.array(measure_sphere(picture).centre_px),
         **OTHERS,
@@ -62,14 +68,16 @@ def _cost(studio: Studio) -> list[Figure]:
                 found: list[Array] = []
                 for _ in range(ROUNDS if name == OURS else 1):
                     found.clear()
-                    spent = cpu_of(lambda m=method, v=view, f=found: f.append(m(v.picture, v.radius_px)))  # type: ignore[misc]
+                    spent = measure_cpu_s(
+                        lambda m=method, v=view, f=found: f.append(m(v.picture, v.radius_px))
+                    )  # type: ignore[misc]
                     cpu_s[name].append(spent)
                 errors_px[name].append(float(np.linalg.norm(found[0] - view.true_centre_px)))
-        final_s.append(cpu_of(_pair_work(studio, pair)))
-    servo_s = [cpu_of(_pair_work(studio, pair)) for pair in studio.pairs(SERVO_AREA, SERVO_PAIRS)]
+        final_s.append(measure_cpu_s(_pair_work(studio, pair)))
+    servo_s = [measure_cpu_s(_pair_work(studio, pair)) for pair in studio.pairs(SERVO_AREA, SERVO_PAIRS)]
     all_but_five = float(np.percentile(cpu_s[OURS], 95))
     every = {name: values[:: ROUNDS if name == OURS else 1] for name, values in cpu_s.items()}
-    ours, *rest = compared("CPU per full frame", "ms", every, BASELINE, scale=1e3)
+    ours, *rest = compare_samples("CPU per full frame", "ms", every, BASELINE, scale=1e3)
     return [
         ours.at_most(MEDIAN_MS),
         *rest,
@@ -78,11 +86,11 @@ def _cost(studio: Studio) -> list[Figure]:
         Figure("CPU per pair, full frames", "both and the point", _median_ms(final_s), "ms").at_most(
             FINAL_MS
         ),
-        *compared("error of the outline's centre, median", "px", errors_px, BASELINE),
+        *compare_samples("error of the outline's centre, median", "px", errors_px, BASELINE),
     ]
 
 
-def _accuracy(studio: Studio) -> list[Figure]:
+def _measure_accuracy(studio: Studio) -> list[Figure]:
     figures = []
     for case, count, goal_um in (
         (CENTRED, CENTRED_PAIRS, CENTRED_UM),
@@ -101,12 +109,12 @@ def _accuracy(studio: Studio) -> list[Figure]:
         ]
         honest = Figure(f"error over stated one, chi square, {case.name}", OURS, tally.chi_square, "")
         figures.append(honest.within(*HONEST))
-        given = Figure(f"points given, {case.name}", OURS, 100.0 * len(tally.errors_mm) / count, "%")
-        figures.append(given.at_least(GIVEN_PERCENT))
+        given_share = Figure(f"points given, {case.name}", OURS, 100.0 * len(tally.errors_mm) / count, "%")
+        figures.append(given_share.at_least(GIVEN_PERCENT))
     return figures
 
 
-def _distrust(studio: Studio) -> list[Figure]:
+def _measure_distrust(studio: Studio) -> list[Figure]:
     figures = []
     for case in (HALF_HIDDEN, JUST_HIDDEN):
         tally = campaign(studio, case, OTHER_PAIRS)
@@ -117,7 +125,7 @@ def _distrust(studio: Studio) -> list[Figure]:
     return figures
 
 
-def _deceived(studio: Studio) -> list[Figure]:
+def _measure_deceptive(studio: Studio) -> list[Figure]:
     figures = []
     for case in (*DECEIVING, SPHERE_SIZED_GLARE):
         verdicts = deceive(studio, case, DECEIVING_PAIRS)
@@ -127,7 +135,7 @@ def _deceived(studio: Studio) -> list[Figure]:
     return figures
 
 
-def _servo() -> list[Figure]:
+def _measure_servo() -> list[Figure]:
     who = "the step's loop"
     drawn, exact = servo_campaign(SERVO_STARTS), servo_campaign(EXACT_STARTS, without_arm_errors)
     from_truth = servo_campaign(FROM_TRUTH_STARTS, drawn=False)

@@ -19,7 +19,7 @@ from benchmarks.figures import Figure
 from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import DoesNotFit
-from procedures.calibration.pose_set import calibration_looks
+from procedures.calibration.pose_set import plan_calibration_looks
 from ronna_hw.arm.errors import LimitError
 from sim.world.rigid import rotation_towards
 
@@ -40,12 +40,12 @@ FALSE_ALARMS_PERCENT = 2.0
 
 def measure() -> list[Figure]:
     """Tool centre with a perfect arm but for its repeatability, and with an uncalibrated one; the check."""
-    return [*_tool_centre(), *_check()]
+    return [*_measure_tool_centre(), *_measure_check()]
 
 
-def _tool_centre() -> list[Figure]:
-    ideal = [_calibrated(true_head(seed=seed), seed) for seed in range(HEADS)]
-    drawn = [_calibrated(true_head(seed=seed, with_arm=True), seed) for seed in range(ARMS)]
+def _measure_tool_centre() -> list[Figure]:
+    ideal = [_calibrate(true_head(seed=seed), seed) for seed in range(HEADS)]
+    drawn = [_calibrate(true_head(seed=seed, with_arm=True), seed) for seed in range(ARMS)]
     outlines_px, errors_mm, stated_mm, _ = zip(*ideal, strict=True)
     _, arm_errors_mm, arm_stated_mm, plain = zip(*drawn, strict=True)
     plain_mm = [error for error in plain if error is not None]
@@ -56,21 +56,23 @@ def _tool_centre() -> list[Figure]:
         Figure("calibration: tool centre's error rms, exact arm", OURS, 1e3 * _rms(errors_mm), "µm").at_most(
             IDEAL_UM
         ),
-        _honest("calibration: made over stated error, exact arm", errors_mm, stated_mm),
+        _honesty_figure("calibration: made over stated error, exact arm", errors_mm, stated_mm),
         Figure(what, OURS, 1e3 * _rms(arm_errors_mm), "µm", more={"largest_um": 1e3 * max(arm_errors_mm)}),
         Figure(what, PLAIN, 1e3 * _rms(plain_mm), "µm", more=of_plain),
-        _honest("calibration: made over stated error, uncalibrated arm", arm_errors_mm, arm_stated_mm),
+        _honesty_figure(
+            "calibration: made over stated error, uncalibrated arm", arm_errors_mm, arm_stated_mm
+        ),
     ]
 
 
-def _calibrated(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
+def _calibrate(head: TrueHead, seed: int) -> tuple[float, float, float, float | None]:
     """Outline error (px); error of the tool centre, actual and stated; that of the plain adjustment (mm)
 
     The latter is None if it does not converge, or was not needed.
     """
     generator = np.random.default_rng(seed)
     seen: list[Observation] = []
-    for look in calibration_looks(TOOL_DOWN, BALL_MM, PLANNED):
+    for look in plan_calibration_looks(TOOL_DOWN, BALL_MM, PLANNED):
         try:
             seen.append(head.observe(look, BALL_MM, generator))
         except LimitError:
@@ -89,10 +91,10 @@ def _calibrated(head: TrueHead, seed: int) -> tuple[float, float, float, float |
     )
 
 
-def _check() -> list[Figure]:
+def _measure_check() -> list[Figure]:
     head = true_head()
-    sound = sum(not _passes(head, head, seed) for seed in range(CHECKS))
-    found = sum(not _passes(head, _twisted(head, seed), seed) for seed in range(CHECKS))
+    sound = sum(not _passes_check(head, head, seed) for seed in range(CHECKS))
+    found = sum(not _passes_check(head, _twist_camera(head, seed), seed) for seed in range(CHECKS))
     who, more = "ronna-stereo check", {"checks": float(CHECKS)}
     return [
         Figure("camera turned by 0.01° found", who, 100.0 * found / CHECKS, "%", more=more).at_least(100.0),
@@ -102,17 +104,17 @@ def _check() -> list[Figure]:
     ]
 
 
-def _twisted(head: TrueHead, seed: int) -> TrueHead:
+def _twist_camera(head: TrueHead, seed: int) -> TrueHead:
     """Rotate a camera about an axis perpendicular to its line of sight, a new one each time."""
     angle = 2.0 * np.pi * seed / CHECKS
     turn = (TWIST_RAD * float(np.cos(angle)), TWIST_RAD * float(np.sin(angle)), 0.0)
-    return head.twisted(("left", "right")[seed % 2], turn)
+    return head.with_twisted_camera(("left", "right")[seed % 2], turn)
 
 
-def _passes(before: TrueHead, now: TrueHead, seed: int) -> bool:
+def _passes_check(before: TrueHead, now: TrueHead, seed: int) -> bool:
     generator = np.random.default_rng([seed, 1])
 
-    def visited(head: TrueHead, ball_mm: Array) -> tuple[Observation, ...]:
+    def observe_visits(head: TrueHead, ball_mm: Array) -> tuple[Observation, ...]:
         looks = check_looks(TOOL_DOWN, BALL_MM)
         return tuple(head.observe(look, ball_mm, generator) for look in looks for _ in range(VISITS))
 
@@ -120,16 +122,16 @@ def _passes(before: TrueHead, now: TrueHead, seed: int) -> bool:
         created=datetime.now(UTC),
         stereo_head=before.record,
         arm_variant="kr6_r900_sixx",
-        looks=visited(before, BALL_MM),
+        looks=observe_visits(before, BALL_MM),
     )
     ball = BALL_MM + generator.normal(0.0, BALL_PUT_DOWN_MM, 3)
-    return compare_with_baseline(visited(now, ball), baseline).passed
+    return compare_with_baseline(observe_visits(now, ball), baseline).passed
 
 
 def _rms(values: Sequence[float]) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _honest(what: str, made_mm: Sequence[float], stated_mm: Sequence[float]) -> Figure:
+def _honesty_figure(what: str, made_mm: Sequence[float], stated_mm: Sequence[float]) -> Figure:
     ratio = _rms([made / stated for made, stated in zip(made_mm, stated_mm, strict=True)])
     return Figure(what, OURS, ratio, "").within(*HONEST)

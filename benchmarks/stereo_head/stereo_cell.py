@@ -52,7 +52,7 @@ from sim.world.rigid import (
     rotation_towards,
 )
 from sim.world.scene.model import LinkError, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
 
@@ -104,9 +104,10 @@ class CellArm:
         return SimpleNamespace(number=STEREO_HEAD_NUMBER)
 
     def move_joints(self, target_rad: JointVector, **_more: Any) -> SimpleNamespace:
-        ways = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
+        travels_rad = [new - old for new, old in zip(target_rad, self.joints_rad, strict=True)]
         self.flanks = [
-            float(np.sign(way)) if way else flank for way, flank in zip(ways, self.flanks, strict=True)
+            float(np.sign(travel_rad)) if travel_rad else flank
+            for travel_rad, flank in zip(travels_rad, self.flanks, strict=True)
         ]
         self.joints_rad, self.motions = target_rad, self.motions + 1
         flange = self.truth.at_rest(target_rad, self.flanks, self.motions)
@@ -151,11 +152,11 @@ class CellStereo:
         self.pairs += 1
         stamp = Stamp(self.pairs, self.pairs, self.clock.now_s())
         left, right = (
-            self._image(stamp, camera, serial, settings) for camera, serial, settings in self._cameras
+            self._take_image(stamp, camera, serial, settings) for camera, serial, settings in self._cameras
         )
         return StereoReading(stamp, Validity.OK, left, right)
 
-    def _image(self, stamp: Stamp, camera: Photographer, serial: str, settings: Settings) -> CameraImage:
+    def _take_image(self, stamp: Stamp, camera: Photographer, serial: str, settings: Settings) -> CameraImage:
         drawn = camera.triggered(settings.frame(), self.pairs)
         pixels = np.frombuffer(drawn, np.uint8).reshape(settings.height, settings.width)
         area = AreaOfInterest(settings.offset_x, settings.offset_y, settings.width, settings.height)
@@ -184,7 +185,7 @@ class StereoCell:
         self._home = home
         self._tool_in_flange = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
         self._calibration = calibration
-        self._workcell = _workcell_of(self.arm, self.stereo, calibration, folder)
+        self._workcell = _build_workcell(self.arm, self.stereo, calibration, folder)
         self.centres_mm = apply(
             matrix_of(scene.head.robot_from_ct), [each.centre_ct_mm for each in spheres_in_theatre(scene)]
         )
@@ -204,18 +205,18 @@ class StereoCell:
             outwards = np.array([sphere[0], sphere[1], 0.0])
             orientation = tilt @ rotation_towards((0.0, 0.0, -1.0), outwards)
             nominal = matrix_from(sphere, orientation)
-            if self._in_sight(fiducial, nominal) is in_sight:
+            if self._is_in_sight(fiducial, nominal) is in_sight:
                 break
         # the tool's true position when the controller believes it is on the sphere
-        self._go(nominal)
+        self._move_tool(nominal)
         believed_mm = self.world.robot_from_tool()[:3, 3]
         expected = matrix_from(sphere + offset - (believed_mm - sphere), orientation)
-        return Start(fiducial, _transform(expected), self._joints(expected))
+        return Start(fiducial, _as_transform(expected), self._solve_joints(expected))
 
     def centre(self, start: Start) -> CentredSphere:
         """Run the procedure's own loop onto one sphere."""
         centring = Centring(self._workcell, (1,) * 6, self.scene.servo_area_px, STANDOFF_MM)
-        return centring.onto(start.fiducial, start.expected, start.near_rad)
+        return centring.centre_on(start.fiducial, start.expected, start.near_rad)
 
     def centre_on_truth(self, start: Start) -> CentredSphere:
         """Centre with measurements that equal the truth, without images."""
@@ -229,7 +230,7 @@ class StereoCell:
             return self.centre(start)
 
     def look_from(self, start: Start) -> Look:
-        self._go(start.expected.as_matrix())
+        self._move_tool(start.expected.as_matrix())
         self._workcell.sensors.read_whole()
         return self._workcell.look()
 
@@ -242,19 +243,19 @@ class StereoCell:
         at_rest = self.arm.truth.at_rest(joints_rad, self.arm.flanks, motion)
         return np.asarray((at_rest - self.arm.truth.moving(joints_rad, self.arm.flanks))[:3, 3])
 
-    def _in_sight(self, fiducial: int, tool: Array) -> bool:
-        visit = Visit("start", VisitKind.LOCALIZATION, TRAJECTORY, fiducial, _transform(tool), 0.0)
+    def _is_in_sight(self, fiducial: int, tool: Array) -> bool:
+        visit = Visit("start", VisitKind.LOCALIZATION, TRAJECTORY, fiducial, _as_transform(tool), 0.0)
         return not StereoSight.of(self._calibration).unmet([visit], self.centres_mm)
 
-    def _go(self, tool: Array) -> None:
-        self.arm.move_joints(self._joints(tool))
+    def _move_tool(self, tool: Array) -> None:
+        self.arm.move_joints(self._solve_joints(tool))
 
-    def _joints(self, tool: Array) -> JointVector:
-        flange = Pose.from_transform(_transform(tool) @ self._tool_in_flange.inverse())
+    def _solve_joints(self, tool: Array) -> JointVector:
+        flange = Pose.from_transform(_as_transform(tool) @ self._tool_in_flange.inverse())
         return self.kinematics.solve_branch(flange, self.kinematics.branch_of(self._home), self._home)
 
 
-def _workcell_of(
+def _build_workcell(
     arm: CellArm, stereo: CellStereo, calibration: StereoHeadCalibration, folder: Path
 ) -> Workcell:
     """The procedure's workcell over these devices, its journal in the folder."""
@@ -277,7 +278,7 @@ def _workcell_of(
     return workcell
 
 
-def _transform(matrix: Array) -> Transform:
+def _as_transform(matrix: Array) -> Transform:
     pose = pose_of(matrix)
     return Transform.of(
         Frame.ROBOT, Frame.TOOL, translation_mm=pose.translation_mm, quaternion_wxyz=pose.quaternion_wxyz
@@ -325,7 +326,7 @@ def servo_campaign(
     tally = ServoTally()
     with tempfile.TemporaryDirectory(prefix="ronna-servo-") as folder:
         for number in range(-(-starts // STARTS_PER_CELL)):
-            scene = scene_of(named_scene("default", seed=first_seed + number))
+            scene = scene_of(draw_scene("default", seed=first_seed + number))
             count = min(STARTS_PER_CELL, starts - tally.starts)
             cell = calibrated_cell(scene, Path(folder))
             generator = np.random.default_rng([PLACES_SEED, first_seed + number])

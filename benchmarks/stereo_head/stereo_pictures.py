@@ -23,7 +23,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.world.noise import noise
 from sim.world.rigid import matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 Array = NDArray[np.float64]
 Picture = NDArray[np.uint8]
@@ -90,7 +90,7 @@ class Pair:
 
 @dataclass(frozen=True)
 class Studio:
-    scene: Scene = field(default_factory=lambda: named_scene("default", seed=SCENE_SEED))
+    scene: Scene = field(default_factory=lambda: draw_scene("default", seed=SCENE_SEED))
 
     def pairs(self, case: Case, count: int, seed: int = PLACES_SEED) -> Iterator[Pair]:
         """Pairs of a case, lazily: a full frame of each would be too much to keep."""
@@ -100,20 +100,20 @@ class Studio:
         for number in range(count):
             place = generator.uniform(-case.reach_mm, case.reach_mm, 3) + np.array([0.0, 0.0, case.deeper_mm])
             post = np.array([*generator.uniform(-case.tilt, case.tilt, 2), -1.0])
-            stains = self._stains(case, number, generator)
-            second = _second(case, place, generator)
+            stains = self._draw_stains(case, number, generator)
+            second = _draw_second_centre(case, place, generator)
             views = []
             for camera, optic in zip(cameras, optics, strict=True):
                 lost, direction = generator.uniform(*case.rim_lost), generator.uniform(0.0, 2.0 * np.pi)
                 disturbance = Disturbance(
                     stains=((number % FILMS, stains),) if stains else (),
                     occluders=(Occluder(lost, direction),) if lost else (),
-                    glares=_glares(case, camera, generator),
+                    glares=_draw_glares(case, camera, generator),
                 )
-                spheres = [_seen(camera, place, post, number % FILMS)]
+                spheres = [_sphere_in_camera(camera, place, post, number % FILMS)]
                 if second is not None:
-                    spheres.append(_seen(camera, second, post, FILMS))
-                views.append(self._view(camera, optic, spheres, disturbance, case, number))
+                    spheres.append(_sphere_in_camera(camera, second, post, FILMS))
+                views.append(self._draw_view(camera, optic, spheres, disturbance, case, number))
             yield Pair(views[0], views[1], place, second)
 
     def calibration(self) -> StereoHeadCalibration:
@@ -142,7 +142,7 @@ class Studio:
             right=right,
         )
 
-    def _stains(self, case: Case, number: int, generator: np.random.Generator) -> tuple[Stain, ...]:
+    def _draw_stains(self, case: Case, number: int, generator: np.random.Generator) -> tuple[Stain, ...]:
         stains = draw_stains(number, number % FILMS, case.stained) if case.stained else ()
         if case.blot_rad == NONE:
             return stains
@@ -152,7 +152,7 @@ class Studio:
         towards = (float(x) / length, float(y) / length, abs(float(z)) / length)
         return (*stains, Stain(towards, float(generator.uniform(*case.blot_rad))))
 
-    def _view(
+    def _draw_view(
         self,
         camera: CameraTruth,
         optics: Optics,
@@ -186,7 +186,7 @@ def true_outline(lens: Lens, sphere: Sphere) -> tuple[Array, float]:
     return middle + centre, float(np.hypot(x - centre[0], y - centre[1]).mean())
 
 
-def _second(case: Case, place_mm: Array, generator: np.random.Generator) -> Array | None:
+def _draw_second_centre(case: Case, place_mm: Array, generator: np.random.Generator) -> Array | None:
     if case.second_mm == NONE:
         return None
     away, direction = generator.uniform(*case.second_mm), generator.uniform(0.0, 2.0 * np.pi)
@@ -194,7 +194,7 @@ def _second(case: Case, place_mm: Array, generator: np.random.Generator) -> Arra
     return place_mm + np.array([away * np.cos(direction), away * np.sin(direction), deeper])
 
 
-def _glares(case: Case, camera: CameraTruth, generator: np.random.Generator) -> tuple[Glare, ...]:
+def _draw_glares(case: Case, camera: CameraTruth, generator: np.random.Generator) -> tuple[Glare, ...]:
     if case.glare_px == NONE:
         return ()
     columns, rows = camera.sensor_px
@@ -207,7 +207,7 @@ def _glares(case: Case, camera: CameraTruth, generator: np.random.Generator) -> 
     )
 
 
-def _seen(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> Sphere:
+def _sphere_in_camera(camera: CameraTruth, place_mm: Array, post: Array, number: int) -> Sphere:
     pose = matrix_of(camera.camera_from_tool)
     rotation = pose[:3, :3] @ rotation_towards(tuple(post), (1.0, 0.0, 0.0))
     return Sphere(pose[:3, :3] @ place_mm + pose[:3, 3], RADIUS_MM, rotation, number)

@@ -50,16 +50,16 @@ def measure() -> list[Figure]:
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
         job = json.dumps({"addresses": addresses, "pairs": PAIRS_PER_ROUND, "packet_bytes": PACKET_BYTES})
-        clients = _clients()
+        clients = _list_clients()
         for _ in range(ROUNDS):
             for who, line in clients.items():
-                came = _round([*line, job])
-                if came is not None:
-                    measured.setdefault(who, []).append(came)
-    return [*_figures(measured), _drawing()]
+                received = _run_round([*line, job])
+                if received is not None:
+                    measured.setdefault(who, []).append(received)
+    return [*_make_figures(measured), _measure_drawing()]
 
 
-def _clients() -> dict[str, list[str]]:
+def _list_clients() -> dict[str, list[str]]:
     """Command lines by client; Aravis only if installed."""
     clients = {OURS: [sys.executable, str(PEERS / "our_stream.py")]}
     if Path(SYSTEM_PYTHON).exists():
@@ -69,20 +69,20 @@ def _clients() -> dict[str, list[str]]:
     return clients
 
 
-def _round(line: list[str]) -> Sums | None:
+def _run_round(line: list[str]) -> Sums | None:
     """A client's report on one round, and the kernel's drops in the meantime; None if it did not run."""
-    dropped = _kernel_drops()
+    dropped = _count_kernel_drops()
     try:
         ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)
     except (FileNotFoundError, subprocess.TimeoutExpired):
         return None
     if ended.returncode:
         return None
-    came: dict[str, Any] = json.loads(ended.stdout)
-    return {**came, "kernel": _kernel_drops() - dropped}
+    received: dict[str, Any] = json.loads(ended.stdout)
+    return {**received, "kernel": _count_kernel_drops() - dropped}
 
 
-def _kernel_drops() -> int:
+def _count_kernel_drops() -> int:
     """Datagrams that found the socket full, on this machine since boot."""
     names, values = (
         line.split() for line in Path("/proc/net/snmp").read_text().splitlines() if line.startswith("Udp:")
@@ -90,9 +90,9 @@ def _kernel_drops() -> int:
     return int(dict(zip(names, values, strict=True))["RcvbufErrors"])
 
 
-def _figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
+def _make_figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
     for who, rounds in measured.items():
-        total, pairs = _sums(rounds), len(rounds) * PAIRS_PER_ROUND
+        total, pairs = _add_rounds(rounds), len(rounds) * PAIRS_PER_ROUND
         ours = who.startswith(OURS)
         peer = who.replace(OURS, ARAVIS)
         rate = Figure("pairs per second, full frames", who, pairs / total["seconds"], "1/s")
@@ -103,31 +103,31 @@ def _figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
             rate = replace(rate, goal=f"{FULL_RATE_HZ:g}", met=rate.value >= goal_hz)
             cpu = replace(cpu, more={"receiver process": total["receiver_cpu_s"] / pairs * 1e3})
             if peer in measured:
-                theirs, their_pairs = _sums(measured[peer]), len(measured[peer]) * PAIRS_PER_ROUND
+                theirs, their_pairs = _add_rounds(measured[peer]), len(measured[peer]) * PAIRS_PER_ROUND
                 their_hz, their_ms = their_pairs / theirs["seconds"], theirs["cpu_s"] / their_pairs * 1e3
                 rate = replace(rate, ratio=rate.value / their_hz, baseline=peer)
                 cpu = replace(cpu, ratio=cpu_ms / their_ms, baseline=peer)
         yield rate
-        gone = total.get("lost", 0.0) + total["broken"]
-        loss = Figure(f"images lost or broken in {pairs:,} pairs", who, gone, "images")
-        yield replace(loss, goal="none", met=gone == 0) if ours else loss
+        lost_frames = total.get("lost", 0.0) + total["broken"]
+        loss = Figure(f"images lost or broken in {pairs:,} pairs", who, lost_frames, "images")
+        yield replace(loss, goal="none", met=lost_frames == 0) if ours else loss
         yield Figure(f"packets or ranges requested again in {pairs:,} pairs", who, total["repeated"], "")
         yield Figure(f"datagrams dropped at a full socket in {pairs:,} pairs", who, total["kernel"], "")
         yield cpu
 
 
-def _sums(rounds: list[Sums]) -> Sums:
+def _add_rounds(rounds: list[Sums]) -> Sums:
     return {name: sum(each[name] for each in rounds) for name in rounds[0]}
 
 
-def _drawing() -> Figure:
+def _measure_drawing() -> Figure:
     from sim.basler.camera.photographer import Photographer
     from sim.basler.optics.canvas import Area
     from sim.basler.settings import Settings
-    from sim.world.scene.named_scenes import named_scene
+    from sim.world.scene.named_scenes import draw_scene
     from sim.world.world import World
 
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     photographer = Photographer(World.create(scene, paced=False), scene.left)
     frame = replace(Settings().frame(), area=Area(512, 32, SERVO_AREA_PX, SERVO_AREA_PX))
     spent_ms = []

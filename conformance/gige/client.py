@@ -69,11 +69,11 @@ class GigeLink:
         self._last = datagram
         for _ in range(TRIES):
             self._socket.send(datagram)
-            if (answer := self._answer(self._request_id)) is not None:
+            if (answer := self._receive_reply(self._request_id)) is not None:
                 return answer
         raise Nonconformity(f"expected an answer from {self.address} to command 0x{command:04X}, got none")
 
-    def silent_after(self, datagram: bytes) -> bool:
+    def is_silent_after(self, datagram: bytes) -> bool:
         """Send a datagram and test whether nothing comes back."""
         self._socket.send(datagram)
         self._socket.settimeout(SILENCE_S)
@@ -91,7 +91,7 @@ class GigeLink:
         check(answer.payload[:4] == struct.pack(">I", address), "the address in the answer")
         return answer.payload[4:]
 
-    def registers(self, *addresses: int) -> list[int]:
+    def read_registers(self, *addresses: int) -> list[int]:
         """Read registers in one command."""
         answer = self.exchange(GvcpCommand.READREG, struct.pack(f">{len(addresses)}I", *addresses))
         self.expect(answer, GevStatus.SUCCESS, f"reading {len(addresses)} register(s)")
@@ -109,7 +109,7 @@ class GigeLink:
     def repeat_last(self) -> bool:
         """Send the last command again, like a client after a lost answer; returns whether it is answered."""
         self._socket.send(self._last)
-        return self._answer(self._request_id) is not None
+        return self._receive_reply(self._request_id) is not None
 
     def send(self, command: int, payload: bytes) -> None:
         """Send a command without the acknowledge flag."""
@@ -127,7 +127,7 @@ class GigeLink:
         """Raise Nonconformity unless the answer has this status."""
         check(answer.status == status, f"{what}: status 0x{status:04X}", f"0x{answer.status:04X}")
 
-    def _answer(self, request_id: int) -> Reply | None:
+    def _receive_reply(self, request_id: int) -> Reply | None:
         deadline_s = time.monotonic() + ANSWER_LIMIT_S
         while (remaining_s := deadline_s - time.monotonic()) > 0:
             self._socket.settimeout(remaining_s)
@@ -136,10 +136,10 @@ class GigeLink:
             except (TimeoutError, ConnectionRefusedError):
                 return None
             check(len(datagram) >= 8, "a header of 8 bytes", len(datagram))
-            status, code, length, came_id = struct.unpack_from(">HHHH", datagram)
-            if came_id == request_id and code != GvcpCommand.PENDING_ACK:
+            status, code, length, reply_id = struct.unpack_from(">HHHH", datagram)
+            if reply_id == request_id and code != GvcpCommand.PENDING_ACK:
                 check(len(datagram) == 8 + length, f"{length} bytes, as the header says", len(datagram) - 8)
-                return Reply(status, code, came_id, datagram[8:])
+                return Reply(status, code, reply_id, datagram[8:])
         return None
 
 
@@ -152,7 +152,7 @@ def cameras(dut: DeviceUnderTest) -> Iterator[GigeLink]:
 
 
 @contextmanager
-def controlled(link: GigeLink) -> Iterator[GigeLink]:
+def camera_control(link: GigeLink) -> Iterator[GigeLink]:
     """Take control of a camera; released after the block."""
     GigeLink.expect(Reply(link.write(Bootstrap.CCP, CCP_CONTROL), 0, 0, b""), GevStatus.SUCCESS, "control")
     try:
@@ -207,7 +207,7 @@ class GigeFeatures:
     @read_as("an entry with an integer value")
     def entry(self, name: str, entry: str) -> int:
         """Return the value of an enumeration's entry."""
-        for child in self._node(name):
+        for child in self._find_node(name):
             if _kind(child) == "EnumEntry" and child.get("Name") == entry:
                 return int(_text(child, "Value") or "0", 0)
         raise NotShown(f"{name} has no entry {entry}")
@@ -215,8 +215,8 @@ class GigeFeatures:
     @read_as("a register of a number")
     def get(self, name: str) -> int | float:
         """Read a feature."""
-        register = self._register(name)
-        data = self._link.memory(self._address(register), self._length(register))
+        register = self._find_register(name)
+        data = self._link.memory(self._register_address(register), self._register_length(register))
         if _kind(register) == "FloatReg":
             return float(struct.unpack(">f" if len(data) == 4 else ">d", data)[0])
         return int.from_bytes(data, "big")
@@ -228,7 +228,7 @@ class GigeFeatures:
     @read_as("an integer limit")
     def limit(self, name: str, which: str) -> int:
         """Read the present `Min`, `Max` or `Inc` of a feature."""
-        node = self._node(name)
+        node = self._find_node(name)
         if (own := _text(node, which)) is not None:
             return int(float(own))
         other = _text(node, f"p{which}")
@@ -239,13 +239,13 @@ class GigeFeatures:
     @read_as("a register that has room for the value")
     def write(self, name: str, value: int | float) -> int:
         """Set a feature; returns the status."""
-        register = self._register(name)
-        length = self._length(register)
+        register = self._find_register(name)
+        length = self._register_length(register)
         if _kind(register) == "FloatReg":
             data = struct.pack(">f" if length == 4 else ">d", value)
         else:
             data = int(value).to_bytes(length, "big", signed=value < 0)
-        return self._link.write_memory(self._address(register), data)
+        return self._link.write_memory(self._register_address(register), data)
 
     def set(self, name: str, value: int | float | str) -> None:
         """Set a feature, an enumeration by its entry; raises Nonconformity when the camera refuses."""
@@ -262,8 +262,8 @@ class GigeFeatures:
     @read_as("a register and an integer command value")
     def command(self, name: str) -> tuple[int, int]:
         """Return the register and value that execute a command."""
-        value = int(_text(self._node(name), "CommandValue") or "1", 0)
-        return self._address(self._register(name)), value
+        value = int(_text(self._find_node(name), "CommandValue") or "1", 0)
+        return self._register_address(self._find_register(name)), value
 
     @read_as("integer addresses")
     def addresses(self) -> list[int]:
@@ -280,26 +280,26 @@ class GigeFeatures:
             and _text(node, "pPort") not in events
         ]
 
-    def _node(self, name: str) -> Element:
+    def _find_node(self, name: str) -> Element:
         if name not in self.nodes:
             raise NotShown(f"the camera has no feature {name}")
         return self.nodes[name]
 
-    def _register(self, name: str) -> Element:
-        node = self._node(name)
+    def _find_register(self, name: str) -> Element:
+        node = self._find_node(name)
         for _ in range(DEPTH_LIMIT):
             if _text(node, "Address") is not None and _text(node, "pIndex") is None:
                 return node
             below = _text(node, "pValue")
             if below is None or _kind(node) not in ("Integer", "Float", "Enumeration", "Boolean", "Command"):
                 break
-            node = self._node(below)
+            node = self._find_node(below)
         raise NotShown(f"{name} does not lead to one fixed register")
 
-    def _address(self, register: Element) -> int:
+    def _register_address(self, register: Element) -> int:
         return int(_text(register, "Address") or "", 0)
 
-    def _length(self, register: Element) -> int:
+    def _register_length(self, register: Element) -> int:
         length = int(_text(register, "Length") or "4", 0)
         check(0 < length <= PIECE_BYTES, f"a register of 1 to {PIECE_BYTES} bytes", length)
         return length

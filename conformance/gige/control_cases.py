@@ -13,7 +13,7 @@ from typing import Protocol, runtime_checkable
 
 from conformance.case import HOST_TIME, CaseList, NotShown, check
 from conformance.device_under_test import DeviceUnderTest
-from conformance.gige.client import GigeFeatures, GigeLink, cameras, controlled
+from conformance.gige.client import GigeFeatures, GigeLink, camera_control, cameras
 from conformance.gige.stream import GigeStream, start_acquisition
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.sensors import StereoPair
@@ -63,14 +63,14 @@ def discovery_is_bootstrap_memory(camera: GigeLink) -> None:
 
 @on_camera("G03", "discovery is answered while another application has control")
 def discovery_beside_a_controller(camera: GigeLink) -> None:
-    with controlled(camera), GigeLink(camera.address) as other:
+    with camera_control(camera), GigeLink(camera.address) as other:
         other.expect(other.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery")
 
 
 @on_camera("G04", "datagrams that are not commands get no answer")
 def invalid_datagrams(camera: GigeLink) -> None:
     for datagram in (b"", b"\x42\x01\x00", struct.pack(">BBHHH", GVCP_KEY + 1, 1, 2, 0, 9)):
-        check(camera.silent_after(datagram), "no answer to a datagram that is not a command")
+        check(camera.is_silent_after(datagram), "no answer to a datagram that is not a command")
     camera.expect(camera.exchange(GvcpCommand.DISCOVERY), GevStatus.SUCCESS, "discovery afterwards")
 
 
@@ -81,14 +81,14 @@ def unknown_commands(camera: GigeLink) -> None:
     answer = camera.exchange(UNKNOWN_COMMAND)
     camera.expect(answer, GevStatus.NOT_IMPLEMENTED, "an unknown command")
     quiet = struct.pack(">BBHHHI", GVCP_KEY, 0, GvcpCommand.READREG, 4, 77, Bootstrap.VERSION)
-    check(camera.silent_after(quiet), "no answer without the acknowledge flag")
+    check(camera.is_silent_after(quiet), "no answer without the acknowledge flag")
 
 
 @on_camera("G06", "several registers can be read in one command, in order")
 def registers_in_order(camera: GigeLink) -> None:
     wanted = (Bootstrap.TICK_FREQUENCY_LOW, Bootstrap.CCP, Bootstrap.VERSION)
-    single = [camera.registers(address)[0] for address in wanted]
-    check(camera.registers(*wanted) == single, f"the values {single}", camera.registers(*wanted))
+    single = [camera.read_registers(address)[0] for address in wanted]
+    check(camera.read_registers(*wanted) == single, f"the values {single}", camera.read_registers(*wanted))
 
 
 @on_camera("G07", "memory can be read in blocks of up to 536 bytes, at multiples of 4")
@@ -101,7 +101,7 @@ def memory_pieces(camera: GigeLink) -> None:
 @on_camera("G08", "nonexistent addresses are invalid, for reading and writing")
 def absent_addresses(camera: GigeLink) -> None:
     absent = struct.pack(">I", ABSENT_ADDRESS)
-    with controlled(camera):
+    with camera_control(camera):
         for command, payload in (
             (GvcpCommand.READREG, absent),
             (GvcpCommand.READMEM, absent + struct.pack(">HH", 0, 4)),
@@ -114,7 +114,7 @@ def absent_addresses(camera: GigeLink) -> None:
 
 @on_camera("G09", "read-only registers are write-protected")
 def read_only_registers(camera: GigeLink) -> None:
-    with controlled(camera):
+    with camera_control(camera):
         status = camera.write(Bootstrap.VERSION, 0)
         check(status == GevStatus.WRITE_PROTECT, "write protect", hex(status))
 
@@ -130,18 +130,18 @@ def no_write_without_control(camera: GigeLink) -> None:
 
 @on_camera("G12", "a second application is refused control, but may read")
 def second_applicant(camera: GigeLink) -> None:
-    with controlled(camera), GigeLink(camera.address) as other:
+    with camera_control(camera), GigeLink(camera.address) as other:
         status = other.write(Bootstrap.CCP, CCP_CONTROL)
         check(status == GevStatus.ACCESS_DENIED, "access denied", hex(status))
-        check(other.registers(Bootstrap.CCP) == [CCP_CONTROL], "control of the first application")
+        check(other.read_registers(Bootstrap.CCP) == [CCP_CONTROL], "control of the first application")
 
 
 @on_camera("G16", "a heartbeat time-out below the minimum is raised to the minimum")
 def shortest_heartbeat(camera: GigeLink) -> None:
-    with controlled(camera):
-        (before,) = camera.registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
+    with camera_control(camera):
+        (before,) = camera.read_registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
         camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS // 5)
-        (found,) = camera.registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
+        (found,) = camera.read_registers(Bootstrap.HEARTBEAT_TIMEOUT_MS)
         camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, before)
         check(found == HEARTBEAT_MINIMUM_MS, f"{HEARTBEAT_MINIMUM_MS} ms", found)
 
@@ -204,22 +204,22 @@ def broadcast_discovery(camera: GigeLink) -> None:
 @on_camera("G11", "the first failure of several writes ends the command, with its index")
 def several_writes(camera: GigeLink) -> None:
     pairs = ((Bootstrap.SCPD, 7), (Bootstrap.VERSION, 1), (Bootstrap.SCPD, 9))
-    with controlled(camera):
-        (before,) = camera.registers(Bootstrap.SCPD)
+    with camera_control(camera):
+        (before,) = camera.read_registers(Bootstrap.SCPD)
         payload = b"".join(struct.pack(">II", *pair) for pair in pairs)
         answer = camera.exchange(GvcpCommand.WRITEREG, payload)
         camera.expect(answer, GevStatus.WRITE_PROTECT, "the second of three writes")
         index = struct.unpack(">HH", answer.payload)[1] if len(answer.payload) == 4 else None
         check(index == 1, "index 1", index)
-        check(camera.registers(Bootstrap.SCPD) == [7], "only the first write carried out")
+        check(camera.read_registers(Bootstrap.SCPD) == [7], "only the first write carried out")
         camera.write(Bootstrap.SCPD, before)
 
 
 @on_camera("G13", "others may read under control access, but not under exclusive access")
 def exclusive_access(camera: GigeLink) -> None:
     with GigeLink(camera.address) as other:
-        with controlled(camera):
-            check(other.registers(Bootstrap.VERSION) != [], "a value for another reader")
+        with camera_control(camera):
+            check(other.read_registers(Bootstrap.VERSION) != [], "a value for another reader")
         check(camera.write(Bootstrap.CCP, CCP_EXCLUSIVE) == GevStatus.SUCCESS, "exclusive access")
         try:
             answer = other.exchange(GvcpCommand.READREG, struct.pack(">I", Bootstrap.VERSION))
@@ -230,12 +230,12 @@ def exclusive_access(camera: GigeLink) -> None:
 
 @on_camera("G14", "every command of the controller restarts the heartbeat timer", needs=(HOST_TIME,))
 def every_command_is_life(camera: GigeLink) -> None:
-    with controlled(camera):
+    with camera_control(camera):
         camera.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
         for _ in range(BEATS):
             time.sleep(BEAT_S)
-            camera.registers(Bootstrap.VERSION)
-        check(camera.registers(Bootstrap.CCP) == [CCP_CONTROL], "control, kept by reading")
+            camera.read_registers(Bootstrap.VERSION)
+        check(camera.read_registers(Bootstrap.CCP) == [CCP_CONTROL], "control, kept by reading")
 
 
 @on_camera(
@@ -245,21 +245,21 @@ def silence_ends_control(camera: GigeLink) -> None:
     limit_s = HEARTBEAT_MINIMUM_MS / 1000.0
     with GigeLink(camera.address) as silent, GigeStream(silent) as stream:
         check(silent.write(Bootstrap.CCP, CCP_CONTROL) == GevStatus.SUCCESS, "control")
-        stream.small_frames(TriggerMode="Off")
+        stream.configure_small_frames(TriggerMode="Off")
         stream.open_channel()
         start_acquisition(stream).frame()
         silent.write(Bootstrap.HEARTBEAT_TIMEOUT_MS, HEARTBEAT_MINIMUM_MS)
         began_s = time.monotonic()
-        while camera.registers(Bootstrap.CCP) != [CCP_OPEN]:
+        while camera.read_registers(Bootstrap.CCP) != [CCP_OPEN]:
             waited_s = time.monotonic() - began_s
             latest_s = limit_s * (1 + HEARTBEAT_SLACK) + BUSY_S
             check(waited_s < latest_s, f"release after {limit_s} s", waited_s)
             time.sleep(POLL_S)
         waited_s = time.monotonic() - began_s
         check(waited_s > limit_s * (1 - HEARTBEAT_SLACK), f"control for {limit_s} s", waited_s)
-        check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
-        stream.last_packets()
-    with controlled(camera), GigeStream(camera) as after:
+        check(camera.read_registers(Bootstrap.SCP) == [0], "the channel closed")
+        stream.drain_packets()
+    with camera_control(camera), GigeStream(camera) as after:
         after.open_channel()
         check(after.silent(), "no acquisition without its controller")
         after.features.execute("UserSetLoad")

@@ -9,8 +9,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 
-from conformance.case import check, present, read_as
-from conformance.gige.client import GigeFeatures, GigeLink, controlled
+from conformance.case import check, read_as, require_present
+from conformance.gige.client import GigeFeatures, GigeLink, camera_control
 from ronna_hw.wire.gige_vision import TIMESTAMP_LATCH, Bootstrap, GvcpCommand
 
 FRAME_LIMIT_S = 10.0  # for an image; a busy computer may draw it slowly
@@ -65,7 +65,7 @@ class GigeStream:
     def latch_ticks(self) -> int:
         """Read the camera's present tick count."""
         self.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_LATCH)
-        high, low = self.link.registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
+        high, low = self.link.read_registers(Bootstrap.TIMESTAMP_HIGH, Bootstrap.TIMESTAMP_LOW)
         return high << 32 | low
 
     @property
@@ -84,7 +84,7 @@ class GigeStream:
         self.link.write(Bootstrap.SCP, self.port)
         self.link.write(Bootstrap.SCPS, PACKET_BYTES)
 
-    def small_frames(self, **choices: int | str) -> None:
+    def configure_small_frames(self, **choices: int | str) -> None:
         """Apply known settings: power-on values, a small area, software triggers, then `choices`."""
         features = self.features
         features.execute("AcquisitionStop")
@@ -128,14 +128,14 @@ class GigeStream:
         deadline_s = time.monotonic() + FRAME_LIMIT_S
         while not found or found[-1].kind != TRAILER:
             packet = self.packet(max(0.001, deadline_s - time.monotonic()))
-            found.append(present(packet, "a whole image", f"{len(found)} packets"))
+            found.append(require_present(packet, "a whole image", f"{len(found)} packets"))
         return found
 
     def silent(self) -> bool:
         """Test whether no packet arrives for `SILENCE_S`."""
         return self.datagram(SILENCE_S) is None
 
-    def last_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
+    def drain_packets(self, silence_s: float = SILENCE_S) -> list[Packet]:
         """Receive packets until none arrives for this long; raises Nonconformity if they do not end."""
         found: list[Packet] = []
         deadline_s = time.monotonic() + FRAME_LIMIT_S
@@ -149,7 +149,7 @@ class GigeStream:
         self.link.send(GvcpCommand.PACKETRESEND, struct.pack(">HHII", 0, block_id, first, last))
 
 
-def leader_of(frame: list[Packet]) -> Leader:
+def require_leader(frame: list[Packet]) -> Leader:
     """Return the leader of a frame, which must be its first packet."""
     check(frame[0].kind == LEADER and frame[0].packet_id == 0, "the leader first", frame[0].kind)
     return decode_leader(frame[0])
@@ -167,10 +167,10 @@ def decode_leader(packet: Packet) -> Leader:
 @contextmanager
 def controlled_stream(link: GigeLink) -> Iterator[GigeStream]:
     """Stream of a controlled camera with small frames; leaves the camera with power-on settings."""
-    with controlled(link):
+    with camera_control(link):
         stream = GigeStream(link)
         try:
-            stream.small_frames()
+            stream.configure_small_frames()
             stream.open_channel()
             yield stream
         finally:

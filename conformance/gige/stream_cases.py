@@ -5,7 +5,7 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 
-from conformance.case import HOST_TIME, CaseList, NotShown, check, present
+from conformance.case import HOST_TIME, CaseList, NotShown, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.gige.client import GigeLink, cameras
 from conformance.gige.stream import (
@@ -19,7 +19,7 @@ from conformance.gige.stream import (
     Packet,
     controlled_stream,
     decode_leader,
-    leader_of,
+    require_leader,
     start_acquisition,
 )
 from ronna_hw.wire.gige_vision import (
@@ -127,8 +127,8 @@ def long_exposures_lower_the_rate(stream: GigeStream) -> None:
     most = 1e6 / RATE_LIMITING_EXPOSURE_US
     check(0 < found <= most * (1 + RATE_SLACK), f"at most {most:g} frames/s", found)
     start_acquisition(stream)
-    before, after = (leader_of(stream.frame()).ticks for _ in range(2))
-    high, low = stream.link.registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
+    before, after = (require_leader(stream.frame()).ticks for _ in range(2))
+    high, low = stream.link.read_registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
     rate = (high << 32 | low) / (after - before)
     check(rate <= most * (1 + RATE_SLACK), f"images at no more than {most:g} frames/s", f"{rate:.1f}")
 
@@ -139,7 +139,7 @@ def default_user_set(stream: GigeStream) -> None:
     features.execute("UserSetLoad")
     names = ("Width", "Height", "OffsetX", "PixelFormat", "GainRaw", "TriggerMode", "ExposureTimeRaw")
     before = {name: features.get(name) for name in names if features.has(name)}
-    stream.small_frames(PixelFormat="Mono12", GainRaw=features.limit("GainRaw", "Max"))
+    stream.configure_small_frames(PixelFormat="Mono12", GainRaw=features.limit("GainRaw", "Max"))
     features.execute("UserSetLoad")
     after = {name: features.get(name) for name in before}
     check(after == before, f"the values {before}", after)
@@ -156,7 +156,7 @@ LATE_S = 1.5  # time limit for an image with such an exposure
 DEVICE_KEY, GROUP_KEY, GROUP_MASK = 0x1234_5678, 3, 2
 
 
-def frames(stream: GigeStream, count: int) -> list[list[Packet]]:
+def take_frames(stream: GigeStream, count: int) -> list[list[Packet]]:
     """Take frames, one trigger each."""
     taken = []
     for _ in range(count):
@@ -173,14 +173,14 @@ def test_packets(stream: GigeStream) -> None:
         wanted = size - IP_UDP_HEADER_BYTES
         check(data is not None and len(data) == wanted, f"{wanted} bytes", data and len(data))
         check(stream.silent(), "no second packet")
-        (found,) = stream.link.registers(Bootstrap.SCPS)
+        (found,) = stream.link.read_registers(Bootstrap.SCPS)
         check(not found & SCPS_FIRE_TEST, "the bit cleared", hex(found))
 
 
 @on_stream("G24", "destination 0.0.0.0 is the application in control")
 def nameless_destination(stream: GigeStream) -> None:
     stream.open_channel("0.0.0.0")
-    frames(start_acquisition(stream), 1)
+    take_frames(start_acquisition(stream), 1)
 
 
 @on_stream("G25", "images need an open channel, control and a running acquisition")
@@ -193,7 +193,7 @@ def three_conditions(stream: GigeStream) -> None:
     check(stream.silent(), "nothing on a closed channel")
     stream.features.execute("AcquisitionStop")
     stream.open_channel()
-    frames(start_acquisition(stream), 1)
+    take_frames(start_acquisition(stream), 1)
 
 
 @on_camera("G25a", "releasing control ends the stream")
@@ -202,15 +202,15 @@ def release_ends_the_stream(camera: GigeLink) -> None:
         stream.features.set("TriggerMode", "Off")
         start_acquisition(stream).frame()
         camera.write(Bootstrap.CCP, CCP_OPEN)
-        stream.last_packets()
-        check(camera.registers(Bootstrap.SCP) == [0], "the channel closed")
+        stream.drain_packets()
+        check(camera.read_registers(Bootstrap.SCP) == [0], "the channel closed")
         camera.write(Bootstrap.CCP, 2)  # expected by the end of the block
 
 
 @on_stream("G26", "leader, payload and trailer have ids 0, 1 to n, n+1; only the last payload is short")
 def packets_are_numbered(stream: GigeStream) -> None:
     full = PACKET_BYTES - GVSP_OVERHEAD_BYTES
-    (frame,) = frames(start_acquisition(stream), 1)
+    (frame,) = take_frames(start_acquisition(stream), 1)
     check([p.packet_id for p in frame] == list(range(len(frame))), "ids in order from 0")
     kinds = [LEADER, *[PAYLOAD] * (len(frame) - 2), TRAILER]
     check([p.kind for p in frame] == kinds, "leader, payload, trailer")
@@ -223,8 +223,8 @@ def packets_are_numbered(stream: GigeStream) -> None:
 def leader_agrees(stream: GigeStream) -> None:
     stream.features.set("OffsetX", 64)
     stream.features.set("OffsetY", 32)
-    (frame,) = frames(start_acquisition(stream), 1)
-    leader = leader_of(frame)
+    (frame,) = take_frames(start_acquisition(stream), 1)
+    leader = require_leader(frame)
     check(leader.payload_type == PayloadType.IMAGE, "an image", leader.payload_type)
     found = (leader.x, leader.y, leader.width, leader.height)
     check(found == (64, 32, WIDTH_PX, HEIGHT_PX), "the area that was set", found)
@@ -234,9 +234,9 @@ def leader_agrees(stream: GigeStream) -> None:
 
 @on_stream("G29", "time stamps count at the given frequency and always increase")
 def stamps_grow(stream: GigeStream) -> None:
-    high, low = stream.link.registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
+    high, low = stream.link.read_registers(Bootstrap.TICK_FREQUENCY_HIGH, Bootstrap.TICK_FREQUENCY_LOW)
     check(high << 32 | low > 0, "a nonzero frequency")
-    ticks = [leader_of(frame).ticks for frame in frames(start_acquisition(stream), FRAMES)]
+    ticks = [require_leader(frame).ticks for frame in take_frames(start_acquisition(stream), FRAMES)]
     check(ticks == sorted(set(ticks)), "increasing stamps", ticks)
 
 
@@ -246,9 +246,9 @@ def stamps_grow(stream: GigeStream) -> None:
 def latch_and_reset(stream: GigeStream) -> None:
     start_acquisition(stream)
     before = stream.latch_ticks()
-    (frame,) = frames(stream, 1)
+    (frame,) = take_frames(stream, 1)
     after = stream.latch_ticks()
-    ticks = leader_of(frame).ticks
+    ticks = require_leader(frame).ticks
     check(before <= ticks <= after, f"a stamp between {before} and {after}", ticks)
     stream.link.write(Bootstrap.TIMESTAMP_CONTROL, TIMESTAMP_RESET)
     check(stream.latch_ticks() < after, "a smaller count after the reset")
@@ -256,32 +256,32 @@ def latch_and_reset(stream: GigeStream) -> None:
 
 @on_stream("G31", "packets of the last 16 images are resent byte by byte")
 def packets_are_repeated(stream: GigeStream) -> None:
-    taken = frames(start_acquisition(stream), KEPT_FRAMES)
+    taken = take_frames(start_acquisition(stream), KEPT_FRAMES)
     for frame in (taken[0], taken[-1]):
         for first in (frame[0], frame[2], frame[-1]):
             stream.request_resend(first.block_id, first.packet_id, first.packet_id)
-            again = present(stream.packet(TEST_LIMIT_S), f"packet {first.packet_id} again")
+            again = require_present(stream.packet(TEST_LIMIT_S), f"packet {first.packet_id} again")
             check(again.raw == first.raw, f"packet {first.packet_id} again")
             check(again.status in (0, GevStatus.PACKET_RESEND), "a resent packet")
 
 
 @on_stream("G32", "a request for a discarded packet is answered by a header that says so")
 def discarded_packets(stream: GigeStream) -> None:
-    frames(start_acquisition(stream), 1)
+    take_frames(start_acquisition(stream), 1)
     stream.request_resend(0x7000, 1, 1)
-    answer = present(stream.packet(TEST_LIMIT_S), "a header with 0x800C or 0x8012", "nothing")
+    answer = require_present(stream.packet(TEST_LIMIT_S), "a header with 0x800C or 0x8012", "nothing")
     check(answer.status in GONE and not answer.content, "0x800C or 0x8012", hex(answer.status))
 
 
 @on_stream("G33", "one software trigger yields one image; a trigger while busy is dropped and counted")
 def software_trigger(stream: GigeStream) -> None:
     check(start_acquisition(stream).silent(), "nothing without a trigger")
-    frames(stream, 1)
+    take_frames(stream, 1)
     check(stream.silent(), "one image for one trigger")
     stream.features.set("ExposureTimeAbs", LONG_EXPOSURE_US)
     for _ in range(TRIGGERS):
         stream.trigger()
-    taken = sum(packet.kind == TRAILER for packet in stream.last_packets(LATE_S))
+    taken = sum(packet.kind == TRAILER for packet in stream.drain_packets(LATE_S))
     check(0 < taken < TRIGGERS, "triggers while busy dropped", f"{taken} images for {TRIGGERS}")
     if stream.features.has("OvertriggerCount"):
         missed = stream.features.whole("OvertriggerCount")
@@ -322,6 +322,6 @@ def stop_ends_the_stream(stream: GigeStream) -> None:
     stream.features.execute("AcquisitionStop")
     stopped = stream.latch_ticks()
     # an image exposed before the stop may still arrive
-    starts = [decode_leader(packet).ticks for packet in stream.last_packets() if packet.kind == LEADER]
+    starts = [decode_leader(packet).ticks for packet in stream.drain_packets() if packet.kind == LEADER]
     late = [ticks for ticks in starts if ticks > stopped]
     check(not late, f"no image that starts after the stop at {stopped}", late)

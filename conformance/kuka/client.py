@@ -14,7 +14,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from xml.etree import ElementTree
 
-from conformance.case import NotShown, check, present, read_as
+from conformance.case import NotShown, check, read_as, require_present
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.bounded_input import parse_xml
 from ronna_hw.endpoints import Endpoint, parse_endpoint
@@ -92,7 +92,7 @@ class EkiLine:
             if root.tag == tag and root.get("Id") == identifier:
                 return root
 
-    def closed_by_controller(self) -> bool:
+    def is_closed_by_controller(self) -> bool:
         """Test whether the controller closes the connection in time."""
         until_s = time.monotonic() + ANSWER_LIMIT_S
         while (remaining_s := until_s - time.monotonic()) > 0:
@@ -117,11 +117,11 @@ class EkiLine:
 
     def _connect(self) -> socket.socket:
         try:
-            opened = socket.create_connection((self.endpoint.host, self.endpoint.port), ANSWER_LIMIT_S)
+            eki_socket = socket.create_connection((self.endpoint.host, self.endpoint.port), ANSWER_LIMIT_S)
         except OSError as error:
             raise NotShown(f"no connection to {self.endpoint}: {error.strerror or error}") from error
-        opened.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
-        return opened
+        eki_socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
+        return eki_socket
 
 
 def command(identifier: str, name: str, **attributes: object) -> bytes:
@@ -147,13 +147,13 @@ class Telegram:
 
     raw: bytes
     sender: tuple[str, int]
-    at_s: float  # host time
+    received_s: float  # host time
 
     @property
     @read_as("an IPOC in digits")
     def ipoc(self) -> int:
         """The time stamp that a reply must carry."""
-        return int(present(IPOC.search(self.raw), "an IPOC in digits", self.raw[-80:])[1])
+        return int(require_present(IPOC.search(self.raw), "an IPOC in digits", self.raw[-80:])[1])
 
     @property
     @read_as("an integer D")
@@ -185,7 +185,7 @@ class RsiLine:
     def next(self) -> Telegram:
         """Receive the next telegram; raises Nonconformity if none arrives."""
         telegram = self._receive(NEXT_LIMIT_S)
-        return present(telegram, f"a telegram within {NEXT_LIMIT_S:g} s", "nothing")
+        return require_present(telegram, f"a telegram within {NEXT_LIMIT_S:g} s", "nothing")
 
     def answer(
         self, telegram: Telegram, corrections: Mapping[str, float] = HOLD, *, stop: bool = False
@@ -207,9 +207,9 @@ class RsiLine:
     ) -> bytes:
         """Return a reply with the elements wired in the controller's context; corrections in deg."""
         body = ""
-        if (tag := self.context.wired_tag("STOP", "In1")) is not None:
+        if (tag := self.context.find_wired_tag("STOP", "In1")) is not None:
             body += f"<{tag}>{int(stop)}</{tag}>"
-        tags = [self.context.wired_tag("AXISCORR", axis) for axis in AXES]
+        tags = [self.context.find_wired_tag("AXISCORR", axis) for axis in AXES]
         if all(tags):
             name = str(tags[0]).partition(".")[0]
             attributes = " ".join(
@@ -220,7 +220,7 @@ class RsiLine:
         sentype = sentype or self.context.ethernet.sentype
         return f'<Sen Type="{sentype}">{body}<IPOC>{ipoc}</IPOC></Sen>'.encode()
 
-    def cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
+    def run_cycles(self, count: int, corrections: Mapping[str, float] = HOLD) -> list[Telegram]:
         """Answer this many telegrams; returns them."""
         telegrams = []
         for _ in range(count):
@@ -228,14 +228,14 @@ class RsiLine:
             self.answer(telegrams[-1], corrections)
         return telegrams
 
-    def until_silent(self, *, answered: bool = True) -> list[Telegram]:
+    def await_silence(self, *, with_replies: bool = True) -> list[Telegram]:
         """Wait for the end of the stream; returns the telegrams that still arrived."""
         telegrams: list[Telegram] = []
         until_s = time.monotonic() + END_LIMIT_S
         while (telegram := self._receive(SILENT_S)) is not None:
             check(time.monotonic() < until_s, f"a stream that ends within {END_LIMIT_S:g} s")
             telegrams.append(telegram)
-            if answered:
+            if with_replies:
                 self.answer(telegram)
         return telegrams
 
@@ -287,7 +287,7 @@ def stream(dut: DeviceUnderTest) -> Iterator[RsiLine]:
             yield line
         finally:
             eki.command("RSI_STOP")
-            line.until_silent()
+            line.await_silence()
 
 
 def _endpoint(dut: DeviceUnderTest, name: str) -> str:

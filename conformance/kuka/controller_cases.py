@@ -13,7 +13,7 @@ import statistics
 import time
 from collections.abc import Callable
 
-from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, NotShown, check, present
+from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, NotShown, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.kuka.client import (
     AXES,
@@ -52,7 +52,7 @@ on_stream = CASES.within(stream)
 on_eki = CASES.within(eki_line)
 
 
-def layout_is_that_of_a_kr_c4(raw: bytes) -> bool:
+def has_kr_c4_layout(raw: bytes) -> bool:
     """Test whether a position-counting parser reads the telegram correctly."""
     return _WHOLE.fullmatch(raw) is not None
 
@@ -74,17 +74,17 @@ def controller_sends_first(dut: DeviceUnderTest) -> None:
     "K02", "telegrams come every cycle: the median period over 1,000 is within 1 %", needs=(HOST_TIME,)
 )
 def period_is_kept(line: RsiLine) -> None:
-    telegrams = line.cycles(PERIODS + 1)
-    periods = [b.at_s - a.at_s for a, b in itertools.pairwise(telegrams)]
+    telegrams = line.run_cycles(PERIODS + 1)
+    periods = [b.received_s - a.received_s for a, b in itertools.pairwise(telegrams)]
     median_ms = 1000 * statistics.median(periods)
     cycle_ms = line.context.program.cycle_ms
-    off = abs(median_ms - cycle_ms) / cycle_ms
-    check(off < PERIOD_TOLERANCE, f"a period of {cycle_ms} ms", f"{median_ms:.3f} ms")
+    deviation = abs(median_ms - cycle_ms) / cycle_ms
+    check(deviation < PERIOD_TOLERANCE, f"a period of {cycle_ms} ms", f"{median_ms:.3f} ms")
 
 
 @on_stream("K03", "all telegrams of a run come from one port")
 def one_sender(line: RsiLine) -> None:
-    senders = {telegram.sender for telegram in line.cycles(FEW)}
+    senders = {telegram.sender for telegram in line.run_cycles(FEW)}
     check(len(senders) == 1, "one sender", senders)
 
 
@@ -92,13 +92,13 @@ def one_sender(line: RsiLine) -> None:
     "K04", "the root has Type KUKA; double quotes, no white space between elements, no blank before />"
 )
 def layout_is_exact(line: RsiLine) -> None:
-    for telegram in line.cycles(FEW):
-        check(layout_is_that_of_a_kr_c4(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
+    for telegram in line.run_cycles(FEW):
+        check(has_kr_c4_layout(telegram.raw), "the layout of a KR C4", telegram.raw[:120])
 
 
 @on_stream("K05", "elements are in the order of the configuration, IPOC last")
 def order_is_kept(line: RsiLine) -> None:
-    (telegram,) = line.cycles(1)
+    (telegram,) = line.run_cycles(1)
     tags = [element.tag.removeprefix("DEF_").partition(".")[0] for element in line.context.send]
     wanted = [*(tag for tag, _ in itertools.groupby(tags) if tag != "FREE"), "IPOC"]
     found = re.findall(r"<(\w+)[ >]", telegram.raw.decode())[1:]
@@ -107,13 +107,13 @@ def order_is_kept(line: RsiLine) -> None:
 
 @on_stream("K07", "EIPos always has six values")
 def six_external_axes(line: RsiLine) -> None:
-    (telegram,) = line.cycles(1)
+    (telegram,) = line.run_cycles(1)
     check(len(telegram.values("EIPos")) == len(AXES), "six values", telegram.values("EIPos"))
 
 
 @on_stream("K08", "numbers have as many decimals as Precision states")
 def precision_is_kept(line: RsiLine) -> None:
-    (telegram,) = line.cycles(1)
+    (telegram,) = line.run_cycles(1)
     digits = {len(match) for match in _NUMBER.findall(telegram.raw)}
     wanted = line.context.ethernet.precision
     check(digits == {wanted}, f"{wanted} decimals", digits)
@@ -121,13 +121,13 @@ def precision_is_kept(line: RsiLine) -> None:
 
 @on_stream("K09", "the delay D is an integer")
 def delay_is_whole(line: RsiLine) -> None:
-    for telegram in line.cycles(FEW):
+    for telegram in line.run_cycles(FEW):
         check(telegram.late >= 0, "at least 0", telegram.late)
 
 
 @on_stream("K10", "IPOC increases by the cycle time in every telegram")
 def time_stamps_grow(line: RsiLine) -> None:
-    stamps = [telegram.ipoc for telegram in line.cycles(PERIODS // 10)]
+    stamps = [telegram.ipoc for telegram in line.run_cycles(PERIODS // 10)]
     steps = {b - a for a, b in itertools.pairwise(stamps)}
     check(steps == {line.context.program.cycle_ms}, f"{line.context.program.cycle_ms} each time", steps)
 
@@ -142,7 +142,7 @@ def wrong_replies_count_as_none(line: RsiLine) -> None:
         "text for a number": lambda t: line.reply(t.ipoc).replace(b'"0.0000"', b'"zero"', 1),
     }
     for what, reply in wrong.items():
-        line.cycles(FEW)
+        line.run_cycles(FEW)
         # One at a time: over many cycles a busy computer adds late replies of its own.
         for _ in range(MISSED):
             telegram = line.next()
@@ -154,12 +154,12 @@ def wrong_replies_count_as_none(line: RsiLine) -> None:
 
 @on_stream("K15", "one late reply does not make the following ones late", needs=(HOST_TIME,))
 def late_reply_shifts_nothing(line: RsiLine) -> None:
-    before = line.cycles(FEW)[-1]
+    before = line.run_cycles(FEW)[-1]
     missed = line.next()
     current = line.next()
     line.answer(missed)  # one cycle late, right before the current one
     line.answer(current)
-    after = line.cycles(5 * FEW)[-1]
+    after = line.run_cycles(5 * FEW)[-1]
     check(after.late - before.late < FEW, "one late reply, not one each cycle", after.late - before.late)
 
 
@@ -167,9 +167,9 @@ def late_reply_shifts_nothing(line: RsiLine) -> None:
 def correction_is_held(line: RsiLine) -> None:
     if any(element.holdon != 1 for element in line.context.receive if element.tag.startswith("AK")):
         raise NotShown("the context's corrections do not have HOLDON 1")
-    base, turn = _turn_a6(line)
+    base, turn = _turn_axis_6(line)
     # Without the hold the arm would turn back within some cycles, and return some cycles later.
-    seen = [line.next() for _ in range(MISSED)] + line.cycles(FEW, turn)
+    seen = [line.next() for _ in range(MISSED)] + line.run_cycles(FEW, turn)
     held = [telegram.values("AIPos")["A6"] - base for telegram in seen]
     _undo_turn(line)
     for angle in held:
@@ -180,8 +180,8 @@ def correction_is_held(line: RsiLine) -> None:
     "K17", "missing replies are counted in D; at the Timeout the run ends", needs=(DESTRUCTIVE, HOST_TIME)
 )
 def timeout_ends_the_run(line: RsiLine) -> None:
-    line.cycles(FEW)
-    rest = line.until_silent(answered=False)
+    line.run_cycles(FEW)
+    rest = line.await_silence(with_replies=False)
     limit = line.context.ethernet.timeout_packets
     check(limit // 2 <= len(rest) <= limit + FEW, f"about {limit} more telegrams", len(rest))
     check(rest[-1].late - rest[0].late >= limit // 2, "an increasing D", rest[-1].late)
@@ -196,8 +196,8 @@ def timeout_ends_the_run(line: RsiLine) -> None:
 def correction_is_absolute(line: RsiLine) -> None:
     if line.context.program.corrections != "absolute":
         raise NotShown("the context uses relative corrections")
-    base, turn = _turn_a6(line)
-    there = line.cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
+    base, turn = _turn_axis_6(line)
+    there = line.run_cycles(SETTLING, turn)[-1].values("AIPos")["A6"]
     back = _undo_turn(line)
     check(abs(there - base - TURN_DEG) < FOLLOWED_DEG, f"A6 {TURN_DEG} deg from its start", there - base)
     check(abs(back - base) < FOLLOWED_DEG, "A6 back at its start", back - base)
@@ -206,17 +206,17 @@ def correction_is_absolute(line: RsiLine) -> None:
 @case("K21", "the first telegram has the axes that the controller reported before the start")
 def starts_where_it_stands(dut: DeviceUnderTest) -> None:
     with idle_controller(dut) as (eki, _):
-        axis = present(eki.state().find("Axis"), "an Axis in the state")
+        axis = require_present(eki.state().find("Axis"), "an Axis in the state")
     before = {name: float(axis.get(name, "nan")) for name in AXES}
     with stream(dut) as line:
-        (first,) = line.cycles(1)
+        (first,) = line.run_cycles(1)
     moved = max(abs(first.values("AIPos")[name] - before[name]) for name in AXES)
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
 @on_stream("K25", "RIst is the pose of the flange for AIPos, with tool and base")
 def pose_agrees_with_axes(line: RsiLine) -> None:
-    telegram = line.cycles(FEW)[-1]
+    telegram = line.run_cycles(FEW)[-1]
     state = line.eki.state()
     if state.get("Base") != "0":
         raise NotShown("a base is active")
@@ -236,18 +236,18 @@ def pose_agrees_with_axes(line: RsiLine) -> None:
 
 @on_stream("K27", "a rising edge of Stop ends the stream within a few cycles")
 def stop_ends_the_stream(line: RsiLine) -> None:
-    line.cycles(FEW)
+    line.run_cycles(FEW)
     line.answer(line.next(), stop=True)
-    rest = line.until_silent()
+    rest = line.await_silence()
     check(len(rest) <= LONGEST_END, f"at most {LONGEST_END} more telegrams", len(rest))
 
 
 @case("K28", "a new run has a new time base and a new port, and starts without a jump")
 def new_run_new_base(dut: DeviceUnderTest) -> None:
     with stream(dut) as line:
-        first = line.cycles(FEW)
+        first = line.run_cycles(FEW)
     with stream(dut) as line:
-        again = line.cycles(FEW)
+        again = line.run_cycles(FEW)
     stamps = {telegram.ipoc for telegram in first}
     stamps.add(first[-1].ipoc + line.context.program.cycle_ms)
     check(again[0].ipoc not in stamps, "a different IPOC", again[0].ipoc)
@@ -256,22 +256,22 @@ def new_run_new_base(dut: DeviceUnderTest) -> None:
     check(moved < STANDS_STILL_DEG, "the same axes", f"{moved:.5f} deg apart")
 
 
-def _turn_a6(line: RsiLine) -> tuple[float, dict[str, float]]:
+def _turn_axis_6(line: RsiLine) -> tuple[float, dict[str, float]]:
     """Turn A6 slightly, in even steps; returns its previous angle, and the correction that holds it there."""
-    telegrams: list[Telegram] = line.cycles(FEW)
+    telegrams: list[Telegram] = line.run_cycles(FEW)
     base = telegrams[-1].values("AIPos")["A6"]
     for share in range(1, FEW + 1):
-        line.cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
+        line.run_cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
     turn = {**HOLD, "A6": TURN_DEG}
-    line.cycles(SETTLING, turn)
+    line.run_cycles(SETTLING, turn)
     return base, turn
 
 
 def _undo_turn(line: RsiLine) -> float:
     """Undo the turn; returns the angle of A6 afterwards."""
     for share in range(FEW, -1, -1):
-        line.cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
-    return line.cycles(SETTLING)[-1].values("AIPos")["A6"]
+        line.run_cycles(1, {**HOLD, "A6": TURN_DEG * share / FEW})
+    return line.run_cycles(SETTLING)[-1].values("AIPos")["A6"]
 
 
 PADDED_BYTES = 500  # as the C++ SDK pads every request
@@ -284,7 +284,7 @@ def one_client(first: EkiLine) -> None:
     first.state()
     with EkiLine(first.endpoint) as second:
         second.command("STATUS")
-        check(second.closed_by_controller(), "a second client that is refused")
+        check(second.is_closed_by_controller(), "a second client that is refused")
     first.state()
     check(first.between == b"", "no byte between elements", first.between)
 
@@ -304,7 +304,7 @@ def requests_by_element_end(line: EkiLine) -> None:
 
 @on_stream("K40", "the stream outlives a lost connection, and the state still reports it")
 def connection_is_lost(line: RsiLine) -> None:
-    line.cycles(5)
+    line.run_cycles(5)
     line.eki.reconnect()
-    line.cycles(CYCLES)
+    line.run_cycles(CYCLES)
     check(line.eki.state().get("RSI") == "2", "RSI still in MOVECORR after a new connection")

@@ -13,7 +13,7 @@ from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from typing import Any
 
-from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check, present
+from conformance.case import DESTRUCTIVE, HOST_TIME, MOTION, CaseList, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.disturbed_line import DisturbedLine
 from conformance.kuka.client import AXES, IPOC
@@ -43,7 +43,7 @@ case = CASES.case
 
 
 @contextmanager
-def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
+def tapped_arm(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
     """A driver whose RSI passes through a tap, with other endpoints replaced as given."""
     dut.release()
     ours, inside = dut.config.endpoints, own_udp_endpoint(TAPPED_PORT)
@@ -55,92 +55,97 @@ def tapped(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap
 
 
 @contextmanager
-def streaming(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
-    """A driver as in `tapped` whose stream is running."""
-    with tapped(dut, **endpoints) as (arm, tap):
+def streaming_arm(dut: DeviceUnderTest, **endpoints: str) -> Iterator[tuple[Any, RsiTap]]:
+    """A driver as in `tapped_arm` whose stream is running."""
+    with tapped_arm(dut, **endpoints) as (arm, tap):
         yield dut.bring_to(Lifecycle.ACTIVE, arm), tap
 
 
 @contextmanager
-def in_pieces(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, PiecewiseLine]]:
+def piecewise_arm(dut: DeviceUnderTest, gather_s: float) -> Iterator[tuple[Any, PiecewiseLine]]:
     """A connected driver whose EKI elements arrive in pieces."""
     dut.release()
     with PiecewiseLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line:
         line.gather_s = gather_s
-        with tapped(dut, eki_project=line.endpoint) as (arm, _):
+        with tapped_arm(dut, eki_project=line.endpoint) as (arm, _):
             arm.connect(LIMIT_S)
             yield arm, line
 
 
-def corrections(reply: bytes) -> list[float]:
+def read_corrections(reply: bytes) -> list[float]:
     """Read the six axis corrections of a reply, in deg."""
     context = load_context()
-    tags = [str(context.wired_tag("AXISCORR", axis)) for axis in AXES]
+    tags = [str(context.find_wired_tag("AXISCORR", axis)) for axis in AXES]
     found = []
     for tag in tags:
         name, _, attribute = tag.partition(".")
         match = re.search(rf'<{name} [^>]*\b{attribute}="([^"]+)"'.encode(), reply)
-        found.append(float(present(match, f"{tag} in the reply", reply[:80])[1]))
+        found.append(float(require_present(match, f"{tag} in the reply", reply[:80])[1]))
     return found
 
 
 @case("L11", "every reply echoes the IPOC of its telegram")
 def echoes_the_time_stamp(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (_, tap):
-        heard = _exchanges(tap)
-    check(set(_stamps(heard.replies)) <= set(_stamps(heard.telegrams)), "only IPOCs of telegrams")
+    with streaming_arm(dut) as (_, tap):
+        heard = _await_exchanges(tap)
+    check(
+        set(_extract_stamps(heard.replies)) <= set(_extract_stamps(heard.telegrams)),
+        "only IPOCs of telegrams",
+    )
 
 
 @case("L12", "one reply per telegram; after a stall only the newest is answered")
 def one_reply_each(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (_, tap):
+    with streaming_arm(dut) as (_, tap):
         # On a busy computer telegrams arrive in bursts, and only the newest is answered.
         unanswered = min(_count_unanswered(tap) for _ in range(WINDOWS))
         check(unanswered <= CYCLES // 4, "telegrams answered one by one", f"{unanswered} unanswered")
         _stall(tap)
-        late = tap.traffic()
-        replies = _stamps(late.replies)
-        answered = [stamp for stamp in _stamps(late.telegrams[:HELD]) if stamp in replies]
+        late = tap.take_traffic()
+        replies = _extract_stamps(late.replies)
+        answered = [stamp for stamp in _extract_stamps(late.telegrams[:HELD]) if stamp in replies]
         # A later scheduled telegram may have arrived so soon that it was the newest.
-        newest = _stamps(late.telegrams[HELD - 1 :])
+        newest = _extract_stamps(late.telegrams[HELD - 1 :])
         check(any(stamp in replies for stamp in newest), "an answer to the newest telegram")
         check(len(answered) <= HELD - 2, "no answers to those before it", f"{len(answered)} of {HELD}")
 
 
 def _count_unanswered(tap: RsiTap) -> int:
     """Count the unanswered of at least `CYCLES` telegrams; none may be answered twice."""
-    heard = _exchanges(tap)
-    stamps = _stamps(heard.replies)
+    heard = _await_exchanges(tap)
+    stamps = _extract_stamps(heard.replies)
     check(len(set(stamps)) == len(stamps), "no telegram answered twice")
-    return len(set(_stamps(heard.telegrams))) - len(stamps)
+    return len(set(_extract_stamps(heard.telegrams))) - len(stamps)
 
 
 @case("L13", "every reply has the Type of the configuration")
 def replies_have_the_type(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (_, tap):
-        types = {match[1] for reply in _exchanges(tap).replies if (match := _TYPE.match(reply)) is not None}
+    with streaming_arm(dut) as (_, tap):
+        types = {
+            match[1] for reply in _await_exchanges(tap).replies if (match := _TYPE.match(reply)) is not None
+        }
     check(types == {load_context().ethernet.sentype.encode()}, load_context().ethernet.sentype, types)
 
 
 @case("L29", "the first correction of every run is zero")
 def first_correction_is_zero(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (arm, tap):
+    with tapped_arm(dut) as (arm, tap):
         for _ in range(2):
-            tap.traffic()
+            tap.take_traffic()
             dut.bring_to(Lifecycle.ACTIVE, arm)
-            first = _exchanges(tap).replies[0]
-            check(not any(corrections(first)), "zero", corrections(first))
+            first = _await_exchanges(tap).replies[0]
+            check(not any(read_corrections(first)), "zero", read_corrections(first))
             arm.deactivate()
 
 
 @case("L29b", "no correction step exceeds what a controller accepts", needs=(MOTION,))
 def steps_are_small(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (arm, tap):
+    with streaming_arm(dut) as (arm, tap):
         start: JointVector = arm.read_state().commanded_rad
-        tap.traffic()
+        tap.take_traffic()
         for target in (turn_last_axis(start, SMALL_TURN_RAD), start):
             arm.move_joints(target, speed_fraction=SLOW)
-        replies = [corrections(reply) for reply in tap.traffic().replies]
+        replies = [read_corrections(reply) for reply in tap.take_traffic().replies]
         cycle_s = load_context().program.cycle_ms / 1000.0
         limits = [
             speed * math.degrees(1.0) * cycle_s * LARGEST_STEP_SHARE
@@ -157,13 +162,13 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
     dut.release()
     with (
         DisturbedLine(parse_endpoint(dut.config.endpoints["eki_project"])) as line,
-        streaming(dut, eki_project=line.endpoint) as (arm, tap),
+        streaming_arm(dut, eki_project=line.endpoint) as (arm, tap),
     ):
         line.silence()  # otherwise the controller itself would report the end of the run
         tap.hold()
         limit_s = SILENCE_LIMIT_S + SILENCE_SLACK_S
-        noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
-        check(noticed, f"state fault within {limit_s:g} s", arm.state)
+        is_noticed = wait_for(lambda: arm.state is Lifecycle.FAULT, limit_s)
+        check(is_noticed, f"state fault within {limit_s:g} s", arm.state)
         line.silence(False)
         tap.discard()
 
@@ -174,16 +179,16 @@ def silence_is_noticed(dut: DeviceUnderTest) -> None:
     needs=(MOTION, DESTRUCTIVE, HOST_TIME),
 )
 def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (arm, tap):
+    with streaming_arm(dut) as (arm, tap):
         start: JointVector = arm.read_state().commanded_rad
         mover, ends = start_moving(dut, arm, start)
         check(mover.is_alive(), "an arm that moves")
         tap.hold()
         mover.join()
-        tap.traffic()
+        tap.take_traffic()
         tap.discard()  # whether or not the controller has ended the run by now
         wait_for(lambda: tap.replies >= HELD, SILENCE_SLACK_S)
-        later = [tuple(corrections(reply)) for reply in tap.traffic().replies]
+        later = [tuple(read_corrections(reply)) for reply in tap.take_traffic().replies]
         check(len(ends) == 1, "a motion that reports why it ended", ends)
         check(len(set(later)) <= 1, "a constant correction from then on", later)
         arm.recover("conformance suite", LIMIT_S)
@@ -193,58 +198,58 @@ def motion_ends_with_silence(dut: DeviceUnderTest) -> None:
 
 @case("L31", "late cycles by D and our own turnaround are reported")
 def losses_are_reported(dut: DeviceUnderTest) -> None:
-    with streaming(dut) as (arm, tap):
+    with streaming_arm(dut) as (arm, tap):
         before = arm.link_statistics()
         tap.hold()
         dut.clock.sleep(2 * HELD * load_context().program.cycle_ms / 1000.0)
         tap.release()
-        grew = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
-        check(grew, "late cycles in the statistics", arm.link_statistics().late_cycles)
+        has_grown = wait_for(lambda: arm.link_statistics().late_cycles > before.late_cycles, LIMIT_S)
+        check(has_grown, "late cycles in the statistics", arm.link_statistics().late_cycles)
         check(arm.link_statistics().turnaround_median_us > 0, "a turnaround")
 
 
 @case("L38", "elements are delimited by their end tags, however the bytes arrive")
 def elements_in_pieces(dut: DeviceUnderTest) -> None:
     for gather_s in (0.0, GATHERED_S):
-        with in_pieces(dut, gather_s) as (arm, _):
+        with piecewise_arm(dut, gather_s) as (arm, _):
             reading = arm.read_state()
             check(len(reading.joints_rad) == len(AXES), "six axes", reading)
 
 
 @case("L40", "a lost connection is restored or latched, and the state is read again")
 def connection_is_lost(dut: DeviceUnderTest) -> None:
-    with in_pieces(dut, 0.001) as (arm, line):
+    with piecewise_arm(dut, 0.001) as (arm, line):
         before = arm.read_state().joints_rad
-        line.asked.clear()
+        line.sent_data.clear()
         line.cut()
 
-        def again() -> bool:
+        def is_restored() -> bool:
             try:
                 return bool(arm.read_state().joints_rad == before)
             except RonnaError:
                 return arm.state is Lifecycle.FAULT
 
-        check(wait_for(again, LIMIT_S), "the same axes again, or a latched fault", arm.state)
+        check(wait_for(is_restored, LIMIT_S), "the same axes again, or a latched fault", arm.state)
         if arm.state is Lifecycle.FAULT:
-            line.asked.clear()
+            line.sent_data.clear()
             arm.recover("conformance suite", LIMIT_S)
-        check(any(b"STATUS" in data for data in line.asked), "a new STATUS request", line.asked)
+        check(any(b"STATUS" in data for data in line.sent_data), "a new STATUS request", line.sent_data)
         check(arm.read_state().joints_rad == before, "the same axes", arm.read_state())
 
 
 def _stall(tap: RsiTap) -> None:
     """Hold back `HELD` telegrams, pass them on at once, and wait until more are answered."""
     tap.hold()
-    check(wait_for(lambda: tap.holds >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
+    check(wait_for(lambda: tap.held_count >= HELD, LIMIT_S), f"{HELD} telegrams during a stall")
     tap.release()
     check(wait_for(lambda: tap.replies >= HELD, LIMIT_S), "answers after a stall")
 
 
-def _exchanges(tap: RsiTap) -> Traffic:
+def _await_exchanges(tap: RsiTap) -> Traffic:
     """Return the traffic during at least `CYCLES` replies."""
     check(wait_for(lambda: tap.replies >= CYCLES, LIMIT_S), f"{CYCLES} replies")
-    return tap.traffic()
+    return tap.take_traffic()
 
 
-def _stamps(datagrams: list[bytes]) -> list[int]:
+def _extract_stamps(datagrams: list[bytes]) -> list[int]:
     return [int(match[1]) for data in datagrams if (match := IPOC.search(data)) is not None]

@@ -42,21 +42,21 @@ class RsiTap(LineThread):
         self._held: list[bytes] = []
         self._holding = False
         self._lock = threading.Lock()
-        self._passed = Traffic()
+        self._traffic = Traffic()
 
-    def traffic(self) -> Traffic:
+    def take_traffic(self) -> Traffic:
         """Return the traffic since the last call."""
         with self._lock:
-            passed, self._passed = self._passed, Traffic()
+            passed, self._traffic = self._traffic, Traffic()
         return passed
 
     @property
     def replies(self) -> int:
-        """Number of replies since the last `traffic`."""
-        return len(self._passed.replies)
+        """Number of replies since the last `take_traffic`."""
+        return len(self._traffic.replies)
 
     @property
-    def holds(self) -> int:
+    def held_count(self) -> int:
         """Number of telegrams held back."""
         return len(self._held)
 
@@ -69,7 +69,7 @@ class RsiTap(LineThread):
         with self._lock:
             held, self._held = self._held, []
             self._holding = False
-            self._passed = Traffic(telegrams=held)
+            self._traffic = Traffic(telegrams=held)
             for telegram in held:
                 self._inside.sendto(telegram, self._driver)
 
@@ -102,11 +102,11 @@ class RsiTap(LineThread):
         if self._holding:
             self._held.append(telegram)
             return
-        self._passed.telegrams.append(telegram)
+        self._traffic.telegrams.append(telegram)
         self._inside.sendto(telegram, self._driver)
 
     def _from_driver(self, reply: bytes) -> None:
-        self._passed.replies.append(reply)
+        self._traffic.replies.append(reply)
         if self._controller is not None:
             self._outside.sendto(reply, self._controller)
 
@@ -118,10 +118,10 @@ class PiecewiseLine(DisturbedLine):
 
     def __init__(self, device: Endpoint) -> None:
         super().__init__(device)
-        self.asked: list[bytes] = []  # data from the driver, read by read
+        self.sent_data: list[bytes] = []  # data from the driver, read by read
 
     def _note_command(self, data: bytes) -> None:
-        self.asked.append(data)
+        self.sent_data.append(data)
 
     def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         if self.gather_s:

@@ -16,7 +16,7 @@ from collections.abc import Callable, Iterator
 from contextlib import closing, contextmanager
 from dataclasses import dataclass
 
-from conformance.case import Nonconformity, check, present, read_as
+from conformance.case import Nonconformity, check, read_as, require_present
 from conformance.device_under_test import DeviceUnderTest
 from ronna_hw.wire.polaris import (
     BX_CRC_BYTES,
@@ -105,11 +105,11 @@ class PolarisLink:
     def text(self, limit_s: float = REPLY_LIMIT_S) -> str:
         """Receive the text of the next ASCII reply."""
         heard = self._read_until(lambda data: data.endswith(b"\r"), limit_s)
-        match = present(_ASCII.fullmatch(heard), "text, four upper-case hex digits and CR", heard)
+        match = require_present(_ASCII.fullmatch(heard), "text, four upper-case hex digits and CR", heard)
         check(int(match[2], 16) == crc16(match[1]), f"the CRC {crc16(match[1]):04X}", match[2].decode())
         return match[1].decode("ascii")
 
-    def binary(self, command: str) -> bytes:
+    def ask_binary(self, command: str) -> bytes:
         """Return the body of the binary reply to a command; checks both CRCs and that nothing follows."""
         self.send(command)
         heard = self._read_until(lambda data: len(data) >= BX_HEADER_BYTES)
@@ -124,7 +124,7 @@ class PolarisLink:
         check(crc == crc16(body), f"the body CRC {crc16(body):04X}", f"{crc:04X}")
         return body
 
-    def rest(self, quiet_s: float = QUIET_S) -> bytes:
+    def read_rest(self, quiet_s: float = QUIET_S) -> bytes:
         """Receive everything that arrives before the line has been quiet for `quiet_s`."""
         heard = b""
         while select.select([self.line], [], [], quiet_s)[0]:
@@ -134,7 +134,7 @@ class PolarisLink:
             check(len(heard) <= LONGEST_HEARD_BYTES, "a line that falls silent", f"{len(heard)} bytes")
         return heard
 
-    def okay(self, command: str | bytes) -> None:
+    def expect_okay(self, command: str | bytes) -> None:
         """Send a command that must be answered OKAY."""
         reply = self.ask(command)
         check(reply == REPLY_OKAY, f"OKAY to {command!r}", reply)
@@ -145,20 +145,20 @@ class PolarisLink:
         reply = self.ask(command)
         check(reply in wanted, f"{' or '.join(wanted)} to {command!r}", reply)
 
-    def load(self, definition: bytes) -> str:
+    def load_tool(self, definition: bytes) -> str:
         """Load, initialise and enable a tool; returns its handle, two hex digits."""
         handle = self.request_handle()
         self.write(handle, definition)
         reply = self.ask(f"PINIT:{handle}")
         check(reply == REPLY_OKAY or reply.startswith("WARNING"), "OKAY or WARNING to PINIT", reply)
-        self.okay(f"PENA:{handle}D")
+        self.expect_okay(f"PENA:{handle}D")
         return handle
 
     def write(self, handle: str, definition: bytes) -> None:
         """Write a definition into a handle's memory."""
         for address in range(0, len(definition), PVWR_BLOCK_BYTES):
             block = definition[address : address + PVWR_BLOCK_BYTES].ljust(PVWR_BLOCK_BYTES, b"\0")
-            self.okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
+            self.expect_okay(f"PVWR:{handle}{address:04X}{block.hex().upper()}")
 
     def request_handle(self) -> str:
         handle = self.ask(f"PHRQ:{PHRQ_ANY_PASSIVE}")
@@ -174,31 +174,31 @@ class PolarisLink:
 
     def clean_up(self) -> None:
         """Stop tracking and free every handle, so that the next case finds the unit idle."""
-        self.rest()
+        self.read_rest()
         self.ask("TSTOP:")  # refused if not tracking
         for handle in self.handles():
             self.ask(f"PHF:{handle}")
 
-    def go_to(self, argument: str, baud: int) -> None:
+    def switch_baud(self, argument: str, baud: int) -> None:
         """Switch the unit to another baud rate by COMM, and follow it."""
-        self.okay(f"COMM:{argument}")  # answered at the old rate
+        self.expect_okay(f"COMM:{argument}")  # answered at the old rate
         time.sleep(RATE_SETTLING_S)
         self.serial.baud = baud
-        self.rest()
+        self.read_rest()
 
     @contextmanager
-    def at_fast_baud(self) -> Iterator[None]:
+    def fast_baud(self) -> Iterator[None]:
         """Use a faster baud rate inside the block on a serial line; no effect over TCP."""
         if not isinstance(self.line, SerialLine):
             yield
             return
-        self.go_to(FAST_ARGUMENT, FAST_BAUD)
+        self.switch_baud(FAST_ARGUMENT, FAST_BAUD)
         try:
             yield
         finally:
-            self.rest()
+            self.read_rest()
             self.ask("TSTOP:")  # refused if not tracking
-            self.go_to(COMM_DEFAULT_ARGUMENT, DEFAULT_BAUD)
+            self.switch_baud(COMM_DEFAULT_ARGUMENT, DEFAULT_BAUD)
 
     @property
     def serial(self) -> SerialLine:
@@ -235,7 +235,7 @@ def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
         else socket.create_connection((endpoint.host, endpoint.port), REPLY_LIMIT_S)
     ) as line:
         link = PolarisLink(line)
-        link.rest()
+        link.read_rest()
         yield link
 
 
@@ -243,7 +243,7 @@ def plain_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 def idle_unit(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
     """A plain client of the unit under test, initialised and without tools, before and after the block."""
     with plain_unit(dut) as link:
-        link.okay("INIT:")
+        link.expect_okay("INIT:")
         link.clean_up()
         yield link
         link.clean_up()

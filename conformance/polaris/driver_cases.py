@@ -30,7 +30,7 @@ from conformance.polaris.fixtures import (
     WITH_TOOL,
     ReportsBaud,
     definition,
-    markers_of,
+    read_markers,
     volume_in_use,
 )
 from conformance.polaris.tap import (
@@ -80,7 +80,7 @@ def reading_command(tap: PolarisTap) -> str:
 
 
 @contextlib.contextmanager
-def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
+def tapped_tracker(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, Any]]:
     """Tap, and a driver that has read a frame through it."""
     with polaris_tap(dut) as tap:
         tracker = dut.make(endpoint=tap.endpoint, options={**dut.config.options, **options})
@@ -93,48 +93,48 @@ def tapped(dut: DeviceUnderTest, **options: Any) -> Iterator[tuple[PolarisTap, A
 
 @case("D11", "the driver waits for a reply as long as the unit's time limit allows", needs=TAPPED)
 def waits_for_a_slow_unit(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
-        asked = tap.count(name)
+        earlier_requests = tap.count(name)
         tap.change(name, lambda reply: reply, delay_s=SLOW_REPLY_S)
         began_s = time.monotonic()
         tracker.read_frame(PATIENT_S)
         check(time.monotonic() - began_s >= SLOW_REPLY_S, f"a reading after {SLOW_REPLY_S:g} s")
-        check(tap.count(name) == asked + 1, "one request", tap.count(name) - asked)
+        check(tap.count(name) == earlier_requests + 1, "one request", tap.count(name) - earlier_requests)
 
 
 @case("D12", "unsolicited bytes are never taken for a reply", needs=TAPPED)
 def stale_input_is_dropped(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
         for stale in (STALE_TEXT, tap.replies[name], b"\xc4\xa5\x00", b"\xff" * 40):
             before = tracker.read_frame(PATIENT_S).stamp.device_clock
             tap.inject(stale)
             time.sleep(ARRIVAL_S)
             dut.clock.sleep(ARRIVAL_S)
-            asked = tap.count(name)
+            earlier_requests = tap.count(name)
             frame = tracker.read_frame(PATIENT_S)
-            check(tap.count(name) > asked, "a new request", tap.commands[-3:])
+            check(tap.count(name) > earlier_requests, "a new request", tap.commands[-3:])
             check(frame.stamp.device_clock > before, "a different frame", frame.stamp.device_clock)
 
 
 @case("D13", "a reply with a wrong CRC, of text, header or body, never becomes a reading", needs=TAPPED)
 def every_crc_is_checked(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
         places = DISTURBED_BYTES if name == "BX" else {"text": 8, "CRC": -2}
         for place, index in places.items():
-            asked = tap.count(name)
-            tap.change(name, _flip(index))
+            earlier_requests = tap.count(name)
+            tap.change(name, _flip_bit(index))
             with contextlib.suppress(ProtocolError, LinkTimeout):
                 tracker.read_frame(PATIENT_S)
-                check(tap.count(name) > asked + 1, f"no reading with a wrong {place}")
+                check(tap.count(name) > earlier_requests + 1, f"no reading with a wrong {place}")
             tracker.read_frame(PATIENT_S)
 
 
 @case("D14", "a harmless command is repeated when its reply is lost; PHRQ is not", needs=TAPPED_TOOL)
 def retries_are_harmless(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
         tap.change(name, lambda reply: reply[:-1])
         tracker.read_frame(PATIENT_S)
@@ -183,22 +183,26 @@ def warnings_are_success(dut: DeviceUnderTest) -> None:
     needs=TAPPED_TOOL,
 )
 def strays_are_filtered(dut: DeviceUnderTest) -> None:
-    markers_mm = markers_of(definition(dut))
+    markers_mm = read_markers(definition(dut))
     with idle_unit(dut) as unit:
-        formula_is_public = volume_in_use(unit).shape == SPECTRA_SHAPE
-    with tapped(dut) as (tap, tracker):
+        is_formula_public = volume_in_use(unit).shape == SPECTRA_SHAPE
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
-        asked = [command for command in tap.commands if command.startswith(f"{name}:")]
-        check(all(command == f"{name}:1801" for command in asked), f"{name}:1801", asked[:1])
+        earlier_requests = [command for command in tap.commands if command.startswith(f"{name}:")]
+        check(
+            all(command == f"{name}:1801" for command in earlier_requests),
+            f"{name}:1801",
+            earlier_requests[:1],
+        )
         frame = read_body(body_of(tap.replies["BX"]), READING_OPTIONS) if name == "BX" else None
         if frame is None or not frame.strays_mm or frame.handles[0].pose is None:
             raise NotShown("no frame with a tool and a stray marker came by BX")
-        tap.change("BX", _first_stray_at(lambda _pose: FAR_OUTSIDE_MM))
+        tap.change("BX", _move_first_stray(lambda _pose: FAR_OUTSIDE_MM))
         strays = tracker.read_frame(PATIENT_S).strays
         far = [stray for stray in strays if math.dist(stray.position_mm, FAR_OUTSIDE_MM) < NEAR_MARKER_MM]
-        if formula_is_public:  # otherwise only the unit's own flag is available
+        if is_formula_public:  # otherwise only the unit's own flag is available
             check(all(s.validity is Validity.OUT_OF_VOLUME for s in far), "validity out of volume", far)
-        tap.change("BX", _first_stray_at(lambda pose: place_markers(markers_mm, pose)[0]))
+        tap.change("BX", _move_first_stray(lambda pose: place_markers(markers_mm, pose)[0]))
         strays = tracker.read_frame(PATIENT_S).strays
         pose = read_body(body_of(tap.replies["BX"]), READING_OPTIONS).handles[0].pose
         if pose is None:
@@ -214,7 +218,7 @@ def rounded_quaternions(dut: DeviceUnderTest) -> None:
         dut.make(options={**dut.config.options, "reply": "TX"})
     except ConfigurationError as error:
         raise NotShown("the driver has no option to read with TX") from error
-    with tapped(dut, reply="TX") as (tap, tracker):
+    with tapped_tracker(dut, reply="TX") as (tap, tracker):
         check(reading_command(tap) == "TX", "readings by TX", tap.commands[-1])
         rotations = [tool.rotation for tool in tracker.read_frame(PATIENT_S).tools if tool.rotation]
         if not rotations:
@@ -226,7 +230,7 @@ def rounded_quaternions(dut: DeviceUnderTest) -> None:
 
 @case("D39", "the frame number decides: a repeated frame is STALE, an older one is rejected", needs=TAPPED)
 def frame_numbers_decide(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
         first = tracker.read_frame(PATIENT_S).stamp.device_clock
         old = tap.replies[name]
@@ -245,13 +249,13 @@ def frame_numbers_decide(dut: DeviceUnderTest) -> None:
 
 @case("D40", "the driver sets the illuminators to the fastest rate before tracking", needs=TAPPED)
 def illuminators_are_set(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, _):
-        start = next(index for index, said in enumerate(tap.commands) if said.startswith("TSTART"))
+    with tapped_tracker(dut) as (tap, _):
+        start = next(index for index, sent in enumerate(tap.commands) if sent.startswith("TSTART"))
         wanted = (f"SET:{PARAMETER_ILLUMINATOR_RATE}=", "IRATE:")
-        said = [command for command in tap.commands[:start] if command.startswith(wanted)]
-        check(bool(said), " or ".join(wanted), "neither")
+        sent = [command for command in tap.commands[:start] if command.startswith(wanted)]
+        check(bool(sent), " or ".join(wanted), "neither")
         if "illuminator_rate_hz" not in dut.config.options:
-            check(said[0].endswith("2"), "rate 2, which is 60 Hz", said[0])
+            check(sent[0].endswith("2"), "rate 2, which is 60 Hz", sent[0])
 
 
 @case("D40b", "on a serial line the driver switches to a faster baud rate", needs=SERIAL)
@@ -277,7 +281,7 @@ def leaves_the_unit_idle(dut: DeviceUnderTest) -> None:
         check(unit.handles() == [], "no handles", unit.handles())
 
 
-def _flip(index: int) -> Callable[[bytes], bytes]:
+def _flip_bit(index: int) -> Callable[[bytes], bytes]:
     def flip(reply: bytes) -> bytes:
         at = index % len(reply)
         return reply[:at] + bytes([reply[at] ^ 0x04]) + reply[at + 1 :]
@@ -285,7 +289,7 @@ def _flip(index: int) -> Callable[[bytes], bytes]:
     return flip
 
 
-def _first_stray_at(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[bytes], bytes]:
+def _move_first_stray(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[bytes], bytes]:
     """Move the first stray of a reply; the unit's own flag still says that it is inside."""
 
     def change(reply: bytes) -> bytes:
@@ -301,7 +305,7 @@ def _first_stray_at(place: Callable[[tuple[float, ...]], Vector3]) -> Callable[[
 
 @case("D42", "on system status 0100 the driver reads the alerts; a bump latches a fault", needs=TAPPED)
 def bump_is_a_fault(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         name = reading_command(tap)
         tap.change(name, lambda reply: with_system_status(reply, SystemStatus.DIAGNOSTICS_PENDING))
         tap.answer("GET", f"{PARAMETER_NEW_ALERTS}={int(Alert.BUMP)}")
@@ -314,7 +318,7 @@ def bump_is_a_fault(dut: DeviceUnderTest) -> None:
 
 @case("D43", "on system status 0200 poses are withheld until it clears", needs=TAPPED)
 def temperature_is_a_hold(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         tap.change(reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.TEMPERATURE))
         refused(
             lambda: tracker.read_frame(PATIENT_S),
@@ -328,7 +332,7 @@ def temperature_is_a_hold(dut: DeviceUnderTest) -> None:
 
 @case("D43b", "on system status 0010 no more poses are used", needs=TAPPED)
 def hardware_failure_is_a_fault(dut: DeviceUnderTest) -> None:
-    with tapped(dut) as (tap, tracker):
+    with tapped_tracker(dut) as (tap, tracker):
         tap.change(
             reading_command(tap), lambda reply: with_system_status(reply, SystemStatus.HARDWARE_FAILURE)
         )

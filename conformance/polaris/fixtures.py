@@ -13,7 +13,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
-from conformance.case import Need, check, present
+from conformance.case import Need, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import BxReply, PolarisLink, Vector3, idle_unit, read_body
 from ronna_hw.wire import polaris_rom as layout
@@ -66,7 +66,7 @@ def unit_with_tool(dut: DeviceUnderTest) -> Iterator[PolarisLink]:
 
 def read_frame(unit: PolarisLink, options: int = 0x0001) -> BxReply:
     """Read the frame by BX with these options."""
-    return read_body(unit.binary(f"BX:{options:04X}"), options)
+    return read_body(unit.ask_binary(f"BX:{options:04X}"), options)
 
 
 # A real four-sphere rigid body, part 8700339, with the numbers from the manufacturer's file.
@@ -83,7 +83,7 @@ PUBLISHED_ERROR_MM = 0.75
 SHIFTED_PART = b"CONFORMANCE"
 
 
-def markers_of(block: bytes) -> tuple[Vector3, ...]:
+def read_markers(block: bytes) -> tuple[Vector3, ...]:
     """Return the marker positions of a definition, mm."""
     count = block[layout.MARKER_COUNT_OFFSET]
     flat = struct.unpack_from(f"<{3 * count}f", block, layout.MARKER_POSITIONS_OFFSET)
@@ -98,8 +98,8 @@ def shift_origin(block: bytes, shift_mm: Vector3 = (0.0, 0.0, 0.0)) -> bytes:
     changed = bytearray(block)
     number = slice(layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_OFFSET + layout.PART_NUMBER_BYTES)
     changed[number] = SHIFTED_PART.ljust(layout.PART_NUMBER_BYTES, b"\0")
-    for slot, marker in enumerate(markers_of(block)):
-        values = (value + move for value, move in zip(marker, shift_mm, strict=True))
+    for slot, marker in enumerate(read_markers(block)):
+        values = (value + offset_mm for value, offset_mm in zip(marker, shift_mm, strict=True))
         struct.pack_into("<3f", changed, layout.MARKER_POSITIONS_OFFSET + 12 * slot, *values)
     return _seal(changed)
 
@@ -115,7 +115,7 @@ def reverse_normals(block: bytes) -> bytes:
     return _seal(changed)
 
 
-def published_definition() -> bytes:
+def build_published_definition() -> bytes:
     """Build a definition with the numbers of a real one, from the published layout."""
     block = bytearray(layout.ROM_BYTES)
     count = len(PUBLISHED_MARKERS_MM)
@@ -209,7 +209,7 @@ def measuring_volumes(unit: PolarisLink) -> tuple[MeasuringVolume, ...]:
     volumes = []
     for record in records:
         check(len(record) == SFLIST_VOLUME_CHARACTERS, "74 characters with the line feed", len(record))
-        match = present(_RECORD.fullmatch(record), "a shape and ten numbers", record)
+        match = require_present(_RECORD.fullmatch(record), "a shape and ten numbers", record)
         numbers = tuple(int(match[2][at : at + 7]) for at in range(0, 70, 7))
         volumes.append(MeasuringVolume(match[1], numbers))
     return tuple(volumes)

@@ -9,7 +9,7 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from conformance.case import HOST_TIME, CaseList, NotShown, check, present
+from conformance.case import HOST_TIME, CaseList, NotShown, check, require_present
 from conformance.device_under_test import DeviceUnderTest
 from conformance.polaris.client import TOOL_INFORMATION_BYTES, PolarisLink, idle_unit
 from conformance.polaris.fixtures import (
@@ -50,8 +50,8 @@ def tracking(dut: DeviceUnderTest, block: bytes | None = None) -> Iterator[Polar
     """A unit that tracks one tool: the driver's first, or that of another definition."""
     block = block or definition(dut)
     with idle_unit(dut) as unit:
-        unit.load(block)
-        unit.okay("TSTART:80")
+        unit.load_tool(block)
+        unit.expect_okay("TSTART:80")
         yield unit
 
 
@@ -75,14 +75,14 @@ def reading_while_idle(unit: PolarisLink) -> None:
 def frame_number_restarts(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
-        unit.load(block)
+        unit.load_tool(block)
         for _ in range(2):
-            unit.okay("TSTART:80")
+            unit.expect_okay("TSTART:80")
             first = frame_number(unit)
             check(first <= FRAME_RATE_HZ, "a small frame number", first)
             dut.clock.sleep(0.1)
             check(frame_number(unit) > first, f"a frame number above {first}")
-            unit.okay("TSTOP:")
+            unit.expect_okay("TSTOP:")
 
 
 @case("P27", "the frame number advances at 60 per second", needs=(*WITH_TOOL, HOST_TIME))
@@ -90,11 +90,11 @@ def frame_rate(dut: DeviceUnderTest) -> None:
     with tracking(dut) as unit:
         began_s, first = time.monotonic(), frame_number(unit)
         time.sleep(FRAME_RATE_SPAN_S)
-        asked_s = time.monotonic()
+        requested_s = time.monotonic()
         last = frame_number(unit)
-        least = (asked_s - began_s) * FRAME_RATE_HZ - FRAME_RATE_TOLERANCE_FRAMES
+        least = (requested_s - began_s) * FRAME_RATE_HZ - FRAME_RATE_TOLERANCE_FRAMES
         most = (time.monotonic() - began_s) * FRAME_RATE_HZ + FRAME_RATE_TOLERANCE_FRAMES
-        if last - first == 1 and not dut.clock_known and _counts_requests(unit):
+        if last - first == 1 and not dut.clock_known and _is_counting_requests(unit):
             raise NotShown(COUNTS_REQUESTS)
         check(least <= last - first <= most, f"{least:.0f} to {most:.0f} frames", last - first)
 
@@ -112,7 +112,7 @@ def tx_grammar(unit: PolarisLink) -> None:
     }
     for options, form in forms.items():
         text = unit.ask(f"TX:{options}")
-        match = present(re.fullmatch(form, text), f"the form of TX {options}", repr(text))
+        match = require_present(re.fullmatch(form, text), f"the form of TX {options}", repr(text))
         if options == "1801":
             count = int(match[1], 16)
             check(len(match[2]) == (count + 3) // 4, "one bit per stray", match[2])
@@ -122,11 +122,11 @@ def tx_grammar(unit: PolarisLink) -> None:
 @case("P30", "TX and BX of one frame agree within the rounding of TX", needs=WITH_TOOL)
 def tx_and_bx_agree(dut: DeviceUnderTest) -> None:
     block = definition(dut)
-    with idle_unit(dut) as unit, unit.at_fast_baud():  # both within one frame
-        unit.load(block)
-        unit.okay("TSTART:80")
+    with idle_unit(dut) as unit, unit.fast_baud():  # both within one frame
+        unit.load_tool(block)
+        unit.expect_okay("TSTART:80")
         for _ in range(SAME_FRAME_TRIES):
-            text, body = unit.ask("TX:0801"), unit.binary("BX:0801")
+            text, body = unit.ask("TX:0801"), unit.ask_binary("BX:0801")
             if not TX_POSE.match(text, 4) or body[2] != HandleStatus.VALID:
                 dut.clock.sleep(0.02)
                 continue
@@ -158,15 +158,15 @@ def missing_keeps_its_frame(dut: DeviceUnderTest) -> None:
         )
         check(after.frame > before.frame, f"a frame number above {before.frame}", after.frame)
         form = rf"01{after.handle}MISSING[0-9A-F]{{8}}([0-9A-F]{{8}})\n[0-9A-F]{{4}}"
-        match = present(re.fullmatch(form, text), "MISSING, status and frame number", repr(text))
+        match = require_present(re.fullmatch(form, text), "MISSING, status and frame number", repr(text))
         check(int(match[1], 16) >= after.frame, f"a frame number of {after.frame} or more", match[1])
 
 
 @on_tool("P31b", "a disabled tool is omitted, or listed without status and frame number")
 def disabled_carries_nothing(unit: PolarisLink) -> None:
-    disabled, enabled = unit.load(reverse_normals(unit.definition)), unit.load(unit.definition)
-    unit.okay(f"PDIS:{disabled}")
-    unit.okay("TSTART:80")
+    disabled, enabled = unit.load_tool(reverse_normals(unit.definition)), unit.load_tool(unit.definition)
+    unit.expect_okay(f"PDIS:{disabled}")
+    unit.expect_okay("TSTART:80")
     frame = read_frame(unit)
     listed = {reading.handle: reading.status for reading in frame.handles}
     check(
@@ -184,13 +184,13 @@ def disabled_carries_nothing(unit: PolarisLink) -> None:
 @while_tracking("P32", "BX has the right length and CRCs, and nothing follows it")
 def bx_is_whole(unit: PolarisLink) -> None:
     for options in ("0001", "0801", "1801"):
-        unit.binary(f"BX:{options}")
-        check(unit.rest(NOTHING_MORE_S) == b"", "nothing after the reply")
+        unit.ask_binary(f"BX:{options}")
+        check(unit.read_rest(NOTHING_MORE_S) == b"", "nothing after the reply")
 
 
 @while_tracking("P33", "BX contains little-endian float32")
 def little_endian(unit: PolarisLink) -> None:
-    body = unit.binary("BX:0801")
+    body = unit.ask_binary("BX:0801")
     if body[2] != HandleStatus.VALID:
         raise NotShown("the tool is not in view")
     norms = {order: math.hypot(*struct.unpack_from(f"{order}4f", body, 3)) for order in "<>"}
@@ -201,7 +201,7 @@ def little_endian(unit: PolarisLink) -> None:
 @while_tracking("P34", "option 0002 adds 22 characters to each handle of TX and 11 bytes of BX")
 def tool_information_is_added(unit: PolarisLink) -> None:
     for _ in range(SAME_FRAME_TRIES):
-        short, long = unit.binary("BX:0001"), unit.binary("BX:0003")
+        short, long = unit.ask_binary("BX:0001"), unit.ask_binary("BX:0003")
         texts = unit.ask("TX:0001"), unit.ask("TX:0003")
         missing = {"MISSING" in text for text in texts} | {body[2] == 2 for body in (short, long)}
         if len(missing) == 1:  # tracked in every frame, or missing in every frame
@@ -222,7 +222,7 @@ def diagnostic_mode(unit: PolarisLink) -> None:
         for command in ("DSTART:", "TSTART:80", "TX:0001", "BX:0001", "TSTOP:"):
             unit.refused(command, 0x0C)
     finally:
-        unit.okay("DSTOP:")
+        unit.expect_okay("DSTOP:")
     unit.refused("DSTOP:", 0x0C)
     check(unit.handles() == [], "setup mode again", unit.handles())
 
@@ -232,7 +232,7 @@ def frame_number(unit: PolarisLink) -> int:
     return read_frame(unit).frame
 
 
-def _counts_requests(unit: PolarisLink) -> bool:
+def _is_counting_requests(unit: PolarisLink) -> bool:
     """Test whether many quick requests each return the next frame, faster than 60 per second.
 
     After a pause of a single frame no clock explains that: a unit that slow would repeat its frame, or delay

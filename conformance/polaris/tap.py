@@ -26,7 +26,7 @@ class PolarisTap(DisturbedLine):
         self.replies: dict[str, bytes] = {}
         self._changes: list[tuple[str, Change, float]] = []
         self._lock = threading.Lock()
-        self._said = b""
+        self._pending_data = b""
         self._name = ""
         self._reply = b""
 
@@ -44,7 +44,7 @@ class PolarisTap(DisturbedLine):
         return sum(command.startswith(beginning) for command in self.commands)
 
     def _note_command(self, data: bytes) -> None:
-        *lines, self._said = (self._said + data).split(CR)
+        *lines, self._pending_data = (self._pending_data + data).split(CR)
         for line in lines:
             text = line.decode("latin-1")
             name, separator, argument = text.partition(":")
@@ -58,16 +58,16 @@ class PolarisTap(DisturbedLine):
     def _disturb(self, data: bytes) -> list[tuple[float, bytes]]:
         self._reply += data
         with self._lock:
-            wanted = next((item for item in self._changes if item[0] == self._name), None)
+            wanted_change = next((item for item in self._changes if item[0] == self._name), None)
             whole = _is_whole(self._reply)
             if whole:
                 self.replies[self._name] = self._reply
-            if wanted is None:
+            if wanted_change is None:
                 return super()._disturb(data)
             if not whole:
                 return []  # held until it is complete and can be changed
-            self._changes.remove(wanted)
-        _, change, delay_s = wanted
+            self._changes.remove(wanted_change)
+        _, change, delay_s = wanted_change
         return [(delay_s, change(self._reply))]
 
 

@@ -19,7 +19,7 @@ from conformance.polaris.fixtures import (
     PUBLISHED_PART,
     SERIAL,
     WITH_TOOL,
-    published_definition,
+    build_published_definition,
     unit_with_tool,
 )
 from ronna_hw.wire import polaris_rom as layout
@@ -40,7 +40,7 @@ on_tool = CASES.within(unit_with_tool, *WITH_TOOL)
 @on_serial_line("P01", "after a break the unit sends RESET at 9600 baud, 8N1", needs=(DESTRUCTIVE,))
 def break_resets(unit: PolarisLink) -> None:
     try:
-        unit.go_to(FAST_ARGUMENT, FAST_BAUD)
+        unit.switch_baud(FAST_ARGUMENT, FAST_BAUD)
         check(not is_error(unit.ask("APIREV:")), f"a reply at {FAST_BAUD} baud")
         unit.serial.send_break()
     finally:
@@ -48,7 +48,7 @@ def break_resets(unit: PolarisLink) -> None:
     reply = unit.text(RESET_LIMIT_S)
     check(reply == REPLY_RESET, "RESET after a break", reply)
     unit.refused("PHSR:00", 0x10)
-    unit.okay("INIT:")
+    unit.expect_okay("INIT:")
 
 
 @on_unit("P01b", "RESET 0 works like a break: the unit sends RESET and needs INIT", needs=(DESTRUCTIVE,))
@@ -58,7 +58,7 @@ def reset_command(unit: PolarisLink) -> None:
     check(reply == REPLY_RESET, "RESET", reply)
     time.sleep(RESET_SETTLING_S)
     unit.refused("PHSR:00", 0x10)
-    unit.okay("INIT:")
+    unit.expect_okay("INIT:")
 
 
 @on_unit("P02", "every text reply ends in four upper-case hex digits of CRC and CR")
@@ -81,7 +81,7 @@ def space_form(unit: PolarisLink) -> None:
 
 @on_unit("P05", "INIT without any separator is accepted")
 def bare_init(unit: PolarisLink) -> None:
-    unit.okay(b"INIT\r")
+    unit.expect_okay(b"INIT\r")
 
 
 @on_unit("P06", "an unknown command returns ERROR01")
@@ -99,10 +99,10 @@ def byte_by_byte(unit: PolarisLink) -> None:
 
 @on_serial_line("P08", "OKAY to COMM comes at the old baud rate, then the unit uses the new one")
 def rate_changes_after_the_answer(unit: PolarisLink) -> None:
-    about = unit.ask("APIREV:")
-    with unit.at_fast_baud():
-        check(unit.ask("APIREV:") == about, f"the same reply at {FAST_BAUD} baud")
-    check(unit.ask("APIREV:") == about, f"the same reply at {DEFAULT_BAUD} baud again")
+    information = unit.ask("APIREV:")
+    with unit.fast_baud():
+        check(unit.ask("APIREV:") == information, f"the same reply at {FAST_BAUD} baud")
+    check(unit.ask("APIREV:") == information, f"the same reply at {DEFAULT_BAUD} baud again")
 
 
 @on_unit("P09", "before INIT, commands about tools and tracking return ERROR10", needs=(DESTRUCTIVE,))
@@ -112,7 +112,7 @@ def set_up_before_init(unit: PolarisLink) -> None:
     time.sleep(RESET_SETTLING_S)
     for command in ("PHSR:00", "PHRQ:*********1****", "SFLIST:03", "TSTART:80", "TSTOP:", "BX:0001"):
         unit.refused(command, 0x10)
-    unit.okay("INIT:")
+    unit.expect_okay("INIT:")
     check(unit.handles() == [], "no handles after INIT", unit.handles())
 
 
@@ -121,7 +121,7 @@ def init_is_quick(unit: PolarisLink) -> None:
     took_s = []
     for _ in range(INITS):
         began_s = time.monotonic()
-        unit.okay("INIT:")
+        unit.expect_okay("INIT:")
         took_s.append(time.monotonic() - began_s)
     quickest_s = min(took_s)
     check(quickest_s <= INIT_LIMIT_S, f"a reply within the unit's limit of {INIT_LIMIT_S:g} s", quickest_s)
@@ -140,7 +140,7 @@ def handles_are_distinct(unit: PolarisLink) -> None:
     handles = [unit.request_handle() for _ in range(3)]
     check(len(set(handles)) == 3, "three handles", handles)
     check(unit.handles() == sorted(handles), f"the handles {handles}", unit.handles())
-    unit.okay(f"PHF:{handles[1]}")
+    unit.expect_okay(f"PHF:{handles[1]}")
     unit.refused(f"PHF:{handles[1]}", 0x2B)
     check(handles[1] not in unit.handles(), "the freed handle gone")
 
@@ -149,10 +149,10 @@ def handles_are_distinct(unit: PolarisLink) -> None:
 def handle_lists(unit: PolarisLink) -> None:
     handle = unit.request_handle()
     _check_listed(unit, handle, "00", "02")
-    unit.okay(f"PHF:{handle}")
-    handle = unit.load(unit.definition)
+    unit.expect_okay(f"PHF:{handle}")
+    handle = unit.load_tool(unit.definition)
     _check_listed(unit, handle, "00", "04")
-    unit.okay(f"PDIS:{handle}")
+    unit.expect_okay(f"PDIS:{handle}")
     _check_listed(unit, handle, "00", "03")
 
 
@@ -161,8 +161,8 @@ def memory_is_written_in_blocks(unit: PolarisLink) -> None:
     handle = unit.request_handle()
     content = bytes(range(0xA0, 0xA0 + PVWR_BLOCK_BYTES)).hex()
     for address in range(0, PVWR_SPACE_BYTES, PVWR_BLOCK_BYTES):
-        unit.okay(f"PVWR:{handle}{address:04X}{content.upper()}")
-    unit.okay(f"PVWR:{handle.lower()}07c0{content}")
+        unit.expect_okay(f"PVWR:{handle}{address:04X}{content.upper()}")
+    unit.expect_okay(f"PVWR:{handle.lower()}07c0{content}")
     unit.refused(f"PVWR:{handle}0800{content}", *NO_SUCH_ADDRESS)
     unit.refused(f"PVWR:{handle}0000{content[:-2]}", *NOT_A_WHOLE_BLOCK)
 
@@ -174,24 +174,24 @@ def wrong_checksum(unit: PolarisLink) -> None:
     handle = unit.request_handle()
     for address in range(0, len(block), 64):
         chunk = bytes(block[address : address + 64]).ljust(64, b"\0")
-        unit.okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is also understood
+        unit.expect_okay(f"PVWR:{handle}{address:04x}{chunk.hex()}")  # lower-case hex is also understood
     unit.refused(f"PINIT:{handle}", 0x13, 0x40, 0x41)
 
 
 @on_tool("P21", "PENA refuses a handle that is not initialised, and an unknown priority")
 def enabling_needs_initialising(unit: PolarisLink) -> None:
     unit.refused(f"PENA:{unit.request_handle()}D", 0x0E)
-    unit.refused(f"PENA:{unit.load(unit.definition)}X", 0x09)
+    unit.refused(f"PENA:{unit.load_tool(unit.definition)}X", 0x09)
 
 
 @on_tool("P22", "PHINF returns type, manufacturer, revision, serial and part number of the definition")
 def tool_information(unit: PolarisLink) -> None:
-    _check_information(unit, unit.load(unit.definition), unit.definition)
+    _check_information(unit, unit.load_tool(unit.definition), unit.definition)
 
 
 @on_tool("P23", "PHINF returns options 0001, 0004 and 0020 in sequence, 67 characters")
 def joined_information(unit: PolarisLink) -> None:
-    handle = unit.load(unit.definition)
+    handle = unit.load_tool(unit.definition)
     joined = unit.ask(f"PHINF:{handle}0025")
     check(len(joined) == 67, "67 characters", len(joined))
     parts = [unit.ask(f"PHINF:{handle}{option}") for option in ("0001", "0004", "0020")]
@@ -201,8 +201,8 @@ def joined_information(unit: PolarisLink) -> None:
 
 @on_tool("P47", "a generated definition and one with a manufacturer's published numbers both load")
 def both_makers_definitions_load(unit: PolarisLink) -> None:
-    ours, theirs = unit.definition, published_definition()
-    handles = unit.load(ours), unit.load(theirs)
+    ours, theirs = unit.definition, build_published_definition()
+    handles = unit.load_tool(ours), unit.load_tool(theirs)
     check(unit.handles("04") == sorted(handles), "both enabled", unit.handles("04"))
     _check_information(unit, handles[0], ours)
     _check_information(unit, handles[1], theirs)
@@ -217,18 +217,18 @@ def _check_listed(unit: PolarisLink, handle: str, *queries: str) -> None:
 
 
 def _check_information(unit: PolarisLink, handle: str, block: bytes) -> None:
-    about = unit.ask(f"PHINF:{handle}0001")
-    check(len(about) == 33, "33 characters", len(about))
-    check(int(about[:2], 16) == block[layout.MAIN_TYPE_OFFSET], "the main type", about[:2])
-    check(int(about[6:8], 16) == block[layout.SUBTYPE_OFFSET], "the subtype", about[6:8])
+    information = unit.ask(f"PHINF:{handle}0001")
+    check(len(information) == 33, "33 characters", len(information))
+    check(int(information[:2], 16) == block[layout.MAIN_TYPE_OFFSET], "the main type", information[:2])
+    check(int(information[6:8], 16) == block[layout.SUBTYPE_OFFSET], "the subtype", information[6:8])
     maker = _text(block, layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES)
-    check(about[8:20].rstrip() == maker, f"the manufacturer {maker}", about[8:20])
+    check(information[8:20].rstrip() == maker, f"the manufacturer {maker}", information[8:20])
     revision = int.from_bytes(block[layout.REVISION_OFFSET : layout.REVISION_OFFSET + 2], "little")
-    check(about[20:23] == f"{revision:03d}", f"revision {revision:03d}", about[20:23])
+    check(information[20:23] == f"{revision:03d}", f"revision {revision:03d}", information[20:23])
     serial = block[layout.SERIAL_OFFSET : layout.SERIAL_OFFSET + 4]
     # As a number or byte by byte: undocumented.
     orders = [serial[::-1].hex().upper(), serial.hex().upper()]
-    check(about[23:31] in orders, f"serial {' or '.join(orders)}", about[23:31])
+    check(information[23:31] in orders, f"serial {' or '.join(orders)}", information[23:31])
     part = unit.ask(f"PHINF:{handle}0004")
     check(len(part) == 20, "20 characters", len(part))
     number = _text(block, layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_BYTES)

@@ -13,9 +13,9 @@ from conformance.polaris.fixtures import (
     WITH_TOOL,
     MeasuringVolume,
     definition,
-    markers_of,
     measuring_volumes,
     read_frame,
+    read_markers,
     shift_origin,
     unit_with_tool,
     volume_in_use,
@@ -24,7 +24,7 @@ from ronna_hw.wire import polaris_rom as layout
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, HandleStatus, PortStatus
 
 BEYOND_MM = 130.0  # beyond the volume's side but still in view; more than half a tool
-LOOKS = 20  # frames to check when one proves little
+STRAY_FRAMES = 20  # frames to check when one proves little
 EDGE_MM = 3.0  # closer to a face, noise decides
 READ_ONLY = "Features.Firmware.Version=0"
 
@@ -57,12 +57,12 @@ def out_of_volume_is_missing(unit: PolarisLink) -> None:
 def strays_need_illuminators(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     with idle_unit(dut) as unit:
-        unit.okay("TSTART:80")
-        check(unit.binary("BX:1801")[:2] == b"\0\0", "no handles and no strays")
-        unit.okay("TSTOP:")
+        unit.expect_okay("TSTART:80")
+        check(unit.ask_binary("BX:1801")[:2] == b"\0\0", "no handles and no strays")
+        unit.expect_okay("TSTOP:")
         volume = volume_in_use(unit)
-        unit.load(block)
-        unit.okay("TSTART:80")
+        unit.load_tool(block)
+        unit.expect_okay("TSTART:80")
         flags = _check_strays(dut, unit, volume)
     if not flags:
         raise NotShown("no stray marker is in view")
@@ -95,14 +95,14 @@ def volumes_are_reported(dut: DeviceUnderTest) -> None:
 def volume_formulas(dut: DeviceUnderTest) -> None:
     block = definition(dut)
     minimum = block[layout.MINIMUM_MARKER_COUNT_OFFSET]
-    with idle_unit(dut) as unit, unit.at_fast_baud():
+    with idle_unit(dut) as unit, unit.fast_baud():
         volume = volume_in_use(unit)
-        judged = set()
-        for target_mm in _places(volume):
+        checked_bits = set()
+        for target_mm in _test_points(volume):
             markers_mm = _load_at(unit, block, target_mm)
             reading = read_frame(unit, 0x0801).handles[0]
-            unit.okay("TSTOP:")
-            unit.okay(f"PHF:{reading.handle}")
+            unit.expect_okay("TSTOP:")
+            unit.expect_okay(f"PHF:{reading.handle}")
             if reading.pose is None:
                 continue
             clearances = [volume.clearance_mm(marker) for marker in place_markers(markers_mm, reading.pose)]
@@ -113,8 +113,8 @@ def volume_formulas(dut: DeviceUnderTest) -> None:
             wanted = wanted if inside else PortStatus.OUT_OF_VOLUME
             bits = reading.port_status & (PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME)
             check(bits == wanted, f"status bits {wanted:04X} with {inside} markers inside", f"{bits:04X}")
-            judged.add(wanted)
-        if not judged:
+            checked_bits.add(wanted)
+        if not checked_bits:
             raise NotShown("the tool is not in view, or too close to a face of the volume")
 
 
@@ -122,7 +122,7 @@ def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolu
     """Return the flags of the strays; all must agree with the volume, in one bit order or the other."""
     orders = {"low bit first", "high bit first"}
     found: set[bool] = set()
-    for _ in range(LOOKS):
+    for _ in range(STRAY_FRAMES):
         frame = read_frame(unit, 0x1801)
         check(len(frame.strays_outside) <= MAXIMUM_STRAYS, "at most 50 strays", len(frame.strays_outside))
         clearances = [volume.clearance_mm(position) for position in frame.strays_mm]
@@ -135,7 +135,7 @@ def _check_strays(dut: DeviceUnderTest, unit: PolarisLink, volume: MeasuringVolu
     return found
 
 
-def _places(volume: MeasuringVolume) -> list[Vector3]:
+def _test_points(volume: MeasuringVolume) -> list[Vector3]:
     """Return points at the centre, and just inside and outside each face on both sides of the knee."""
     far_mm, near_mm = volume.depths_mm
     middle_mm = volume.middle_mm
@@ -153,21 +153,23 @@ def _load_at(unit: PolarisLink, block: bytes, target_mm: Vector3) -> tuple[Vecto
     A simulated unit places the origin at the tool's fixed place; a real one finds the spheres where they are,
     so the cases check that position. Leaves the unit tracking; returns the markers of the definition.
     """
-    handle = unit.load(shift_origin(block))
-    unit.okay("TSTART:80")
+    handle = unit.load_tool(shift_origin(block))
+    unit.expect_okay("TSTART:80")
     pose = read_frame(unit, 0x0801).handles[0].pose
-    unit.okay("TSTOP:")
+    unit.expect_okay("TSTOP:")
     if pose is None:
         raise NotShown("the tool is not in view")
-    unit.okay(f"PHF:{handle}")
-    markers = place_markers(markers_of(block), pose)
-    way = [
+    unit.expect_okay(f"PHF:{handle}")
+    markers = place_markers(read_markers(block), pose)
+    translation_mm = [
         target - sum(axis) / len(axis)
         for target, axis in zip(target_mm, zip(*markers, strict=True), strict=True)
     ]
     # the same direction in the tool's own frame: the conjugate rotation
     back = (pose[0], -pose[1], -pose[2], -pose[3], 0.0, 0.0, 0.0, 0.0)
-    moved = shift_origin(block, place_markers(((way[0], way[1], way[2]),), back)[0])
-    unit.load(moved)
-    unit.okay("TSTART:80")
-    return markers_of(moved)
+    moved = shift_origin(
+        block, place_markers(((translation_mm[0], translation_mm[1], translation_mm[2]),), back)[0]
+    )
+    unit.load_tool(moved)
+    unit.expect_okay("TSTART:80")
+    return read_markers(moved)

@@ -78,9 +78,11 @@ def chart(view: CaseView) -> str:
         done = all(row.state == "done" for row in steps)
         words = f"{phase.capitalize()}: {len(steps)} steps done" if done else phase.capitalize()
         body = tag("summary", text(words))
-        body += tag("ol", "".join(_step(view, row, with_summary=finished or row is latest) for row in steps))
+        body += tag(
+            "ol", "".join(_render_step(view, row, with_summary=finished or row is latest) for row in steps)
+        )
         phases.append(f"<details{'' if done and not finished else ' open'}>{body}</details>")
-    return _state(view) + ("".join(phases) or tag("p", "Opening the theatre.", class_="dim"))
+    return _render_state(view) + ("".join(phases) or tag("p", "Opening the theatre.", class_="dim"))
 
 
 def chart_key(view: CaseView) -> object:
@@ -97,36 +99,36 @@ def chart_key(view: CaseView) -> object:
     )
 
 
-def _state(view: CaseView) -> str:
+def _render_state(view: CaseView) -> str:
     state = tag("strong", text(view.state.replace(".", " · ").replace("_", " ")))
     reason = tag("div", text(view.reason), class_="warn") if view.reason else ""
     unmet = view.waiting.unmet if view.waiting else ()
-    refused = "".join(tag("li", text(one)) for one in unmet)
-    why = (
+    refused = "".join(tag("li", text(item)) for item in unmet)
+    refusal_html = (
         tag("div", f"{text(view.upcoming)} cannot start:" + tag("ul", refused), class_="bad") if unmet else ""
     )
-    waits = ""
+    waiting_html = ""
     if view.waiting is not None and not unmet and view.upcoming and view.question is None:
-        waits = tag("div", f"waiting for the operator; next: {text(view.upcoming)}", class_="next")
-    return tag("div", state + reason + waits + why, class_="state", role="status")
+        waiting_html = tag("div", f"waiting for the operator; next: {text(view.upcoming)}", class_="next")
+    return tag("div", state + reason + waiting_html + refusal_html, class_="state", role="status")
 
 
-def _step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
+def _render_step(view: CaseView, row: StepRow, *, with_summary: bool) -> str:
     is_next = row.state not in ("begun", "done") and row.step == view.upcoming and not view.running
     sign, word, kind = MARKS["next" if is_next and not row.state else row.state]
     moves = tag("span", "moves", class_="moves") if row.moves else ""
     shown = tag("span", sign, class_="mark", aria_hidden="true") + tag(
-        "span", f"{text(row.title)} {_place(row)}{moves}", class_="title"
+        "span", f"{text(row.title)} {_render_place(row)}{moves}", class_="title"
     )
-    below = row.summary if with_summary or row.state != "done" else ""
+    detail_text = row.summary if with_summary or row.state != "done" else ""
     if row.state == "begun":
-        below = f"{view.share:.0%} {view.doing}".strip() if view.share or view.doing else ""
+        detail_text = f"{view.share:.0%} {view.doing}".strip() if view.share or view.doing else ""
         shown += tag("progress", "", max="1", value=f"{view.share:.3f}", aria_label="progress")
-    detail = tag("div", text(below), class_="summary") if below else ""
+    detail = tag("div", text(detail_text), class_="summary") if detail_text else ""
     return tag("li", shown + tag("span", word, class_="word") + detail, class_=kind, data_step=row.step)
 
 
-def _place(row: StepRow) -> str:
+def _render_place(row: StepRow) -> str:
     _, _, place = row.step.partition(":")
     return tag("b", text(place)) + " " if place else ""
 
@@ -135,14 +137,16 @@ def devices(view: CaseView) -> str:
     """Show one row per device."""
     if not view.devices:
         return tag("p", "No device connected yet.", class_="dim")
-    head = tag("tr", "".join(tag("th", one, scope="col") for one in HEAD))
-    body = "".join(_row(name, row) for name, row in view.devices.items())
-    return _link(view) + table_of(head, body)
+    head = tag("tr", "".join(tag("th", item, scope="col") for item in HEAD))
+    body = "".join(_render_row(name, row) for name, row in view.devices.items())
+    return _render_link(view) + table_of(head, body)
 
 
 def devices_key(view: CaseView) -> object:
     """Return a key that changes with the table."""
-    return tuple((name, row.seen, _age(row), row.rate) for name, row in view.devices.items()), view.link
+    return tuple(
+        (name, row.seen, _format_age(row), row.rate) for name, row in view.devices.items()
+    ), view.link
 
 
 def mode(view: CaseView) -> str:
@@ -152,20 +156,26 @@ def mode(view: CaseView) -> str:
     return tag("div", f'<b>{text(view.mode)}</b><div class="dim">controller</div>', class_="mode")
 
 
-def _row(name: str, row: DeviceRow) -> str:
+def _render_row(name: str, row: DeviceRow) -> str:
     sign, kind = SIGNS.get(row.seen.state, ("◐", ""))
     state = tag("td", f'<span aria-hidden="true">{sign}</span> {text(row.seen.state)}', class_=kind)
-    old = row.age_s is not None and row.age_s > OLD_S
-    doubt = "" if row.validity in WHOLE else f" {text(row.validity)}"
-    age = tag("td", _age(row) + (" old" if old else "") + doubt, class_="num warn" if old or doubt else "num")
-    rate = tag("td", _rate(row.rate) or "-", class_="num")
+    is_old = row.age_s is not None and row.age_s > OLD_S
+    validity_text = "" if row.validity in WHOLE else f" {text(row.validity)}"
+    age = tag(
+        "td",
+        _format_age(row) + (" old" if is_old else "") + validity_text,
+        class_="num warn" if is_old or validity_text else "num",
+    )
+    rate = tag("td", _format_rate(row.rate) or "-", class_="num")
     fault = tag("td", text(row.seen.fault or "none"), class_="bad" if row.seen.fault else "dim")
     return tag(
-        "tr", tag("th", text(name), scope="row") + state + age + rate + _says(row) + fault, data_device=name
+        "tr",
+        tag("th", text(name), scope="row") + state + age + rate + _render_facts(row) + fault,
+        data_device=name,
     )
 
 
-def _says(row: DeviceRow) -> str:
+def _render_facts(row: DeviceRow) -> str:
     """List a device's facts; those that keep the case from continuing are highlighted."""
     remarks = [
         f"{text(fact.name)} {text(fact.found)}"
@@ -173,23 +183,23 @@ def _says(row: DeviceRow) -> str:
         else tag("strong", f"⚠ {text(fact.name)}: {text(fact.found)}", class_="bad")
         for fact in row.seen.says
     ]
-    remarks += [tag("span", f"! {text(one)}", class_="warn") for one in row.seen.notices]
+    remarks += [tag("span", f"! {text(item)}", class_="warn") for item in row.seen.notices]
     return tag("td", "; ".join(remarks) or "-", class_="says" if remarks else "dim")
 
 
-def _age(row: DeviceRow) -> str:
+def _format_age(row: DeviceRow) -> str:
     return "-" if row.age_s is None else f"{row.age_s:.1f} s"
 
 
-def _rate(rate: Rate | None) -> str:
+def _format_rate(rate: Rate | None) -> str:
     return "" if rate is None or rate.hz is None else f"{rate.hz:.0f} Hz"
 
 
-def _link(view: CaseView) -> str:
+def _render_link(view: CaseView) -> str:
     link = view.link
     if link is None:
         return tag("p", "No robot link data yet.", class_="dim")
-    rate = f" at {hz}" if (hz := _rate(view.link_rate)) else ""
+    rate = f" at {hz}" if (hz := _format_rate(view.link_rate)) else ""
     late = "bad" if link.late or link.lost or link.rejected else ""
     counts = f"{link.late} late, {link.lost} lost, {link.rejected} rejected"
     return tag(

@@ -26,7 +26,7 @@ def tag(name: str, content: str, **attributes: str) -> str:
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]], caption: str = "") -> str:
     """Build a table of plain text."""
-    columns = tag("tr", "".join(tag("th", text(one), scope="col") for one in head))
+    columns = tag("tr", "".join(tag("th", text(heading), scope="col") for heading in head))
     body = "".join(tag("tr", "".join(tag("td", text(cell)) for cell in row)) for row in rows)
     return table_of(columns, body, caption)
 

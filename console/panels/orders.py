@@ -34,7 +34,7 @@ from procedures.runs.orders import (
     Resume,
     RunTo,
 )
-from ronna_hw.text import typed_number
+from ronna_hw.text import parse_typed_number
 
 HOLD_S = 1.0  # host time for which an answer must be held
 ARMED_S = 0.7  # host time after appearing before it can be given
@@ -79,7 +79,9 @@ class OrderPanel:
         self._give = give
         with ui.element("div").classes("orders").props('role=toolbar aria-label="Orders"'):
             self._next_place = ui.element("div").style("display: contents")
-            self._to = ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
+            self._last_step = (
+                ui.select([], label="up to").props("dense outlined options-dense").classes("upto")
+            )
             self._run_place = ui.element("div").style("display: contents")
             self._pause = _button("Pause", partial(give, {"kind": "pause"}), "pause")
             self._acknowledge = _button(
@@ -97,7 +99,7 @@ class OrderPanel:
             await self._give({"kind": "next", "upcoming": upcoming})
 
         async def order_run_to() -> None:
-            await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._to.value)})
+            await self._give({"kind": "run_to", "upcoming": upcoming, "step": str(self._last_step.value)})
 
         async def order_resume() -> None:
             await self._give({"kind": "resume", "upcoming": upcoming})
@@ -112,8 +114,8 @@ class OrderPanel:
 
     def show(self, view: CaseView, *, is_mine: bool) -> None:
         """Enable the orders possible now; each quotes the state that its button was shown with."""
-        state = state_of(view)
-        ended = view.state in ("finished", "aborted") or bool(view.outcome)
+        state = case_activity(view)
+        has_ended = view.state in ("finished", "aborted") or bool(view.outcome)
         quoted = view.upcoming if state is WAITING and is_mine else ""
         if quoted != self._quoted:
             self._build(quoted)
@@ -125,24 +127,28 @@ class OrderPanel:
             (self._acknowledge, Acknowledge),
             (self._abort, Abort),
         ):
-            again = order is Pause and state is PAUSED  # would only pause anew after the answer
-            counts = state in RULE_OF[order].from_console and not again
-            button.set_enabled(is_mine and counts and not ended)
+            is_repeated = order is Pause and state is PAUSED  # would only pause anew after the answer
+            is_accepted = state in RULE_OF[order].from_console and not is_repeated
+            button.set_enabled(is_mine and is_accepted and not has_ended)
         self._acknowledge.set_visibility(any(row.seen.fault for row in view.devices.values()))
         options = [row.step for row in view.steps if row.state != "done"]
-        if options != self._to.options:
-            kept = self._to.value if self._to.value in options else (options[-1] if options else None)
-            self._to.set_options(options, value=kept)
+        if options != self._last_step.options:
+            kept_step = (
+                self._last_step.value
+                if self._last_step.value in options
+                else (options[-1] if options else None)
+            )
+            self._last_step.set_options(options, value=kept_step)
 
 
-def state_of(view: CaseView) -> CaseActivity:
+def case_activity(view: CaseView) -> CaseActivity:
     """Return the state of a case in which an order of its page arrives."""
     if view.question is not None:
         return PAUSED if view.question.topic == Topic.PAUSE else CaseActivity.ASKING
     return WAITING if view.waiting is not None and view.upcoming else CaseActivity.RUNNING
 
 
-def stop_button(give: Give) -> None:
+def add_stop_button(give: Give) -> None:
     """Add the stop button, always visible and enabled for operators."""
 
     async def stop() -> None:
@@ -165,7 +171,7 @@ class QuestionPanel:
         self._give = give
         self._tell = tell
         self._shown: object = ()
-        self._left: ui.html | None = None
+        self._time_limit: ui.html | None = None
         self._place = (
             ui.element("section").classes("question").props('aria-label="Question" aria-live=polite')
         )
@@ -177,14 +183,14 @@ class QuestionPanel:
             None if question is None else (question.question, digest_of_question(question), is_mine, has_seat)
         )
         if key != self._shown:
-            self._shown, self._left = key, None
+            self._shown, self._time_limit = key, None
             self._place.clear()
             self._place.set_visibility(question is not None)
             if question is not None:
                 with self._place:
                     self._build(question, view, is_mine=is_mine)
-        if self._left is not None and question is not None:
-            self._left.set_content(_left(question, view))
+        if self._time_limit is not None and question is not None:
+            self._time_limit.set_content(_time_limit(question, view))
 
     def _build(self, question: Questioned, view: CaseView, *, is_mine: bool) -> None:
         digest = digest_of_question(question)
@@ -194,7 +200,7 @@ class QuestionPanel:
             + "".join(map(evidence_table, question.evidence)),
             sanitize=False,
         )
-        self._left = ui.html("", sanitize=False)
+        self._time_limit = ui.html("", sanitize=False)
         if not is_mine:
             who = f"{view.seat.holder} answers" if view.seat else "the operator's seat is empty"
             ui.html(
@@ -202,11 +208,13 @@ class QuestionPanel:
                 sanitize=False,
             )
             return
-        typed = None
+        read_back_field = None
         if question.read_back is not None:
             label = f"Read back: {question.read_back}"
-            typed = ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
-        read = [
+            read_back_field = (
+                ui.input(label).classes("typed").props("dense outlined autocomplete=off maxlength=60")
+            )
+        reading_fields = [
             ui.input(what)
             .classes("typed")
             .props("dense outlined autocomplete=off maxlength=20 inputmode=decimal")
@@ -214,13 +222,18 @@ class QuestionPanel:
         ]
         with ui.element("div").classes("answers"):
             for answer in question.answers:
-                self._answer_button(question, answer, digest, typed, read)
+                self._answer_button(question, answer, digest, read_back_field, reading_fields)
         ui.html(tag("p", f"shown: {digest[:DIGEST_SHOWN]}", class_="digest"), sanitize=False)
 
     def _answer_button(
-        self, question: Questioned, answer: str, digest: str, typed: ui.input | None, read: list[ui.input]
+        self,
+        question: Questioned,
+        answer: str,
+        digest: str,
+        read_back_field: ui.input | None,
+        reading_fields: list[ui.input],
     ) -> None:
-        goes_on = answer == question.answers[0]
+        is_go_ahead = answer == question.answers[0]
 
         async def act() -> None:
             order: dict[str, Any] = {
@@ -229,11 +242,13 @@ class QuestionPanel:
                 "answer": answer,
                 "shown": digest,
             }
-            if typed is not None and goes_on:
-                order["typed"] = str(typed.value or "")
-            if read and goes_on:
+            if read_back_field is not None and is_go_ahead:
+                order["typed"] = str(read_back_field.value or "")
+            if reading_fields and is_go_ahead:
                 try:
-                    order["readings"] = [typed_number(str(one.value or ""), "mm") for one in read]
+                    order["readings"] = [
+                        parse_typed_number(str(field.value or ""), "mm") for field in reading_fields
+                    ]
                 except ValueError as error:
                     self._tell(f"{error} is not a number in mm, such as 0.12")
                     return
@@ -244,7 +259,7 @@ class QuestionPanel:
             button = HeldButton(f"{answer} (hold)", act, self._tell).button
         else:
             button = ui.button(answer, on_click=act, color=None).props("no-caps unelevated")
-        button.classes("go" if goes_on else "plain").props(f'data-answer="{answer}"')
+        button.classes("go" if is_go_ahead else "plain").props(f'data-answer="{answer}"')
 
 
 class HeldButton:
@@ -260,9 +275,9 @@ class HeldButton:
         self.button.tooltip("hold for one second; on the keyboard, hold the space bar")
         self.button.on("pointerdown", self._down, args=["timeStamp"])
         self.button.on("pointerup", self._up, args=["timeStamp"])
-        for gone in ("pointerleave", "pointercancel"):
-            self.button.on(gone, self._pointer_gone)
-        self.button.on("blur", self._let_go)
+        for event_name in ("pointerleave", "pointercancel"):
+            self.button.on(event_name, self._pointer_gone)
+        self.button.on("blur", self._cancel_hold)
         self.button.on("keydown", self._key_down, args=["key", "repeat", "timeStamp"])
         self.button.on("keyup", self._key_up, args=["key", "timeStamp"])
 
@@ -280,12 +295,12 @@ class HeldButton:
             return
         await self._act()
 
-    def _let_go(self) -> None:
+    def _cancel_hold(self) -> None:
         self._down_ms = None
 
     def _pointer_gone(self) -> None:
         if not self._by_key:  # a page that moves under a resting pointer does not release the space bar
-            self._let_go()
+            self._cancel_hold()
 
     def _key_down(self, event: Any) -> None:
         if event.args.get("key") == " " and not event.args.get("repeat"):
@@ -303,12 +318,14 @@ def _moment_ms(event: Any) -> float:
     return float(moment) if isinstance(moment, int | float) else math.nan
 
 
-def _left(question: Questioned, view: CaseView) -> str:
+def _time_limit(question: Questioned, view: CaseView) -> str:
     if question.timeout_s is None:
         return tag("p", "No time limit.", class_="dim")
     asked = datetime.fromisoformat(view.asked_at)
-    left_s = max(0.0, question.timeout_s - (datetime.now(UTC) - asked).total_seconds())
-    return tag("p", f"{left_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num")
+    remaining_s = max(0.0, question.timeout_s - (datetime.now(UTC) - asked).total_seconds())
+    return tag(
+        "p", f"{remaining_s:.0f} s left; no answer means “{text(question.answers[-1])}”.", class_="dim num"
+    )
 
 
 def _button(label: str, work: Callable[[], Awaitable[None]], name: str, kind: str = "plain") -> ui.button:

@@ -14,7 +14,7 @@ from ronna_hw.host.files import open_regular
 from ronna_hw.log_output import LOG_FILE
 
 NOTE = "The residual of the fit (FRE) is not the accuracy; it only shows whether the fit is consistent."
-MOST = 4
+MOST_PICTURES = 4
 LIVE_OLD_S = 2.0  # host time after which a live image no longer shows the head's view
 SIGNS = {"fault": ("✗ fault", "bad"), "refused": ("⊘ refused", "warn"), "finding": ("! note", "warn")}
 JOURNAL_LINES = LOG_LINES = 60
@@ -29,15 +29,15 @@ def accuracy(figures: CaseFigures | None) -> str:
     rows = "".join(
         tag(
             "tr",
-            tag("th", text(one.target), scope="row")
-            + tag("td", f"{one.rms_mm:.2f}", class_="num big")
-            + tag("td", f"{one.limit_mm:.2f} at {one.confidence:.0%}", class_="num")
-            + tag("td", f"{one.margin_mm:g}", class_="num"),
+            tag("th", text(item.target), scope="row")
+            + tag("td", f"{item.rms_mm:.2f}", class_="num big")
+            + tag("td", f"{item.limit_mm:.2f} at {item.confidence:.0%}", class_="num")
+            + tag("td", f"{item.margin_mm:g}", class_="num"),
         )
-        for one in figures.predictions
+        for item in figures.predictions
     )
     head = tag(
-        "tr", "".join(tag("th", one, scope="col") for one in ("target", "mm rms", "limit mm", "margin mm"))
+        "tr", "".join(tag("th", item, scope="col") for item in ("target", "mm rms", "limit mm", "margin mm"))
     )
     total = tag(
         "table",
@@ -51,11 +51,11 @@ def live_pair(hub: Hub) -> str:
     if not hub.pair:
         return ""
     age_s = hub.pair_age_s
-    old = age_s > LIVE_OLD_S
-    words = f"taken {age_s:.0f} s ago" if old else "now"
+    is_old = age_s > LIVE_OLD_S
+    words = f"taken {age_s:.0f} s ago" if is_old else "now"
     image = f'<img src="/picture/pair?n={hub.pairs}" alt="Both cameras of the stereo head, {words}">'
-    caption = tag("figcaption", f"stereo head, {words}", class_="warn" if old else "ok")
-    return tag("figure", image + caption, class_="live old" if old else "live")
+    caption = tag("figcaption", f"stereo head, {words}", class_="warn" if is_old else "ok")
+    return tag("figure", image + caption, class_="live old" if is_old else "live")
 
 
 def live_key(hub: Hub) -> object:
@@ -66,13 +66,13 @@ def live_key(hub: Hub) -> object:
 
 def pictures(figures: CaseFigures | None) -> str:
     """Show the measured stereo pairs with the outlines found in them, newest first."""
-    names = figures.pictures[-MOST:][::-1] if figures else ()
+    names = figures.pictures[-MOST_PICTURES:][::-1] if figures else ()
     if not names:
         return tag("p", "No stereo picture yet.", class_="dim")
-    return tag("div", "".join(map(_picture, names)), class_="pictures")
+    return tag("div", "".join(map(_render_picture, names)), class_="pictures")
 
 
-def _picture(name: str) -> str:
+def _render_picture(name: str) -> str:
     what = PurePath(name).stem.removeprefix("stereo-").replace("-", ", sphere ")
     alt_text = f"{text(what)}: both cameras, detected outline overlaid"
     image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
@@ -83,10 +83,10 @@ def cuts(view: CaseView, figures: CaseFigures | None) -> str:
     """Show three planes through each target; those of the current step are open."""
     if figures is None or not figures.cuts:
         return tag("p", "The plan has not been checked yet.", class_="dim")
-    at_hand = (view.running or view.upcoming).partition(":")[2]
+    current_name = (view.running or view.upcoming).partition(":")[2]
     names = {PurePath(name).stem.removeprefix(PLAN_PICTURE): name for name in figures.cuts}
-    shown = at_hand if at_hand in names else next(iter(names))
-    return "".join(_cut(way, name, is_open=way == shown) for way, name in names.items())
+    shown = current_name if current_name in names else next(iter(names))
+    return "".join(_render_cut(way, name, is_open=way == shown) for way, name in names.items())
 
 
 def cuts_key(view: CaseView) -> object:
@@ -94,7 +94,7 @@ def cuts_key(view: CaseView) -> object:
     return (view.running or view.upcoming).partition(":")[2]
 
 
-def _cut(way: str, name: str, *, is_open: bool) -> str:
+def _render_cut(way: str, name: str, *, is_open: bool) -> str:
     alt_text = f"Trajectory {text(way)} in three planes through its target"
     image = f'<img src="/picture/{text(name)}" alt="{alt_text}" loading="lazy">'
     return f"<details{' open' if is_open else ''}>{tag('summary', text(way))}{image}</details>"
@@ -111,10 +111,10 @@ def notices(view: CaseView) -> str:
     """List the notices, newest first."""
     if not view.notices:
         return tag("p", "No faults or refusals.", class_="dim")
-    return tag("ul", "".join(_notice(one) for one in reversed(view.notices)), class_="notices")
+    return tag("ul", "".join(_render_notice(item) for item in reversed(view.notices)), class_="notices")
 
 
-def _notice(notice: Notice) -> str:
+def _render_notice(notice: Notice) -> str:
     words, kind = ("✓ settled", "dim") if notice.settled else SIGNS[notice.kind]
     head = tag("strong", f"{words} {text(notice.code)}".rstrip(), class_=kind)
     when = tag("span", f"{notice.theatre_time_s:.1f} s", class_="when")
@@ -138,11 +138,11 @@ def problems(figures: CaseFigures | None) -> str:
 
 def log(lines: tuple[str, ...]) -> str:
     """List the last log lines, newest first; warnings and errors are marked by their level."""
-    shown = "".join(tag("li", text(line), class_=_level(line)) for line in reversed(lines[-LOG_LINES:]))
+    shown = "".join(tag("li", text(line), class_=_level_class(line)) for line in reversed(lines[-LOG_LINES:]))
     return tag("ol", shown, class_="journal") if shown else tag("p", "No log entries yet.", class_="dim")
 
 
-def _level(line: str) -> str:
+def _level_class(line: str) -> str:
     level = line.split(" ", 2)[1:2]
     return {"warning": "warn", "error": "bad", "critical": "bad"}.get(level[0] if level else "", "")
 

@@ -19,7 +19,7 @@ from procedures.planning.errors import UnsavedChanges
 from procedures.planning.plan_model import SCHEMA_VERSION, FiducialKind, Plan, Structure
 from procedures.strategies.trajectory import Point
 from ronna_hw.bounded_input import InputRefused, read_json_bytes
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
 USUAL_MARGIN_MM = 2.0
 USUAL_STANDOFF_MM = 30.0
@@ -78,8 +78,8 @@ class Draft:
             standoff_mm=plan.standoff_mm,
             instrument_length_mm=plan.instrument_length_mm,
             ways=tuple(
-                DraftTrajectory(one.id, one.entry_mm, one.target_mm, one.free_angle_deg, one.margin_mm)
-                for one in plan.trajectories
+                DraftTrajectory(item.id, item.entry_mm, item.target_mm, item.free_angle_deg, item.margin_mm)
+                for item in plan.trajectories
             ),
             structures=plan.structures or (),
             table_position=plan.table_position or "",
@@ -87,29 +87,29 @@ class Draft:
 
     def way(self, identifier: str) -> DraftTrajectory:
         """Return the trajectory with that name; raises KeyError."""
-        for one in self.ways:
-            if one.identifier == identifier:
-                return one
+        for item in self.ways:
+            if item.identifier == identifier:
+                return item
         raise KeyError(identifier)
 
     def with_way(self, identifier: str, way: DraftTrajectory) -> Draft:
         """Replace a trajectory."""
-        return replace(self, ways=tuple(way if one.identifier == identifier else one for one in self.ways))
+        return replace(self, ways=tuple(way if item.identifier == identifier else item for item in self.ways))
 
     def with_new_way(self) -> tuple[Draft, str]:
         """Add a trajectory; returns its name too."""
-        taken = {one.identifier for one in self.ways}
+        taken = {item.identifier for item in self.ways}
         name = next(name for k in range(1, len(taken) + 2) if (name := f"T{k}") not in taken)
         return replace(self, ways=(*self.ways, DraftTrajectory(name))), name
 
     def without_way(self, identifier: str) -> Draft:
         """Remove a trajectory; the last one is emptied instead."""
-        left = tuple(one for one in self.ways if one.identifier != identifier)
-        return replace(self, ways=left or (DraftTrajectory("T1"),))
+        remaining = tuple(item for item in self.ways if item.identifier != identifier)
+        return replace(self, ways=remaining or (DraftTrajectory("T1"),))
 
     def structure(self, name: str) -> Structure | None:
         """Return the structure with that name; None without one."""
-        return next((one for one in self.structures if one.name == name), None)
+        return next((item for item in self.structures if item.name == name), None)
 
     def with_structure(self, structure: Structure) -> Draft:
         """Add a structure, or replace the one with its name."""
@@ -117,12 +117,12 @@ class Draft:
             return replace(self, structures=(*self.structures, structure))
         return replace(
             self,
-            structures=tuple(structure if one.name == structure.name else one for one in self.structures),
+            structures=tuple(structure if item.name == structure.name else item for item in self.structures),
         )
 
     def without_structure(self, name: str) -> Draft:
         """Remove a structure."""
-        return replace(self, structures=tuple(one for one in self.structures if one.name != name))
+        return replace(self, structures=tuple(item for item in self.structures if item.name != name))
 
     def content(self, series_instance_uid: str) -> dict[str, Any]:
         """Return the content of a plan file, with the trajectories whose ends are both chosen."""
@@ -136,24 +136,24 @@ class Draft:
             "standoff_mm": self.standoff_mm,
             "trajectories": [
                 {
-                    "id": one.identifier,
-                    "entry_mm": list(one.ends[0]),
-                    "target_mm": list(one.ends[1]),
-                    "free_angle_deg": one.free_angle_deg,
-                    "margin_mm": one.margin_mm,
+                    "id": item.identifier,
+                    "entry_mm": list(item.ends[0]),
+                    "target_mm": list(item.ends[1]),
+                    "free_angle_deg": item.free_angle_deg,
+                    "margin_mm": item.margin_mm,
                 }
-                for one in self.ways
-                if one.ends is not None
+                for item in self.ways
+                if item.ends is not None
             ],
         }
         if self.instrument_length_mm is not None:
             content["instrument_length_mm"] = self.instrument_length_mm
         if self.template_mm is not None:
-            content["template_mm"] = [list(one) for one in self.template_mm]
+            content["template_mm"] = [list(item) for item in self.template_mm]
         if self.table_position:
             content["table_position"] = self.table_position
         if self.structures:
-            content["structures"] = [one.model_dump(mode="json") for one in self.structures]
+            content["structures"] = [item.model_dump(mode="json") for item in self.structures]
         return content
 
 
@@ -165,11 +165,11 @@ class History:
         self._future: list[Draft] = []
         self.now = draft
 
-    def change(self, draft: Draft, *, goes_on: bool = False) -> None:
-        """Apply a change. One that `goes_on`, as during a drag, is undone together with the one before."""
+    def change(self, draft: Draft, *, continues: bool = False) -> None:
+        """Apply a change. One that `continues`, as during a drag, is undone together with the one before."""
         if draft == self.now:
             return
-        if not goes_on or not self._past:
+        if not continues or not self._past:
             self._past = [*self._past, self.now][-MOST_STEPS_BACK:]
         self._future = []
         self.now = draft
@@ -188,8 +188,8 @@ class History:
 
     def replace_all(self, by: Callable[[Draft], Draft]) -> None:
         """Apply new knowledge to every draft in the history."""
-        self._past = [by(one) for one in self._past]
-        self._future = [by(one) for one in self._future]
+        self._past = [by(item) for item in self._past]
+        self._future = [by(item) for item in self._future]
         self.now = by(self.now)
 
     @property
@@ -217,8 +217,11 @@ class Axis:
     @classmethod
     def of(cls, entry_mm: Sequence[float], target_mm: Sequence[float]) -> Axis:
         """Compute the axis of a trajectory."""
-        left, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
-        return cls(math.degrees(math.atan2(back, left)), math.degrees(math.atan2(up, math.hypot(left, back))))
+        remaining, back, up = (e - t for e, t in zip(entry_mm, target_mm, strict=True))
+        return cls(
+            math.degrees(math.atan2(back, remaining)),
+            math.degrees(math.atan2(up, math.hypot(remaining, back))),
+        )
 
     def entry_mm(self, target_mm: Point, depth_mm: float) -> Point:
         """Return the entry at that depth above the target."""
@@ -232,7 +235,7 @@ class Axis:
         return x, y, z
 
 
-class _Kept(BaseModel):
+class _StoredDraft(BaseModel):
     """A draft and its base, without the spheres, which are found again."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
@@ -259,11 +262,11 @@ class UnsavedFile:
         self._series = series_instance_uid
         self._is_ours = False  # written or adopted here
 
-    def keep(self, draft: Draft, plan_sha256: str) -> None:
+    def store_draft(self, draft: Draft, plan_sha256: str) -> None:
         """Store a draft that changes the plan file with that digest. Raises OSError."""
         values = {name: getattr(draft, name) for name in Draft.__dataclass_fields__ if name != "markers"}
-        kept = _Kept(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
-        write_whole(self.path, kept.model_dump_json(indent=1).encode())
+        kept = _StoredDraft(series_instance_uid=self._series, plan_sha256=plan_sha256, **values)
+        write_atomically(self.path, kept.model_dump_json(indent=1).encode())
         self._is_ours = True
 
     def forget(self) -> None:
@@ -280,7 +283,7 @@ class UnsavedFile:
         if not self.path.exists():
             return None
         try:
-            kept = _Kept.model_validate_json(read_json_bytes(self.path, LARGEST_BYTES))
+            kept = _StoredDraft.model_validate_json(read_json_bytes(self.path, LARGEST_BYTES))
         except (OSError, InputRefused, ValidationError):
             raise self._set_aside("cannot be read") from None
         if (kept.series_instance_uid, kept.plan_sha256) != (self._series, plan_sha256):
@@ -291,7 +294,9 @@ class UnsavedFile:
 
     def _set_aside(self, why: str) -> UnsavedChanges:
         aside = next(
-            one for k in range(1, 1000) if not (one := self.path.with_name(f"{self.path.name}-{k}")).exists()
+            item
+            for k in range(1, 1000)
+            if not (item := self.path.with_name(f"{self.path.name}-{k}")).exists()
         )
         try:
             self.path.rename(aside)

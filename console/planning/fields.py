@@ -10,14 +10,14 @@ from collections.abc import Callable
 
 from nicegui import ui
 
-from ronna_hw.text import typed_number
+from ronna_hw.text import parse_typed_number
 
 
 class NumberField:
-    """Field for a number with the given decimals; `take` receives the entered value."""
+    """Field for a number with the given decimals; `on_value` receives the entered value."""
 
-    def __init__(self, label: str, name: str, take: Callable[[float], None], decimals: int = 1) -> None:
-        self._take, self._decimals = take, decimals
+    def __init__(self, label: str, name: str, on_value: Callable[[float], None], decimals: int = 1) -> None:
+        self._on_value, self._decimals = on_value, decimals
         self._shown = ""
         self.name = name
         self.is_wrong = False  # the entry is no number: the field does not show the value
@@ -27,8 +27,8 @@ class NumberField:
             .props(f'dense outlined hide-bottom-space autocomplete=off maxlength=20 prefix="{label}"')
             .props(f'inputmode=decimal data-field="{name}" aria-label="{name}"')
         )
-        self._field.on("blur", self._typed)
-        self._field.on("keydown.enter", self._typed)
+        self._field.on("blur", self._commit)
+        self._field.on("keydown.enter", self._commit)
 
     def show(self, value: float | None) -> None:
         """Show the present value; text being typed stays as long as nothing else changes."""
@@ -36,32 +36,32 @@ class NumberField:
         if words != self._shown:
             self._shown = words
             self._field.set_value(words)
-            self._complain("")
+            self._show_mistake("")
 
     def enable(self, enabled: bool) -> None:
         """Enable or disable typing."""
         self._field.set_enabled(enabled)
 
-    def _typed(self) -> None:
+    def _commit(self) -> None:
         words = str(self._field.value or "").strip()
         if words in ("", self._shown):
             self._field.set_value(self._shown)
-            self._complain("")
+            self._show_mistake("")
             return
         try:
-            value = typed_number(words)
+            value = parse_typed_number(words)
         except ValueError as mistake:
-            self._complain(f"expected a number such as -12.5, got {mistake}")
+            self._show_mistake(f"expected a number such as -12.5, got {mistake}")
             return
         if not self._decimals and not value.is_integer():
-            self._complain(f"expected a whole number, got {words}")
+            self._show_mistake(f"expected a whole number, got {words}")
             return
-        self._complain("")
+        self._show_mistake("")
         self._shown = words
-        self._take(value)
+        self._on_value(value)
         self._field.update()  # the previous value may still be on its way, and would overwrite this one
 
-    def _complain(self, mistake: str) -> None:
+    def _show_mistake(self, mistake: str) -> None:
         self.is_wrong = bool(mistake)
         self._field.props(remove="error error-message")
         if mistake:

@@ -32,13 +32,13 @@ AWAY_MM = 480.0
 class HeadScene:
     """The head's scene of a page, in CT coordinates, metres."""
 
-    def __init__(self, editor: PlanEditor, look: PageView, *, low: bool) -> None:
-        self._editor, self._look, self._low = editor, look, low
+    def __init__(self, editor: PlanEditor, page_view: PageView, *, low: bool) -> None:
+        self._editor, self._page_view, self._low = editor, page_view, low
         self._head: Any = None
         self._marks: list[Any] = []
         self._key: object = None
-        self._avoided: list[Any] = []
-        self._avoided_key: object = None
+        self._structure_clouds: list[Any] = []
+        self._structures_key: object = None
         self._placed: object = None
         with ui.element("section").classes("card scenebox").props('aria-label="The head"'):
             self._views = ui.element("div").classes("views").props('role=group aria-label="Views"')
@@ -55,10 +55,10 @@ class HeadScene:
                 self._cross = [Rod(self._scene, 0.5, CROSS) for _ in range(3)]
         with self._views:
             for name in (*VIEWS, "along"):
-                ui.button(name, on_click=lambda name=name: self._view(name), color=None).classes(
+                ui.button(name, on_click=lambda name=name: self._move_camera(name), color=None).classes(
                     "plain small"
                 ).props("no-caps unelevated")
-        self._view("front")
+        self._move_camera("front")
 
     def show(self) -> None:
         """Show the current draft."""
@@ -67,43 +67,45 @@ class HeadScene:
             if self._head is None and editor.head:
                 self._head = self._scene.stl("/picture/head.stl").with_name("head")
                 self._head.material(SKIN, LOW_OPACITY if self._low else HEAD_OPACITY)
-            key = (tuple(map(id, draft.markers)), draft.ways, self._look.way)
+            key = (tuple(map(id, draft.markers)), draft.ways, self._page_view.way)
             if key != self._key:
                 self._key = key
                 self._build_marks()
-            if draft.structures != self._avoided_key:
-                self._avoided_key = draft.structures
-                self._build_avoided()
-            if self._look.place_mm != self._placed:
-                self._placed = self._look.place_mm
-                self._place_cross(self._look.place_mm)
+            if draft.structures != self._structures_key:
+                self._structures_key = draft.structures
+                self._build_structures()
+            if self._page_view.place_mm != self._placed:
+                self._placed = self._page_view.place_mm
+                self._place_cross(self._page_view.place_mm)
 
     def _build_marks(self) -> None:
-        for one in self._marks:
-            one.delete()
+        for mark in self._marks:
+            mark.delete()
         self._marks = []
         for marker in self._editor.draft.markers:
             self._ball(list(marker.centre_mm), SPHERE_RADIUS_MM, SPHERE)
         for way in self._editor.draft.ways:
-            colour = CHOSEN if way.identifier == self._look.way else OTHER
+            colour = CHOSEN if way.identifier == self._page_view.way else OTHER
             for place, radius_mm in ((way.entry_mm, 2.0), (way.target_mm, 2.8)):
                 if place is not None:
                     self._ball(place, radius_mm, colour)
             if way.ends is not None and way.depth_mm:
                 share = OUTSIDE_MM / way.depth_mm
-                out = tuple(e + share * (e - t) for e, t in zip(*way.ends, strict=True))
+                outer_end_mm = tuple(e + share * (e - t) for e, t in zip(*way.ends, strict=True))
                 rod = Rod(self._scene, 0.9, colour)
-                self._scene.run_method("run_methods", rod.place((out[0], out[1], out[2]), way.ends[1]))
+                self._scene.run_method(
+                    "run_methods", rod.place((outer_end_mm[0], outer_end_mm[1], outer_end_mm[2]), way.ends[1])
+                )
                 self._marks.append(rod.group)
 
-    def _build_avoided(self) -> None:
-        for one in self._avoided:
-            one.delete()
-        self._avoided = []
+    def _build_structures(self) -> None:
+        for mark in self._structure_clouds:
+            mark.delete()
+        self._structure_clouds = []
         for structure in self._editor.draft.structures:
             points = (np.array(structure.points_mm) * METRES).tolist()
             cloud = self._scene.point_cloud(points, point_size=POINT_MM * METRES)
-            self._avoided.append(cloud.material(AVOIDED))
+            self._structure_clouds.append(cloud.material(AVOIDED))
 
     def _ball(self, place_mm: Any, radius_mm: float, colour: str) -> None:
         ball = self._scene.sphere(radius_mm * METRES, 20, 14).material(colour)
@@ -119,11 +121,13 @@ class HeadScene:
             calls += rod.place((a, b, c), (d, e, f))
         self._scene.run_method("run_methods", calls)
 
-    def _view(self, name: str) -> None:
-        middle = self._look.focus_mm
+    def _move_camera(self, name: str) -> None:
+        middle = self._page_view.focus_mm
         direction = VIEWS.get(name, VIEWS["front"])
         if name == "along":
-            way = next((one for one in self._editor.draft.ways if one.identifier == self._look.way), None)
+            way = next(
+                (mark for mark in self._editor.draft.ways if mark.identifier == self._page_view.way), None
+            )
             if way is None or way.ends is None or not way.depth_mm:
                 return
             entry, middle = way.ends

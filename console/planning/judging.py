@@ -16,13 +16,13 @@ from console.panels.html import table, tag, text
 from console.planning.draft import Draft
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import PlanMistakes
-from procedures.planning.guide import held_trajectories
+from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import skull_angle_rad
 from procedures.planning.paths import check_paths
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan
 from procedures.planning.plan_model import MOST_INSTRUMENT_MM, Plan
-from procedures.planning.structures import StructureDistance, structure_distances
+from procedures.planning.structures import StructureDistance, measure_distances
 from procedures.planning.target_error import predict_by_markers, predict_with_arm
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.planning.visits import PathCheck
@@ -34,7 +34,7 @@ SHARES_SHOWN = 6
 
 
 @dataclass(frozen=True)
-class Expected:
+class ExpectedError:
     """The expected error at one target; the squares of the shares add up to that of `rms_mm`."""
 
     rms_mm: float
@@ -44,25 +44,25 @@ class Expected:
 
 
 @dataclass(frozen=True)
-class Judged:
+class Judgement:
     """Assessment of a draft; `thorough` as by `ronna-plan check`, without it clearance is unknown."""
 
     draft: Draft
     thorough: bool = False
     findings: tuple[RonnaError, ...] = ()
     warnings: tuple[str, ...] = ()
-    expected: dict[str, Expected] = field(default_factory=dict)
+    expected: dict[str, ExpectedError] = field(default_factory=dict)
     reached: tuple[str, ...] = ()  # in words, by the arm
     angles_deg: dict[str, float | None] = field(default_factory=dict)  # to the skull; 90 is perpendicular
     distances: tuple[StructureDistance, ...] = ()
-    arm_known: bool = False
+    is_arm_known: bool = False
     complete: bool = False  # at least one trajectory has both ends, so there is something to judge
 
 
-def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judged:
+def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough: bool) -> Judgement:
     """Judge the trajectories whose ends are chosen. Never raises for problems of a draft."""
-    judged = Judged(draft, thorough=thorough or theatre is None, arm_known=theatre is not None)
-    if not any(one.ends for one in draft.ways):
+    judged = Judgement(draft, thorough=thorough or theatre is None, is_arm_known=theatre is not None)
+    if not any(item.ends for item in draft.ways):
         return judged
     judged = replace(judged, complete=True)
     missing: tuple[RonnaError, ...] = ()
@@ -75,88 +75,88 @@ def judge(draft: Draft, volume: Volume, theatre: TheatreArm | None, *, thorough:
         plan = parse_plan(draft.content(volume.series_instance_uid))
     except RonnaError as mistake:
         return replace(judged, findings=(*missing, mistake))
-    angles_rad = {one.id: skull_angle_rad(volume, one.trajectory) for one in plan.trajectories}
+    angles_rad = {item.id: skull_angle_rad(volume, item.trajectory) for item in plan.trajectories}
     judged = replace(
         judged,
         angles_deg={
             name: None if angle_rad is None else math.degrees(angle_rad)
             for name, angle_rad in angles_rad.items()
         },
-        distances=structure_distances(plan),
+        distances=measure_distances(plan),
     )
-    markers_mm = np.array([one.centre_mm for one in draft.markers]).reshape(-1, 3)
-    covariances_mm2 = np.array([one.covariance_mm2 for one in draft.markers]).reshape(-1, 3, 3)
-    check, paths = _checked(plan, volume, markers_mm, theatre, thorough)
+    markers_mm = np.array([item.centre_mm for item in draft.markers]).reshape(-1, 3)
+    covariances_mm2 = np.array([item.covariance_mm2 for item in draft.markers]).reshape(-1, 3, 3)
+    check, paths = _check_draft(plan, volume, markers_mm, theatre, thorough)
     unmet = () if thorough or paths is None else paths.unmet  # of a thorough check they are findings
     return replace(
         judged,
         findings=(*missing, *check.findings),
-        warnings=(*(f"{one.pose}: {one.reason}" for one in unmet), *check.warnings),
-        expected=_expected(plan, markers_mm, covariances_mm2, theatre, paths),
-        reached=_in_words(check),
+        warnings=(*(f"{item.pose}: {item.reason}" for item in unmet), *check.warnings),
+        expected=_predict_errors(plan, markers_mm, covariances_mm2, theatre, paths),
+        reached=_describe_reach(check),
     )
 
 
-def _checked(
+def _check_draft(
     plan: Plan, volume: Volume, markers_mm: NDArray[np.float64], theatre: TheatreArm | None, thorough: bool
 ) -> tuple[PlanCheck, PathCheck | None]:
-    enough = len(markers_mm) >= FEWEST_PAIRS
+    has_enough_markers = len(markers_mm) >= FEWEST_PAIRS
     if theatre is None:
         return check_plan(plan, volume, fiducials_mm=markers_mm), None
     if not thorough:
         check = check_plan(plan, volume, fiducials_mm=markers_mm, bore=theatre.bore)
-        if check.findings or not enough:
+        if check.findings or not has_enough_markers:
             return check, None
-        return check, check_paths(theatre.arm, held_trajectories(plan, theatre.bore), markers_mm)
+        return check, check_paths(theatre.arm, place_guides(plan, theatre.bore), markers_mm)
     spheres = tuple((float(x), float(y), float(z)) for x, y, z in markers_mm)
     check = check_plan(
         plan,
         volume,
         fiducials_mm=markers_mm,
-        to_fiducials=enough,
-        arm=theatre.in_its_scene(volume, plan.fiducials, spheres),
+        to_fiducials=has_enough_markers,
+        arm=theatre.with_scene(volume, plan.fiducials, spheres),
         sight=theatre.sight,
         bore=theatre.bore,
     )
     return check, check.paths
 
 
-def _expected(
+def _predict_errors(
     plan: Plan,
     markers_mm: NDArray[np.float64],
     covariances_mm2: NDArray[np.float64],
     theatre: TheatreArm | None,
     paths: PathCheck | None,
-) -> dict[str, Expected]:
+) -> dict[str, ExpectedError]:
     if len(markers_mm) < FEWEST_PAIRS:
         return {}
     found = {}
-    for one in plan.trajectories:
+    for item in plan.trajectories:
         try:
             if theatre is not None and paths is not None and paths.passed:
-                predicted = predict_with_arm(theatre, plan, covariances_mm2, paths, one.id)
-                found[one.id] = _expected_of(predicted, with_arm=True)
+                predicted = predict_with_arm(theatre, plan, covariances_mm2, paths, item.id)
+                found[item.id] = _to_expected_error(predicted, with_arm=True)
             else:
-                predicted = predict_by_markers(markers_mm, covariances_mm2, one.target_mm)
-                found[one.id] = _expected_of(predicted, with_arm=False)
+                predicted = predict_by_markers(markers_mm, covariances_mm2, item.target_mm)
+                found[item.id] = _to_expected_error(predicted, with_arm=False)
         except (RonnaError, np.linalg.LinAlgError):  # collinear markers; the check reports it
             continue
     return found
 
 
-def _expected_of(predicted: TargetPrediction, *, with_arm: bool) -> Expected:
-    shares = sorted(predicted.budget_mm.items(), key=lambda one: -one[1])
-    return Expected(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
+def _to_expected_error(predicted: TargetPrediction, *, with_arm: bool) -> ExpectedError:
+    shares = sorted(predicted.budget_mm.items(), key=lambda item: -item[1])
+    return ExpectedError(predicted.rms_mm, predicted.limit_mm(), tuple(shares), with_arm)
 
 
-def _in_words(check: PlanCheck) -> tuple[str, ...]:
+def _describe_reach(check: PlanCheck) -> tuple[str, ...]:
     """Word the findings of a check of the arm that passed."""
     if check.paths is None:
         return ()
     lines = [f"all {len(check.paths.reached)} poses reached in one branch"]
-    closest = [one.preview.closest for one in check.motions if one.preview.closest is not None]
+    closest = [item.preview.closest for item in check.motions if item.preview.closest is not None]
     if closest:
-        least = min(closest, key=lambda one: one.distance_mm)
+        least = min(closest, key=lambda item: item.distance_mm)
         pair = f"{least.first}, {least.second}"
         lines.append(f"every motion is clear; smallest distance {least.distance_mm:.0f} mm ({pair})")
     lines += [
@@ -167,81 +167,81 @@ def _in_words(check: PlanCheck) -> tuple[str, ...]:
     return tuple(lines)
 
 
-def verdict(judged: Judged, draft: Draft) -> str:
+def verdict(judged: Judgement, draft: Draft) -> str:
     """Show the assessment of the draft; until it is checked, the previous one, marked as outdated."""
     parts = [
         tag(
             "li",
-            f"{text(f'{one.code} {one.summary}')} {tag('span', text(one.advice), class_='advice')}",
+            f"{text(f'{item.code} {item.summary}')} {tag('span', text(item.advice), class_='advice')}",
             class_="bad",
         )
-        for one in judged.findings
+        for item in judged.findings
     ]
-    parts += [tag("li", text(one), class_="warn") for one in judged.warnings]
-    parts += [tag("li", text(_to_skull(name, angle))) for name, angle in judged.angles_deg.items()]
-    parts += [tag("li", text(one), class_="ok") for one in judged.reached]
+    parts += [tag("li", text(item), class_="warn") for item in judged.warnings]
+    parts += [tag("li", text(_skull_text(name, angle))) for name, angle in judged.angles_deg.items()]
+    parts += [tag("li", text(item), class_="ok") for item in judged.reached]
     current = judged.draft is draft
-    head = _outcome(judged) if current else tag("p", "Checking…", class_="dim")
+    head = _outcome_html(judged) if current else tag("p", "Checking…", class_="dim")
     more = mark_outdated(tag("ul", "".join(parts), class_="findings"), judged, draft) if parts else ""
     state = "judged" if current and judged.thorough else "judging"
     return tag("div", head + more, data_state=state, data_findings=str(len(judged.findings)))
 
 
-def expected(judged: Judged, draft: Draft) -> str:
+def expected(judged: Judgement, draft: Draft) -> str:
     """Show the expected error at each target, with its margin."""
     if not judged.expected:
         words = "Needs three markers and a complete trajectory." if not judged.complete else "Not available."
         return tag("p", words, class_="dim")
     rows = "".join(
-        _target(one.identifier, judged.expected[one.identifier], one.margin_mm)
-        for one in judged.draft.ways
-        if one.identifier in judged.expected
+        _target_html(item.identifier, judged.expected[item.identifier], item.margin_mm)
+        for item in judged.draft.ways
+        if item.identifier in judged.expected
     )
-    return mark_outdated(rows + tag("p", _basis(judged.expected.values()), class_="dim"), judged, draft)
+    return mark_outdated(rows + tag("p", _basis_text(judged.expected.values()), class_="dim"), judged, draft)
 
 
-def mark_outdated(content: str, judged: Judged, draft: Draft) -> str:
+def mark_outdated(content: str, judged: Judgement, draft: Draft) -> str:
     """Mark findings as outdated, in grey and in words, once their draft is not the current one."""
     if judged.draft is draft or not content:
         return content
     return tag("div", content + tag("p", "Before the last change; being checked again."), class_="stale")
 
 
-def _outcome(judged: Judged) -> str:
+def _outcome_html(judged: Judgement) -> str:
     if not judged.complete:
         return tag("p", "Set entry and target of a trajectory.", class_="dim")
     if judged.findings:
         return tag("p", "This plan would be refused:", class_="bad")
-    if judged.arm_known and not judged.thorough:
+    if judged.is_arm_known and not judged.thorough:
         return tag("p", "Checking clearance…", class_="dim")
     words = "This plan would be accepted."
-    if not judged.arm_known:
+    if not judged.is_arm_known:
         words += " No arm given: open with --config and --robot-from-ct to check reach and clearance."
     return tag("p", words, class_="ok")
 
 
-def _to_skull(name: str, angle_deg: float | None) -> str:
+def _skull_text(name: str, angle_deg: float | None) -> str:
     if angle_deg is None:
         return f"{name} crosses no bone in the CT"
     return f"{name} meets the skull at {angle_deg:.0f}° (90° is perpendicular)"
 
 
-def _target(name: str, one: Expected, margin_mm: float) -> str:
-    beyond = one.rms_mm > margin_mm
-    words = f"{name}: {one.rms_mm:.2f} mm rms, {one.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
+def _target_html(name: str, item: ExpectedError, margin_mm: float) -> str:
+    exceeds_margin = item.rms_mm > margin_mm
+    words = f"{name}: {item.rms_mm:.2f} mm rms, {item.limit_mm:.2f} mm at 95 %; margin {margin_mm:g} mm"
     line = tag(
         "p",
-        text(words + (" — exceeds the margin" if beyond else "")),
-        class_="bad" if beyond else "big",
+        text(words + (" — exceeds the margin" if exceeds_margin else "")),
+        class_="bad" if exceeds_margin else "big",
         data_expected=name,
-        data_rms=f"{one.rms_mm:.4f}",
+        data_rms=f"{item.rms_mm:.4f}",
     )
-    rows = [(source, f"{rms:.3f}") for source, rms in one.shares_mm[:SHARES_SHOWN]]
+    rows = [(source, f"{rms:.3f}") for source, rms in item.shares_mm[:SHARES_SHOWN]]
     return line + table(("source", "rms mm"), rows)
 
 
-def _basis(expected: Iterable[Expected]) -> str:
-    if all(one.with_arm for one in expected):
+def _basis_text(expected: Iterable[ExpectedError]) -> str:
+    if all(item.with_arm for item in expected):
         return (
             "Includes the arm at the poses found; "
             "excludes the stereo measurement, which is made during the case."

@@ -15,7 +15,7 @@ from console.planning.draft import Draft
 from console.planning.fields import NumberField, small_button
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging import Candidate, Marker
-from procedures.planning.head_in_ct import head_shape
+from procedures.planning.head_in_ct import fit_head
 from procedures.planning.marker_sites import propose_further, propose_markers
 from procedures.planning.plan_model import PatientPosition
 from procedures.registration.points import FEWEST_PAIRS
@@ -27,7 +27,7 @@ MARKER_ERROR_MM = 0.1  # per marker, 3-D rms, as in `ronna-plan markers`
 NOTE = f"expected with markers of {MARKER_ERROR_MM:g} mm each; the arm's error is not included"
 COUNTS = (3, 4, 5, 6, 7, 8)
 USUAL_COUNT = 5
-Found = tuple[str, Sequence[Point]]  # in words, and where
+SiteProposal = tuple[str, Sequence[Point]]  # in words, and where
 
 
 class MarkerPanel:
@@ -54,13 +54,15 @@ class MarkerPanel:
                 self._standoff = NumberField("guide stand-off, mm", "stand-off", self._set_standoff)
                 self._length = NumberField("instrument length, mm", "instrument length", self._set_length)
             self._position = ui.select(
-                [one.value for one in PatientPosition], label="patient position", on_change=self._set_position
+                [item.value for item in PatientPosition],
+                label="patient position",
+                on_change=self._set_position,
             )
             self._position.props('dense outlined options-dense aria-label="patient position in the scanner"')
             self._position.set_enabled(may_edit and not editor.volume.patient_position)
             self.fields = (self._implanted, self._standoff, self._length)
-            for one in self.fields:
-                one.enable(may_edit)
+            for item in self.fields:
+                item.enable(may_edit)
 
     def show(self) -> None:
         """Show the current draft."""
@@ -69,7 +71,7 @@ class MarkerPanel:
         self._standoff.show(draft.standoff_mm)
         self._length.show(draft.instrument_length_mm)
         self._position.set_value(draft.patient_orientation or None)
-        self._words.set_content(_state(editor))
+        self._words.set_content(_search_state(editor))
         key = (tuple(map(id, draft.markers)), id(editor.candidates))
         if key != self._shown:
             self._shown = key
@@ -79,26 +81,26 @@ class MarkerPanel:
 
     def _build(self, markers: Iterable[Marker], candidates: Iterable[Candidate]) -> None:
         for number, marker in enumerate(markers, start=1):
-            about = ", ".join([f"σ {marker.sigma_mm:.3f} mm", *marker.flags])
+            details = ", ".join([f"σ {marker.sigma_mm:.3f} mm", *marker.flags])
             with ui.element("div").classes("sphere").props(f'role=group aria-label="sphere {number}"'):
-                self._place(f"{number}", marker.centre_mm, about)
+                self._add_place(f"{number}", marker.centre_mm, details)
                 if self._may_edit:
                     small_button("reject", partial(self._editor.reject_marker, number), f"reject {number}")
-        others = [one for one in candidates if not one.accepted][:MOST_CANDIDATES]
+        others = [item for item in candidates if not item.accepted][:MOST_CANDIDATES]
         if not others:
             return
         with ui.expansion("Other candidates").classes("others"):
-            for number, one in enumerate(others, start=1):
+            for number, item in enumerate(others, start=1):
                 with ui.element("div").classes("sphere"):
-                    self._place(f"c{number}", one.centre_mm, one.reason)
+                    self._add_place(f"c{number}", item.centre_mm, item.reason)
                     if self._may_edit:
-                        small_button("accept", partial(self._pick, one.centre_mm), f"accept c{number}")
+                        small_button("accept", partial(self._pick, item.centre_mm), f"accept c{number}")
 
-    def _place(self, name: str, centre_mm: Point, about: str) -> None:
+    def _add_place(self, name: str, centre_mm: Point, details: str) -> None:
         place = ", ".join(f"{value:.1f}" for value in centre_mm)
         small_button(name, lambda: self._go(centre_mm), f"crosshair to {name}")
         ui.html(
-            tag("span", text(place), class_="num") + tag("div", text(about), class_="dim"), sanitize=False
+            tag("span", text(place), class_="num") + tag("div", text(details), class_="dim"), sanitize=False
         )
 
     def _set_implanted(self, value: float) -> None:
@@ -127,21 +129,21 @@ class ProposalPanel:
                 self._count = ui.select(list(COUNTS), value=USUAL_COUNT)
                 self._count.props('dense outlined options-dense aria-label="number of markers"')
                 self._buttons = (
-                    self._button("Propose", self._proposed, "propose"),
-                    self._button("One more", self._further, "further"),
+                    self._button("Propose", self._propose_set, "propose"),
+                    self._button("One more", self._propose_one_more, "further"),
                 )
             self._words = ui.html("", sanitize=False)
             self._sites = ui.element("div").classes("views")
 
     def _button(
-        self, words: str, work: Callable[[Draft, list[Trajectory], int], Found], name: str
+        self, words: str, work: Callable[[Draft, list[Trajectory], int], SiteProposal], name: str
     ) -> ui.button:
         button = ui.button(words, on_click=partial(self._propose, work), color=None)
         return button.classes("plain").props(f"no-caps unelevated data-do={name}")
 
-    async def _propose(self, work: Callable[[Draft, list[Trajectory], int], Found]) -> None:
+    async def _propose(self, work: Callable[[Draft, list[Trajectory], int], SiteProposal]) -> None:
         draft, count = self._editor.draft, int(self._count.value or USUAL_COUNT)
-        ways = [Trajectory(one.identifier, *one.ends) for one in draft.ways if one.ends and one.depth_mm]
+        ways = [Trajectory(item.identifier, *item.ends) for item in draft.ways if item.ends and item.depth_mm]
         self._sites.clear()
         if not ways:
             self._words.set_content(tag("p", "Set entry and target first.", class_="dim"))
@@ -153,7 +155,7 @@ class ProposalPanel:
             self._words.set_content(tag("p", text(f"{refused.code}: {refused.summary}"), class_="bad"))
         else:
             self._words.set_content(tag("div", words, data_proposed=str(len(centres_mm))))
-            self._show(centres_mm)
+            self._show_sites(centres_mm)
         finally:
             self._enable(enabled=True)
 
@@ -161,29 +163,29 @@ class ProposalPanel:
         for button in self._buttons:
             button.set_enabled(enabled)
 
-    def _proposed(self, _draft: Draft, ways: list[Trajectory], count: int) -> Found:
+    def _propose_set(self, _draft: Draft, ways: list[Trajectory], count: int) -> SiteProposal:
         volume = self._editor.volume
-        found = propose_markers(head_shape(volume), ways, count, MARKER_ERROR_MM, volume=volume)
-        rows = [(one.target, f"{one.expected_mm:.3f}", f"{one.usual_mm:.3f}") for one in found.targets]
+        found = propose_markers(fit_head(volume), ways, count, MARKER_ERROR_MM, volume=volume)
+        rows = [(item.target, f"{item.expected_mm:.3f}", f"{item.usual_mm:.3f}") for item in found.targets]
         return table(("target", "proposed mm", "random mm"), rows, NOTE), found.centres_mm
 
-    def _further(self, draft: Draft, ways: list[Trajectory], _count: int) -> Found:
+    def _propose_one_more(self, draft: Draft, ways: list[Trajectory], _count: int) -> SiteProposal:
         if len(draft.markers) < FEWEST_PAIRS:
             return tag("p", "Needs three accepted spheres.", class_="dim"), ()
         volume = self._editor.volume
-        present_mm = np.array([one.centre_mm for one in draft.markers])
-        found = propose_further(head_shape(volume), ways, present_mm, MARKER_ERROR_MM, volume=volume)
+        present_mm = np.array([item.centre_mm for item in draft.markers])
+        found = propose_further(fit_head(volume), ways, present_mm, MARKER_ERROR_MM, volume=volume)
         rows = [(name, f"{now:.3f}", f"{after:.3f}") for name, now, after in found.targets]
         return table(("target", "now mm", "with it mm"), rows, NOTE), (found.centre_mm,)
 
-    def _show(self, centres_mm: Sequence[Point]) -> None:
+    def _show_sites(self, centres_mm: Sequence[Point]) -> None:
         with self._sites:
             for number, centre_mm in enumerate(centres_mm, start=1):
                 place = ", ".join(f"{value:.0f}" for value in centre_mm)
                 small_button(place, partial(self._go, centre_mm), f"site {number}")
 
 
-def _state(editor: PlanEditor) -> str:
+def _search_state(editor: PlanEditor) -> str:
     if editor.searching:
         return tag("p", "searching for spheres…", class_="warn", id="searching")
     found = len(editor.draft.markers)

@@ -9,7 +9,7 @@ from typing import Any
 from fastapi import FastAPI, Request
 from nicegui import ui
 
-from console.changes import changed_within
+from console.changes import await_change
 from console.guard import SESSION, Role, Session
 from console.panels.html import tag, text
 from console.planning.head_scene import HeadScene
@@ -20,7 +20,7 @@ from console.planning.slice_panel import STROKE, SlicePanel
 from console.planning.slices import WINDOWS_HU, PageView, Plane, add_pictures
 from console.planning.structure_panel import StructurePanel
 from console.planning.trajectory_panel import TrajectoryPanel
-from console.web.library import own_page, page_head, use_library
+from console.web.library import bind_page, page_head, use_library
 from procedures.planning.errors import PlanMistakes
 from procedures.planning.plan_model import LONGEST_AUTHOR
 from procedures.strategies.trajectory import Point
@@ -30,7 +30,7 @@ TITLE = "RONNA planner"  # the same for every patient
 BEAT_S = 0.4  # host time between two updates when nothing happens
 RECONNECT_S = 30.0  # a page delayed by a busy computer keeps its view
 LOOK, ENTRY, TARGET, SPHERE, DRAW = "look", "entry", "target", "sphere", "draw"
-DOES = {
+CLICK_ACTIONS = {
     LOOK: "move the crosshair",
     ENTRY: "set the entry",
     TARGET: "set the target",
@@ -48,7 +48,7 @@ def add_planner(app: FastAPI, editor: PlanEditor) -> None:
     async def page(request: Request) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
-        own_page(ui.context.client, session.identifier)
+        bind_page(ui.context.client, session.identifier)
         PlannerPage(editor, session, low="low" in request.query_params).build()
 
     use_library(app, TITLE, RECONNECT_S)
@@ -60,13 +60,12 @@ class PlannerPage:
     def __init__(self, editor: PlanEditor, session: Session, *, low: bool) -> None:
         self._editor, self._low = editor, low
         self._may_edit = session.role is Role.OPERATOR and editor.problem is None
-        self._look = PageView(editor.volume.geometry)
+        self._page_view = PageView(editor.volume.geometry)
         self._beat = 0
-        self._looked_event = asyncio.Event()
 
     def build(self) -> None:
         """Create the parts and start filling them."""
-        editor, look = self._editor, self._look
+        editor, page_view = self._editor, self._page_view
         with ui.element("header").classes("head"):
             ui.html(tag("div", "PLANNER: NOTHING MOVES", class_="banner opening"), sanitize=False)
             self._case = ui.html("", sanitize=False)
@@ -82,34 +81,36 @@ class PlannerPage:
                     self._slices = [
                         SlicePanel(
                             plane,
-                            look,
-                            act=self._clicked,
-                            drag=self._dragged,
-                            draws=lambda: self._mode.value == DRAW,
-                            key=self._keyed,
-                            looked=self._looked,
+                            page_view,
+                            act=self._on_click,
+                            drag=self._on_drag,
+                            is_drawing=lambda: self._mode.value == DRAW,
+                            key=self._on_key,
+                            on_view_change=self._show_view,
                         )
                         for plane in Plane
                     ]
             with ui.element("div").classes("left"):
-                self._ways = TrajectoryPanel(editor, look, self._looked, may_edit=self._may_edit)
+                self._ways = TrajectoryPanel(editor, page_view, self._show_view, may_edit=self._may_edit)
                 self._verdict = self._section("Check", "verdictbox")
                 self._expected = self._section("Expected error", "accuracy")
             with ui.element("div").classes("right"):
-                self._scene = HeadScene(editor, look, low=self._low)
-                self._structures = StructurePanel(editor, look, self._go, self._say, may_edit=self._may_edit)
-                self._markers = MarkerPanel(editor, self._go, self._pick, may_edit=self._may_edit)
-                ProposalPanel(editor, self._go)
+                self._scene = HeadScene(editor, page_view, low=self._low)
+                self._structures = StructurePanel(
+                    editor, page_view, self._go_to, self._show_problem, may_edit=self._may_edit
+                )
+                self._markers = MarkerPanel(editor, self._go_to, self._pick, may_edit=self._may_edit)
+                ProposalPanel(editor, self._go_to)
         self._show()  # at once, with the page itself
         client = ui.context.client
         changed = editor.subscribe()
         task = asyncio.create_task(self._keep_fresh(client, changed))
 
-        def gone() -> None:
+        def forget_page() -> None:
             editor.unsubscribe(changed)
             task.cancel()
 
-        client.on_delete(gone)
+        client.on_delete(forget_page)
 
     def _file_buttons(self) -> None:
         self._undo = self._button("Undo", self._editor.undo, "undo")
@@ -117,21 +118,23 @@ class PlannerPage:
         self._author = ui.input("Your name").classes("name")
         self._author.props(f"dense outlined maxlength={LONGEST_AUTHOR} autocomplete=off")
         self._save = self._button("Save", self._save_plan, "save").classes("go", remove="plain")
-        for one in (self._undo, self._redo, self._author, self._save):
-            one.set_visibility(self._may_edit)
+        for item in (self._undo, self._redo, self._author, self._save):
+            item.set_visibility(self._may_edit)
 
     def _picture_bar(self) -> None:
         with ui.element("div").classes("orders").props('role=toolbar aria-label="Pictures"'):
-            does = DOES if self._may_edit else {LOOK: DOES[LOOK]}
+            click_actions = CLICK_ACTIONS if self._may_edit else {LOOK: CLICK_ACTIONS[LOOK]}
             ui.label("Click to")
-            self._mode = ui.toggle(does, value=LOOK).props('no-caps unelevated aria-label="Click to"')
+            self._mode = ui.toggle(click_actions, value=LOOK).props(
+                'no-caps unelevated aria-label="Click to"'
+            )
             self._mode.props("toggle-color=chosen toggle-text-color=chosen")  # the library's own is too pale
-            window = ui.select(list(WINDOWS_HU), value=self._look.window, label="CT window")
+            window = ui.select(list(WINDOWS_HU), value=self._page_view.window, label="CT window")
             window.props("dense outlined options-dense").classes("window")
             window.on_value_change(lambda event: self._set_window(str(event.value)))
             self._button("−", lambda: self._magnify(-1), "smaller").props('aria-label="smaller"')
             self._button("+", lambda: self._magnify(1), "larger").props('aria-label="larger"')
-            self._at = ui.label("").classes("num")
+            self._crosshair_label = ui.label("").classes("num")
 
     def _section(self, title: str, name: str) -> ui.html:
         with ui.element("section").classes(f"card {name}").props(f'aria-label="{title}"'):
@@ -144,79 +147,79 @@ class PlannerPage:
 
     # User actions
 
-    async def _clicked(self, place_mm: Point) -> None:
+    async def _on_click(self, place_mm: Point) -> None:
         mode = str(self._mode.value)
-        self._look.go_to(place_mm)
+        self._page_view.go_to(place_mm)
         if mode in (ENTRY, TARGET):
             self._ways.place(mode, place_mm)
             self._mode.set_value(LOOK)
         elif mode == SPHERE:
             self._mode.set_value(LOOK)
             await self._pick(place_mm)
-        self._looked()
+        self._show_view()
 
-    def _dragged(self, end: str, place_mm: Point, begins: bool) -> None:
+    def _on_drag(self, end: str, place_mm: Point, is_start: bool) -> None:
         if end == STROKE:
-            self._structures.draw(place_mm, goes_on=not begins)
+            self._structures.draw(place_mm, continues=not is_start)
         else:
-            self._ways.place(end, place_mm, goes_on=not begins)
-        self._looked()
+            self._ways.place(end, place_mm, continues=not is_start)
+        self._show_view()
 
-    def _keyed(self, key: str) -> None:
+    def _on_key(self, key: str) -> None:
         if self._may_edit:
-            self._ways.place(ENTRY if key == "e" else TARGET, self._look.place_mm)
+            self._ways.place(ENTRY if key == "e" else TARGET, self._page_view.place_mm)
 
     async def _pick(self, place_mm: Point) -> None:
         try:
             await self._editor.add_marker(place_mm)
-        except RonnaError as refused:
-            self._say(refused)
+        except RonnaError as refusal:
+            self._show_problem(refusal)
         else:
-            self._say(None)
+            self._show_problem(None)
 
     async def _save_plan(self) -> None:
         fields = (*self._ways.fields.values(), *self._structures.margins.values(), *self._markers.fields)
         try:
-            for one in fields:
-                if one.is_wrong:
+            for item in fields:
+                if item.is_wrong:
                     raise PlanMistakes(
-                        f"{one.name} is not as it was typed",
+                        f"{item.name} is not as it was typed",
                         action="Correct its field or empty it, then save again.",
                     )
             await self._editor.save(str(self._author.value or ""))
-        except RonnaError as refused:
-            self._say(refused)
+        except RonnaError as refusal:
+            self._show_problem(refusal)
         else:
-            self._say(None)
+            self._show_problem(None)
 
-    def _go(self, place_mm: Point) -> None:
-        self._look.go_to(place_mm)
-        self._looked()
+    def _go_to(self, place_mm: Point) -> None:
+        self._page_view.go_to(place_mm)
+        self._show_view()
 
     def _set_window(self, name: str) -> None:
-        self._look.window = name
-        self._looked()
+        self._page_view.window = name
+        self._show_view()
 
     def _magnify(self, steps: int) -> None:
-        self._look.magnify(steps)
-        self._looked()
+        self._page_view.magnify(steps)
+        self._show_view()
 
-    def _looked(self) -> None:
+    def _show_view(self) -> None:
         """Show the view of this page at once; other pages are not affected.
 
         The scene follows at the next beat: rendered in software it would delay scrolling.
         """
         draft = self._editor.draft
-        for one in self._slices:
-            one.show(draft)
+        for item in self._slices:
+            item.show(draft)
         self._ways.show()
-        self._at.set_text(self._place_in_words())
+        self._crosshair_label.set_text(self._describe_place())
 
-    def _place_in_words(self) -> str:
-        place = ", ".join(f"{value:.1f}" for value in self._look.place_mm)
-        return f"crosshair LPS {place} mm, {self._editor.hu_at(self._look.place_mm)}"
+    def _describe_place(self) -> str:
+        place = ", ".join(f"{value:.1f}" for value in self._page_view.place_mm)
+        return f"crosshair LPS {place} mm, {self._editor.hu_at(self._page_view.place_mm)}"
 
-    def _say(self, problem: RonnaError | None) -> None:
+    def _show_problem(self, problem: RonnaError | None) -> None:
         self._words.set_content("" if problem is None else _problem_html(problem))
 
     # Display
@@ -226,17 +229,17 @@ class PlannerPage:
             if client.has_socket_connection:
                 with client:
                     self._show()
-            await changed_within(changed, BEAT_S)
+            await await_change(changed, BEAT_S)
 
     def _show(self) -> None:
         editor = self._editor
         self._case.set_content(_case_line(editor))
-        notice = editor.read_only or editor.not_kept or editor.notice
+        notice = editor.read_only or editor.storage_problem or editor.notice
         self._notice.set_content("" if notice is None else _problem_html(notice))
         self._undo.set_enabled(editor.history.can_undo)
         self._redo.set_enabled(editor.history.can_redo)
         self._save.set_enabled(editor.read_only is None)
-        self._looked()
+        self._show_view()
         self._scene.show()
         self._markers.show()
         self._structures.show()

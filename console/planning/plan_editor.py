@@ -12,8 +12,8 @@ import numpy as np
 
 from console.changes import ChangeNotifier
 from console.planning.draft import Draft, History, UnsavedFile
-from console.planning.judging import Judged, judge
-from console.scene.head_surface import head_surface, stl
+from console.planning.judging import Judgement, judge
+from console.scene.head_surface import encode_stl, head_surface
 from procedures.imaging import Candidate, Volume, likeliest_first, localize, localize_picks
 from procedures.imaging.errors import MarkerCountWrong, PickRefused
 from procedures.imaging.localization import DIAMETER_MM
@@ -21,7 +21,7 @@ from procedures.imaging.markers import Marker
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved, UnsavedChanges, WrongSeries
 from procedures.planning.head_in_ct import sample_hu
 from procedures.planning.plan_file import parse_plan, read_plan, seal_plan, write_plan
-from procedures.planning.plan_lock import PlannerLock, plan_in_use, plan_replacement
+from procedures.planning.plan_lock import PlannerLock, is_plan_in_use, plan_replacement
 from procedures.planning.plan_model import FEWEST_MARKERS, MOST_MARKERS, Plan
 from procedures.planning.theatre_arm import TheatreArm
 from procedures.strategies.trajectory import Point
@@ -47,35 +47,35 @@ class PlanEditor(ChangeNotifier):
         self.head = b""
         self.problem: RonnaError | None = None  # why the file is left unchanged
         self.notice: RonnaError | None = None  # of the CT or the plan, to be read first
-        self.not_kept: RonnaError | None = None  # why a crash would lose unsaved changes
+        self.storage_problem: RonnaError | None = None  # why a crash would lose unsaved changes
         self._markers: tuple[Marker, ...] = ()  # those that were found
-        self._changed, self._to_keep, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
-        self._to_check = asyncio.Event()
+        self._change_event, self._keep_event, self._saving = asyncio.Event(), asyncio.Event(), asyncio.Lock()
+        self._check_event = asyncio.Event()
         self._unsaved = UnsavedFile(plan, volume.series_instance_uid)
         self._lock = PlannerLock(plan)
-        self._begun = False
+        self._has_begun = False
         self._read()
         self.problem = self.problem or _refuse_in_run_folder(plan)
-        self.begin()
-        self.judged = Judged(self.draft)
+        self.begin_editing()
+        self.judged = Judgement(self.draft)
 
     @property
     def read_only(self) -> RonnaError | None:
         """Why nothing can be changed."""
-        if self._begun and not self._saving.locked():  # our own save is not a case
+        if self._has_begun and not self._saving.locked():  # our own save is not a case
             return self._block_reason()
-        return None if self._begun else self._blocked_by
+        return None if self._has_begun else self._blocked_by
 
-    def begin(self) -> bool:
+    def begin_editing(self) -> bool:
         """Take the plan for editing; then saved and unsaved changes of others are adopted.
 
         False while a case or another planner has it; call again later.
         """
-        if not self._begun:
+        if not self._has_begun:
             self._blocked_by = self._block_reason()
             if self._blocked_by is not None:
                 return False
-            self._begun = True
+            self._has_begun = True
             if not self._is_unchanged():
                 self._read()
             if self.problem is None:
@@ -84,7 +84,7 @@ class PlanEditor(ChangeNotifier):
 
     def close(self) -> Path | None:
         """Leave the plan to the next planner; returns the file with unsaved changes, if any."""
-        kept = self.keep()
+        kept = self.store_draft()
         self._lock.leave()
         return kept
 
@@ -94,7 +94,7 @@ class PlanEditor(ChangeNotifier):
         name = self.file.name
         if not self._lock.take():
             return PlanInUse(f"{name} is open in another planner: read-only")
-        if plan_in_use(self.file):
+        if is_plan_in_use(self.file):
             return PlanInUse(f"a case is running on {name}: read-only")
         return None
 
@@ -109,7 +109,7 @@ class PlanEditor(ChangeNotifier):
         draft = self._read_draft() or Draft(self.volume.patient_position, FEWEST_MARKERS)
         self.history = History(draft)
         self._saved: Draft | None = draft if self._on_disk else None
-        self._found(self._markers)
+        self._adopt_markers(self._markers)
 
     def _is_unchanged(self) -> bool:
         try:
@@ -150,22 +150,22 @@ class PlanEditor(ChangeNotifier):
             self.history.change(drawn)
             self.notice = UnsavedChanges("unsaved changes from the last session were restored")
 
-    def keep(self) -> Path | None:
+    def store_draft(self) -> Path | None:
         """Store unsaved changes next to the plan; returns the file, or None if there are none."""
-        self.not_kept = None
-        if not self._begun:
+        self.storage_problem = None
+        if not self._has_begun:
             return None
         saved, drawn = self._saved, replace(self.draft, markers=())
         unsaved = self.history.can_undo if saved is None else drawn != replace(saved, markers=())
         try:
             if self.problem is None and unsaved:
-                self._unsaved.keep(self.draft, self._on_disk)
+                self._unsaved.store_draft(self.draft, self._on_disk)
                 return self._unsaved.path
             if self.problem is None:
                 self._unsaved.forget()
         except OSError as error:
             why = f"unsaved changes cannot be stored next to the plan: {error.strerror}"
-            self.not_kept = PlanNotSaved(why)
+            self.storage_problem = PlanNotSaved(why)
         return None
 
     @property
@@ -181,7 +181,7 @@ class PlanEditor(ChangeNotifier):
         if not name:
             raise PlanMistakes("the plan needs an author", action="Enter your name next to Save.")
         draft = self.draft
-        missing = [one.identifier for one in draft.ways if one.ends is None]
+        missing = [item.identifier for item in draft.ways if item.ends is None]
         if missing:
             raise PlanMistakes(
                 f"entry or target of {' and '.join(missing)} is not set",
@@ -196,8 +196,8 @@ class PlanEditor(ChangeNotifier):
     def _write(self, plan: Plan, author: str, draft: Draft) -> None:
         plan = seal_plan(plan, author, self.volume)
         spheres = (
-            f"sphere {number}: {', '.join(f'{value:.2f}' for value in one.centre_mm)}"
-            for number, one in enumerate(draft.markers, start=1)
+            f"sphere {number}: {', '.join(f'{value:.2f}' for value in item.centre_mm)}"
+            for number, item in enumerate(draft.markers, start=1)
         )
         with plan_replacement(self.file):  # a case that has begun since wins
             if self._was_changed_by_others():
@@ -222,10 +222,10 @@ class PlanEditor(ChangeNotifier):
         """The current draft."""
         return self.history.now
 
-    def change(self, draft: Draft, *, goes_on: bool = False) -> None:
+    def change(self, draft: Draft, *, continues: bool = False) -> None:
         """Apply a change to the draft; see `History.change`. Refused while it is read-only."""
         if self.read_only is None:
-            self.history.change(draft, goes_on=goes_on)
+            self.history.change(draft, continues=continues)
         self.altered()
 
     def undo(self) -> None:
@@ -242,23 +242,23 @@ class PlanEditor(ChangeNotifier):
 
     def altered(self) -> None:
         """Trigger check and storage of the draft, and wake the pages."""
-        self._changed.set()
-        self._to_keep.set()
-        self.tell()
+        self._change_event.set()
+        self._keep_event.set()
+        self.notify()
 
     async def add_marker(self, place_mm: Point) -> None:
         """Measure the sphere at a position, and count it as a marker. Raises CT-019."""
         found = await asyncio.to_thread(localize_picks, self.volume, [place_mm])
         (marker,) = found.markers
-        for number, one in enumerate(self.draft.markers, start=1):
-            if float(np.linalg.norm(np.subtract(one.centre_mm, marker.centre_mm))) < DIAMETER_MM:
+        for number, item in enumerate(self.draft.markers, start=1):
+            if float(np.linalg.norm(np.subtract(item.centre_mm, marker.centre_mm))) < DIAMETER_MM:
                 raise PickRefused(f"this is sphere {number}")
         self.change(replace(self.draft, markers=(*self.draft.markers, marker)))
 
     def reject_marker(self, number: int) -> None:
         """Stop counting a sphere (from 1) as a marker."""
-        left = tuple(one for k, one in enumerate(self.draft.markers, start=1) if k != number)
-        self.change(replace(self.draft, markers=left))
+        remaining = tuple(item for k, item in enumerate(self.draft.markers, start=1) if k != number)
+        self.change(replace(self.draft, markers=remaining))
 
     # Background work
 
@@ -269,29 +269,29 @@ class PlanEditor(ChangeNotifier):
         )
 
     async def _await_the_plan(self) -> None:
-        while self.problem is None and not self._begun:
+        while self.problem is None and not self._has_begun:
             await asyncio.sleep(AGAIN_S)
-            if self.begin():
+            if self.begin_editing():
                 self.altered()
 
     async def _prepare(self) -> None:
         try:
-            self.head = await asyncio.to_thread(lambda: stl(*head_surface(self.volume)))
-            self.tell()
+            self.head = await asyncio.to_thread(lambda: encode_stl(*head_surface(self.volume)))
+            self.notify()
         except ValueError:  # nothing but air: the search for spheres reports it
             pass
         try:
             found = await asyncio.to_thread(localize, self.volume)
             self.candidates = likeliest_first(found.candidates)
-            self._found(found.markers)
-        except MarkerCountWrong as none:
-            self.candidates, self.notice = likeliest_first(none.candidates), self.notice or none
+            self._adopt_markers(found.markers)
+        except MarkerCountWrong as wrong_count:
+            self.candidates, self.notice = likeliest_first(wrong_count.candidates), self.notice or wrong_count
         except RonnaError as problem:
             self.notice = self.notice or problem
         self.searching = False
         self.altered()
 
-    def _found(self, markers: tuple[Marker, ...]) -> None:
+    def _adopt_markers(self, markers: tuple[Marker, ...]) -> None:
         """Give the spheres to every draft so far, so that undo does not lose them."""
         self._markers = markers
         count = len(markers)
@@ -306,33 +306,33 @@ class PlanEditor(ChangeNotifier):
 
     async def _judge_all(self) -> None:
         while True:
-            await self._changed.wait()
-            self._changed.clear()
-            self._announce(await self._judged(self.draft, thorough=False))
-            if not self.judged.thorough and not self._changed.is_set():
-                self._to_check.set()
+            await self._change_event.wait()
+            self._change_event.clear()
+            self._announce(await self._judge_draft(self.draft, thorough=False))
+            if not self.judged.thorough and not self._change_event.is_set():
+                self._check_event.set()
 
     async def _check_all(self) -> None:
         """Check thoroughly, which takes long; a draft changed meanwhile makes the result obsolete."""
         while True:
-            await self._to_check.wait()
-            self._to_check.clear()
-            judged = await self._judged(self.draft, thorough=True)
+            await self._check_event.wait()
+            self._check_event.clear()
+            judged = await self._judge_draft(self.draft, thorough=True)
             if judged.draft is self.draft:
                 self._announce(judged)
 
-    async def _judged(self, draft: Draft, *, thorough: bool) -> Judged:
+    async def _judge_draft(self, draft: Draft, *, thorough: bool) -> Judgement:
         return await asyncio.to_thread(judge, draft, self.volume, self.theatre, thorough=thorough)
 
-    def _announce(self, judged: Judged) -> None:
+    def _announce(self, judged: Judgement) -> None:
         self.judged = judged
-        self.tell()
+        self.notify()
 
     async def _keep_all(self) -> None:
         while True:
-            await self._to_keep.wait()
-            self._to_keep.clear()
-            await asyncio.to_thread(self.keep)
+            await self._keep_event.wait()
+            self._keep_event.clear()
+            await asyncio.to_thread(self.store_draft)
             await asyncio.sleep(KEEPING_S)
 
 
@@ -348,7 +348,7 @@ def _digest(path: Path) -> str:
 
 def _refuse_in_run_folder(plan: Path) -> PlanInUse | None:
     """Refuse a plan within a run folder, where any write would count as tampering."""
-    run = next((one for one in plan.resolve().parents if (one / JOURNAL_FILE).exists()), None)
+    run = next((item for item in plan.resolve().parents if (item / JOURNAL_FILE).exists()), None)
     if run is None:
         return None
     return PlanInUse(

@@ -39,20 +39,22 @@ def open_planner(request: Annotated[str, typer.Argument(help="What to open, as J
     from procedures.imaging import read_series
     from procedures.imaging.picks import LARGEST_FILE_BYTES
     from procedures.planning.theatre_arm import theatre_arm
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
-    asked = PlannerRequest.model_validate_json(request)
+    parsed_request = PlannerRequest.model_validate_json(request)
     theatre = None
-    if asked.config is not None and asked.robot_from_ct is not None:
-        strategy = strategy_named(asked.strategy)
-        theatre = theatre_arm(asked.config, asked.robot_from_ct, asked.home_deg, strategy)
+    if parsed_request.config is not None and parsed_request.robot_from_ct is not None:
+        strategy = find_strategy(parsed_request.strategy)
+        theatre = theatre_arm(
+            parsed_request.config, parsed_request.robot_from_ct, parsed_request.home_deg, strategy
+        )
     with terminal.progress_bar("reading the CT series") as advance:
-        volume = read_series(asked.series, progress=advance)
-    editor = PlanEditor(volume, asked.plan, theatre)
+        volume = read_series(parsed_request.series, progress=advance)
+    editor = PlanEditor(volume, parsed_request.plan, theatre)
     try:
         serve_pages(
             lambda application: add_planner(application, editor),
-            asked.port,
+            parsed_request.port,
             editor.work,
             tell_address,
             largest_body_bytes=LARGEST_FILE_BYTES + FORM_BYTES,

@@ -42,7 +42,7 @@ TITLES = {
     Plane.SAGITTAL: "Sagittal, from the left",
     Plane.ALONG: "Along the trajectory",
 }
-HOW = (
+KEYBOARD_HELP = (
     "Arrow keys move the crosshair, Page Up and Page Down the slice, plus and minus magnify,"
     " Enter does what a click at the crosshair does, e and t set entry and target."
 )
@@ -60,20 +60,26 @@ class SlicePanel:
     def __init__(
         self,
         plane: Plane,
-        look: PageView,
+        page_view: PageView,
         *,
         act: Place,
         drag: Drag,
-        draws: Callable[[], bool],
+        is_drawing: Callable[[], bool],
         key: Callable[[str], None],
-        looked: Callable[[], None],
+        on_view_change: Callable[[], None],
     ) -> None:
-        self._plane, self._look = plane, look
-        self._act, self._drag, self._draws, self._key, self._looked = act, drag, draws, key, looked
+        self._plane, self._page_view = plane, page_view
+        self._act, self._drag, self._is_drawing, self._key, self._on_view_change = (
+            act,
+            drag,
+            is_drawing,
+            key,
+            on_view_change,
+        )
         self._cut: Cut | None = None
         self._draft: Draft | None = None
-        self._dragged = ""
-        self._begun = False
+        self._dragged_end = ""
+        self._has_begun = False
         self._shown: tuple[str, str] = ("", "")
         with ui.element("section").classes("card slice").props(f'aria-label="{TITLES[plane]}"'):
             with ui.element("div").classes("slicehead"):
@@ -84,24 +90,27 @@ class SlicePanel:
                     events=["mousedown", "mousemove", "mouseup", "mouseleave"], sanitize=False, size=(1, 1)
                 )
                 .classes("cut")
-                .props(f'tabindex=0 role=img aria-label="{TITLES[plane]}. {HOW}"')
+                .props(f'tabindex=0 role=img aria-label="{TITLES[plane]}. {KEYBOARD_HELP}"')
                 .props(f"data-plane={plane.value}")
             )
-        self._image.on("mouse", self._mouse, js_handler=MOUSE_JS)
-        self._image.on("wheel.prevent", self._wheel, args=["deltaY", "ctrlKey"], throttle=WHEEL_S)
-        self._image.on("keydown", self._keyed, js_handler=KEYS_JS)
+        self._image.on("mouse", self._on_mouse, js_handler=MOUSE_JS)
+        self._image.on("wheel.prevent", self._on_wheel, args=["deltaY", "ctrlKey"], throttle=WHEEL_S)
+        self._image.on("keydown", self._on_key, js_handler=KEYS_JS)
 
     def show(self, draft: Draft) -> None:
         """Show the page's present view."""
-        look = self._look
+        page_view = self._page_view
         self._draft = draft
-        way = next((one for one in draft.ways if one.identifier == look.way), None)
-        self._cut = cut = look.cut(self._plane, way)
+        way = next((item for item in draft.ways if item.identifier == page_view.way), None)
+        self._cut = cut = page_view.cut(self._plane, way)
         if cut is None:
             shown = "", ""
             self._where.set_text("set entry and target")
         else:
-            shown = _address(cut, look.window), overlay(cut, draft, look.way, look.place_mm)
+            shown = (
+                _image_address(cut, page_view.window),
+                draw_overlay(cut, draft, page_view.way, page_view.place_mm),
+            )
             self._where.set_text(self._words(cut))
         if shown[0] != self._shown[0]:
             self._image.set_source(shown[0])
@@ -111,67 +120,67 @@ class SlicePanel:
 
     def _words(self, cut: Cut) -> str:
         if self._plane is Plane.ALONG:
-            return f"turned {self._look.turn_deg:.0f}°"
+            return f"turned {self._page_view.turn_deg:.0f}°"
         axis = int(abs(cut.normal).argmax())
-        return f"{'LPS'[axis]} {self._look.place_mm[axis]:.1f} mm"
+        return f"{'LPS'[axis]} {self._page_view.place_mm[axis]:.1f} mm"
 
-    def _wheel(self, event: Any) -> None:
+    def _on_wheel(self, event: Any) -> None:
         delta = event.args.get("deltaY") or 0.0
         steps = (delta > 0) - (delta < 0)
         if event.args.get("ctrlKey"):
-            self._look.magnify(-steps)
+            self._page_view.magnify(-steps)
         else:
-            self._look.scroll(self._plane, steps)
-        self._looked()
+            self._page_view.scroll(self._plane, steps)
+        self._on_view_change()
 
-    async def _keyed(self, event: Any) -> None:
+    async def _on_key(self, event: Any) -> None:
         key, shift = str(event.args.get("key")), bool(event.args.get("shift"))
         if key in KEYS:
-            self._look.scroll(self._plane, KEYS[key] * (FAST if shift else 1))
+            self._page_view.scroll(self._plane, KEYS[key] * (FAST if shift else 1))
         elif key in ARROWS:
             right, down = ARROWS[key]
             by = FAST if shift else 1
             if self._plane is Plane.ALONG:
-                self._look.scroll(self._plane, right)
-            self._look.move(self._plane, right * by, down * by)
+                self._page_view.scroll(self._plane, right * by)
+            self._page_view.move(self._plane, right * by, down * by)
         elif key in "+=-":
-            self._look.magnify(-1 if key == "-" else 1)
-        elif key == "Enter" and self._draws():
-            self._drag(STROKE, self._look.place_mm, True)
+            self._page_view.magnify(-1 if key == "-" else 1)
+        elif key == "Enter" and self._is_drawing():
+            self._drag(STROKE, self._page_view.place_mm, True)
         elif key == "Enter":
-            await self._act(self._look.place_mm)
+            await self._act(self._page_view.place_mm)
         else:
             self._key(key)
-        self._looked()
+        self._on_view_change()
 
-    async def _mouse(self, event: Any) -> None:
+    async def _on_mouse(self, event: Any) -> None:
         cut, draft, args = self._cut, self._draft, event.args
         if cut is None or draft is None:
             return
         kind, x, y = args.get("mouse_event_type"), float(args["image_x"]), float(args["image_y"])
-        if kind == "mousedown" and args.get("button") == 0 and self._draws():
-            self._dragged = STROKE
+        if kind == "mousedown" and args.get("button") == 0 and self._is_drawing():
+            self._dragged_end = STROKE
             self._drag(STROKE, cut.to_patient_mm(x, y), True)
-            self._begun = True
+            self._has_begun = True
         elif kind == "mousedown" and args.get("button") == 0:
-            way = next((one for one in draft.ways if one.identifier == self._look.way), None)
-            self._dragged = grasped_end(cut, way, x, y) if way is not None else ""
-            self._begun = False
-            if not self._dragged:
+            way = next((item for item in draft.ways if item.identifier == self._page_view.way), None)
+            self._dragged_end = find_grasped_end(cut, way, x, y) if way is not None else ""
+            self._has_begun = False
+            if not self._dragged_end:
                 await self._act(cut.to_patient_mm(x, y))
-        elif kind == "mousemove" and self._dragged:
-            self._drag(self._dragged, self._in_depth(cut, x, y), not self._begun)
-            self._begun = True
+        elif kind == "mousemove" and self._dragged_end:
+            self._drag(self._dragged_end, self._dragged_position_mm(cut, x, y), not self._has_begun)
+            self._has_begun = True
         elif kind in ("mouseup", "mouseleave"):
-            self._dragged = ""
+            self._dragged_end = ""
 
-    def _in_depth(self, cut: Cut, x: float, y: float) -> Point:
+    def _dragged_position_mm(self, cut: Cut, x: float, y: float) -> Point:
         """Return the new position of the end: dragged within the image, at its previous depth behind it."""
-        if self._dragged == STROKE:
+        if self._dragged_end == STROKE:
             return cut.to_patient_mm(x, y)
         assert self._draft is not None
-        way = self._draft.way(self._look.way)
-        place = way.entry_mm if self._dragged == "entry" else way.target_mm
+        way = self._draft.way(self._page_view.way)
+        place = way.entry_mm if self._dragged_end == "entry" else way.target_mm
         if place is None or self._plane is Plane.ALONG:
             return cut.to_patient_mm(x, y)
         _, _, off_mm = cut.to_picture(place)
@@ -179,7 +188,7 @@ class SlicePanel:
         return a, b, c
 
 
-def _address(cut: Cut, window: str) -> str:
+def _image_address(cut: Cut, window: str) -> str:
     def as_text(values: Any) -> str:
         return ",".join(f"{value:.5g}" for value in values)
 
@@ -193,18 +202,18 @@ def _address(cut: Cut, window: str) -> str:
     return f"/cut.png?{urlencode(numbers)}"
 
 
-def overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
+def draw_overlay(cut: Cut, draft: Draft, chosen: str, place_mm: Point) -> str:
     """Draw the overlay as SVG in the image's pixels."""
-    parts = [*_sides(cut), *_cross(cut, place_mm)]
-    parts += [_avoided(cut, np.array(one.points_mm)) for one in draft.structures]
+    parts = [*_draw_sides(cut), *_draw_cross(cut, place_mm)]
+    parts += [_structure_path(cut, np.array(item.points_mm)) for item in draft.structures]
     for number, marker in enumerate(draft.markers, start=1):
-        parts += _sphere(cut, marker.centre_mm, f"{number}")
+        parts += _draw_sphere(cut, marker.centre_mm, f"{number}")
     for way in draft.ways:
-        parts += _way(cut, way, CHOSEN if way.identifier == chosen else OTHER)
+        parts += _draw_trajectory(cut, way, CHOSEN if way.identifier == chosen else OTHER)
     return "".join(parts)
 
 
-def grasped_end(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
+def find_grasped_end(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str:
     """Return the trajectory end at a point of the image: `entry`, `target`, or empty."""
     best, name = HANDLE_PX, ""
     for end, place in (("target", way.target_mm), ("entry", way.entry_mm)):
@@ -215,7 +224,7 @@ def grasped_end(cut: Cut, way: DraftTrajectory, x_px: float, y_px: float) -> str
     return name
 
 
-def _cross(cut: Cut, place_mm: Point) -> Iterable[str]:
+def _draw_cross(cut: Cut, place_mm: Point) -> Iterable[str]:
     x, y, off_mm = cut.to_picture(place_mm)
     shade = 0.9 if abs(off_mm) < NEAR_MM else 0.35
     for x1, y1, x2, y2 in (
@@ -224,19 +233,19 @@ def _cross(cut: Cut, place_mm: Point) -> Iterable[str]:
         (x, 0.0, x, y - GAP_PX),
         (x, y + GAP_PX, x, SIZE_PX),
     ):
-        yield _line(x1, y1, x2, y2, CROSS, 1.0, shade)
+        yield _draw_line(x1, y1, x2, y2, CROSS, 1.0, shade)
 
 
-def _sphere(cut: Cut, centre_mm: Sequence[float], name: str) -> Iterable[str]:
+def _draw_sphere(cut: Cut, centre_mm: Sequence[float], name: str) -> Iterable[str]:
     x, y, off_mm = cut.to_picture(centre_mm)
     if abs(off_mm) >= SPHERE_RADIUS_MM:
         return
     radius = sqrt(SPHERE_RADIUS_MM**2 - off_mm**2) / cut.step_mm
-    yield _circle(x, y, radius, SPHERE, 1.6)
+    yield _draw_circle(x, y, radius, SPHERE, 1.6)
     yield _words(x + radius + 3, y + 4, name, SPHERE)
 
 
-def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
+def _structure_path(cut: Cut, points_mm: NDArray[np.float64]) -> str:
     """Draw the points near the image in one path: a thousand elements would not scroll."""
     away = points_mm - cut.middle_mm
     near = away[np.abs(away @ cut.normal) < POINT_WITHIN_MM]
@@ -245,10 +254,10 @@ def _avoided(cut: Cut, points_mm: NDArray[np.float64]) -> str:
     return tag("path", "", d=dots, fill="none", stroke=AVOIDED, stroke_width="4", stroke_linecap="round")
 
 
-def _way(cut: Cut, way: DraftTrajectory, colour: str) -> Iterable[str]:
+def _draw_trajectory(cut: Cut, way: DraftTrajectory, colour: str) -> Iterable[str]:
     if way.ends is not None:
         (x1, y1, _), (x2, y2, _) = (cut.to_picture(end) for end in way.ends)
-        yield _line(x1, y1, x2, y2, colour, 1.6, 0.85)
+        yield _draw_line(x1, y1, x2, y2, colour, 1.6, 0.85)
     if way.entry_mm is not None:
         x, y, off_mm = cut.to_picture(way.entry_mm)
         shade = 1.0 if abs(off_mm) < NEAR_MM else 0.45
@@ -259,11 +268,11 @@ def _way(cut: Cut, way: DraftTrajectory, colour: str) -> Iterable[str]:
         yield _words(x + 8, y - 6, way.identifier, colour)
     if way.target_mm is not None:
         x, y, off_mm = cut.to_picture(way.target_mm)
-        yield _circle(x, y, 6.0, colour, 2.0, 1.0 if abs(off_mm) < NEAR_MM else 0.45)
-        yield _circle(x, y, 1.2, colour, 1.5)
+        yield _draw_circle(x, y, 6.0, colour, 2.0, 1.0 if abs(off_mm) < NEAR_MM else 0.45)
+        yield _draw_circle(x, y, 1.2, colour, 1.5)
 
 
-def _sides(cut: Cut) -> Iterable[str]:
+def _draw_sides(cut: Cut) -> Iterable[str]:
     half = SIZE_PX / 2.0
     for direction, x, y in (
         (cut.right, SIZE_PX - 16, half + 5),
@@ -271,10 +280,10 @@ def _sides(cut: Cut) -> Iterable[str]:
         (cut.down, half - 5, SIZE_PX - 7),
         (-cut.down, half - 5, 16),
     ):
-        yield _words(x, y, side(direction), "#f2f2f2")
+        yield _words(x, y, side_letters(direction), "#f2f2f2")
 
 
-def side(direction: NDArray[np.float64]) -> str:
+def side_letters(direction: NDArray[np.float64]) -> str:
     """Return the letters of the patient's sides along a direction, nearest first."""
     order = sorted(range(3), key=lambda axis: -abs(direction[axis]))
     return "".join(
@@ -282,14 +291,14 @@ def side(direction: NDArray[np.float64]) -> str:
     )
 
 
-def _line(x1: float, y1: float, x2: float, y2: float, colour: str, width: float, shade: float) -> str:
+def _draw_line(x1: float, y1: float, x2: float, y2: float, colour: str, width: float, shade: float) -> str:
     return (
         f'<line x1="{x1:.1f}" y1="{y1:.1f}" x2="{x2:.1f}" y2="{y2:.1f}" stroke="{colour}"'
         f' stroke-width="{width}" opacity="{shade}"/>'
     )
 
 
-def _circle(x: float, y: float, radius: float, colour: str, width: float, shade: float = 1.0) -> str:
+def _draw_circle(x: float, y: float, radius: float, colour: str, width: float, shade: float = 1.0) -> str:
     return (
         f'<circle cx="{x:.1f}" cy="{y:.1f}" r="{radius:.1f}" fill="none" stroke="{colour}"'
         f' stroke-width="{width}" opacity="{shade}"/>'

@@ -94,17 +94,17 @@ def as_point(place: ArrayLike) -> Point:
     return x, y, z
 
 
-def cut_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
+def render_png(volume: Volume, cut: Cut, window_hu: tuple[float, float]) -> bytes:
     """Render the image, black at the lower end of the window and white at the upper."""
     low, high = window_hu
-    hu = cut_hu(volume, cut)
+    hu = sample_cut_hu(volume, cut)
     grey = cv2.convertScaleAbs(np.clip(hu, low, high) - np.float32(low), alpha=255.0 / (high - low))
     grey[hu == UNSCANNED_HU] = UNSCANNED_GREY
     _, encoded = cv2.imencode(".png", grey, [cv2.IMWRITE_PNG_COMPRESSION, PNG_LEVEL])
     return bytes(encoded)
 
 
-def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
+def sample_cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
     """Return the HU of every pixel (rows, columns), interpolated; between slices only along a trajectory."""
     geometry = volume.geometry
     first = geometry.to_index(np.array(cut.to_patient_mm(0.5, 0.5)))
@@ -113,12 +113,12 @@ def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
     )
     across = np.flatnonzero(np.abs(per_px).max(axis=0) * SIZE_PX < ALIGNED)
     if len(across) != 1:
-        return _between_slices(volume, first, per_px)
+        return _interpolate_between_slices(volume, first, per_px)
     (axis,) = across
     number = round(float(first[axis]))
     if not 0 <= number < volume.voxels.shape[axis]:
         return np.full((SIZE_PX, SIZE_PX), UNSCANNED_HU, np.int16)
-    row, column = (one for one in range(3) if one != axis)
+    row, column = (item for item in range(3) if item != axis)
     mapping = np.array(
         [[per_px[0, column], per_px[1, column], first[column]], [per_px[0, row], per_px[1, row], first[row]]]
     )
@@ -135,7 +135,7 @@ def cut_hu(volume: Volume, cut: Cut) -> NDArray[np.int16]:
     )
 
 
-def _between_slices(volume: Volume, first: Array, per_px: Array) -> NDArray[np.int16]:
+def _interpolate_between_slices(volume: Volume, first: Array, per_px: Array) -> NDArray[np.int16]:
     from scipy import ndimage
 
     matrix = np.stack([per_px[1], per_px[0], np.zeros(3)], axis=1)
@@ -179,13 +179,13 @@ class PageView:
     def cut(self, plane: Plane, way: DraftTrajectory | None) -> Cut | None:
         """Return the image of a plane; None along an incomplete trajectory."""
         if plane is Plane.ALONG:
-            return None if way is None or way.ends is None else self._along(*way.ends)
-        right, down = (np.array(one) for one in DIRECTIONS[plane])
+            return None if way is None or way.ends is None else self._cut_along(*way.ends)
+        right, down = (np.array(item) for item in DIRECTIONS[plane])
         normal = np.cross(right, down)
         focus, place = np.array(self.focus_mm), np.array(self.place_mm)
         return Cut(focus + normal * float((place - focus) @ normal), right, down, self.step_mm)
 
-    def _along(self, entry_mm: Point, target_mm: Point) -> Cut | None:
+    def _cut_along(self, entry_mm: Point, target_mm: Point) -> Cut | None:
         entry, target = np.array(entry_mm), np.array(target_mm)
         length_mm = float(np.linalg.norm(target - entry))
         if length_mm == 0.0:
@@ -208,7 +208,7 @@ class PageView:
         if plane is Plane.ALONG:
             self.turn_deg = (self.turn_deg + TURN_DEG * steps) % 360.0
             return
-        right, down = (np.array(one) for one in DIRECTIONS[plane])
+        right, down = (np.array(item) for item in DIRECTIONS[plane])
         normal = np.cross(right, down)
         axis = int(np.abs(normal @ self.geometry.axes).argmax())
         self.go_to(as_point(np.array(self.place_mm) + normal * steps * self.geometry.spacing_mm[axis]))
@@ -217,7 +217,7 @@ class PageView:
         """Move the crosshair within an image, by its pixels."""
         if plane is Plane.ALONG:
             return
-        across, downwards = (np.array(one) for one in DIRECTIONS[plane])
+        across, downwards = (np.array(item) for item in DIRECTIONS[plane])
         self.go_to(as_point(np.array(self.place_mm) + self.step_mm * (right * across + down * downwards)))
 
     def magnify(self, steps: int) -> None:
@@ -232,10 +232,10 @@ def add_pictures(app: Any, editor: PlanEditor) -> None:
 
     async def cut(request: Request) -> Response:
         try:
-            wanted, window = _read(dict(request.query_params))
+            wanted, window = _parse_request(dict(request.query_params))
         except (KeyError, ValueError):
             return PlainTextResponse("No such picture.", 404)
-        picture = await asyncio.to_thread(cut_png, editor.volume, wanted, window)
+        picture = await asyncio.to_thread(render_png, editor.volume, wanted, window)
         return Response(picture, media_type="image/png")
 
     async def head(_request: Request) -> Response:
@@ -245,18 +245,22 @@ def add_pictures(app: Any, editor: PlanEditor) -> None:
     app.add_route("/picture/head.stl", head, methods=["GET"])
 
 
-def _read(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
+def _parse_request(given: dict[str, str]) -> tuple[Cut, tuple[float, float]]:
     """Parse a request; raises KeyError or ValueError for an invalid one."""
-    middle, right, down = (_three(given[name]) for name in "mrd")
+    middle, right, down = (_parse_vector(given[name]) for name in "mrd")
     step_mm = float(given["s"])
-    square = abs(right @ down) < UNIT and all(abs(np.linalg.norm(one) - 1.0) < UNIT for one in (right, down))
-    if not (square and LEAST_STEP_MM <= step_mm <= MOST_STEP_MM and np.abs(middle).max() <= FARTHEST_MM):
+    is_orthonormal = abs(right @ down) < UNIT and all(
+        abs(np.linalg.norm(item) - 1.0) < UNIT for item in (right, down)
+    )
+    if not (
+        is_orthonormal and LEAST_STEP_MM <= step_mm <= MOST_STEP_MM and np.abs(middle).max() <= FARTHEST_MM
+    ):
         raise ValueError("no picture")
     return Cut(middle, right, down, step_mm), WINDOWS_HU[given["w"]]
 
 
-def _three(words: str) -> Any:
-    values = [float(one) for one in words.split(",")]
+def _parse_vector(words: str) -> Any:
+    values = [float(item) for item in words.split(",")]
     if len(values) != 3 or not all(map(math.isfinite, values)):
         raise ValueError("expected three numbers")
     return np.array(values)

@@ -21,9 +21,9 @@ from console.planning.slices import PageView
 from procedures.imaging.picks import LARGEST_FILE_BYTES
 from procedures.imaging.volume import VoxelGeometry
 from procedures.planning.errors import PlanMistakes, StructureUnreadable, raise_together
-from procedures.planning.plan_file import structure_in_another_unit
+from procedures.planning.plan_file import find_structure_unit_mistakes
 from procedures.planning.plan_model import MOST_POINTS_TOGETHER, MOST_STRUCTURES, Structure
-from procedures.planning.structures import StructureDistance, read_structure, structure_of
+from procedures.planning.structures import StructureDistance, build_structure, read_structure
 from procedures.strategies.trajectory import Point
 from ronna_hw.errors import RonnaError
 from ronna_hw.mistakes import describe_mistakes
@@ -31,16 +31,28 @@ from ronna_hw.mistakes import describe_mistakes
 STEP_MM = 1.0  # between two points of a stroke
 USUAL_MARGIN_MM = 3.0  # to a vessel
 PICK_JS = "() => getElement({number}).$refs.qRef.pickFiles()"  # only a person's click opens the dialog
-Say = Callable[[RonnaError | None], None]
+ShowProblem = Callable[[RonnaError | None], None]
 
 
 class StructurePanel:
     """Panel of the structures; strokes and files are added to the one named in its field."""
 
     def __init__(
-        self, editor: PlanEditor, look: PageView, go: Callable[[Point], None], say: Say, *, may_edit: bool
+        self,
+        editor: PlanEditor,
+        page_view: PageView,
+        go: Callable[[Point], None],
+        show_problem: ShowProblem,
+        *,
+        may_edit: bool,
     ) -> None:
-        self._editor, self._look, self._go, self._say, self._may_edit = editor, look, go, say, may_edit
+        self._editor, self._page_view, self._go, self._show_problem, self._may_edit = (
+            editor,
+            page_view,
+            go,
+            show_problem,
+            may_edit,
+        )
         self._last_mm: Point | None = None
         self._names: tuple[str, ...] | None = None
         self.margins: dict[str, NumberField] = {}
@@ -55,23 +67,25 @@ class StructurePanel:
         with ui.element("div").classes("numbers"):
             self._name = ui.input("Structure", value="S1").classes("name")
             self._name.props('dense outlined maxlength=32 autocomplete=off data-field="structure"')
-            upload = ui.upload(on_upload=self._imported, auto_upload=True, max_file_size=LARGEST_FILE_BYTES)
+            upload = ui.upload(on_upload=self._on_import, auto_upload=True, max_file_size=LARGEST_FILE_BYTES)
             upload.classes("unseen").props('accept=".csv,.json" tabindex=-1 aria-hidden=true')
-            upload.on_rejected(self._too_large)
+            upload.on_rejected(self._on_rejected)
             button = ui.button("Import points…", color=None).classes("plain small")
             button.props('no-caps unelevated data-do=import aria-label="import points of a structure"')
             button.on("click", js_handler=PICK_JS.format(number=upload.id))
 
-    def draw(self, place_mm: Point, *, goes_on: bool) -> None:
+    def draw(self, place_mm: Point, *, continues: bool) -> None:
         """Begin or continue a stroke in an image."""
-        start_mm = self._last_mm if goes_on else None
+        start_mm = self._last_mm if continues else None
         self._last_mm = place_mm
-        self._change(lambda draft: draw_stroke(draft, self._chosen, place_mm, start_mm), goes_on=goes_on)
+        self._change(
+            lambda draft: draw_stroke(draft, self._chosen_name, place_mm, start_mm), continues=continues
+        )
 
     def show(self) -> None:
         """Show the current draft and the known distances."""
         judged, structures = self._editor.judged, self._editor.draft.structures
-        names = tuple(one.name for one in structures)
+        names = tuple(item.name for item in structures)
         if names != self._names:
             self._names = names
             self._list.clear()
@@ -79,13 +93,13 @@ class StructurePanel:
             with self._list:
                 for name in names:
                     self._build(name)
-        for one in structures:
-            self.margins[one.name].show(one.margin_mm)
-        table = _table(structures, judged.distances)
+        for item in structures:
+            self.margins[item.name].show(item.margin_mm)
+        table = _distance_table(structures, judged.distances)
         self._distances.set_content(mark_outdated(table, judged, self._editor.draft))
 
     @property
-    def _chosen(self) -> str:
+    def _chosen_name(self) -> str:
         return " ".join(str(self._name.value or "").split())
 
     def _build(self, name: str) -> None:
@@ -98,10 +112,10 @@ class StructurePanel:
 
     def _look_at(self, name: str) -> None:
         """Go where the current trajectory comes closest to it; without one, to its first point."""
-        near = {one.trajectory: one for one in self._editor.judged.distances if one.structure == name}
+        near = {item.trajectory: item for item in self._editor.judged.distances if item.structure == name}
         structure = self._editor.draft.structure(name)
-        if self._look.way in near:
-            self._go(near[self._look.way].nearest_mm)
+        if self._page_view.way in near:
+            self._go(near[self._page_view.way].nearest_mm)
         elif structure is not None:
             self._go(structure.points_mm[0])
         if self._may_edit:
@@ -113,39 +127,39 @@ class StructurePanel:
     def _remove(self, name: str) -> None:
         self._change(lambda draft: draft.without_structure(name))
 
-    async def _imported(self, event: Any) -> None:
+    async def _on_import(self, event: Any) -> None:
         content = await event.file.read()
         event.sender.reset()
         geometry = self._editor.volume.geometry
         if self._change(
-            lambda draft: import_structure(draft, self._chosen, content, event.file.name, geometry)
+            lambda draft: import_structure(draft, self._chosen_name, content, event.file.name, geometry)
         ):
             self._name.set_value(free_name(self._editor.draft))
 
-    def _too_large(self) -> None:
-        self._say(StructureUnreadable("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
+    def _on_rejected(self) -> None:
+        self._show_problem(StructureUnreadable("the file is too large", limit=f"{LARGEST_FILE_BYTES} bytes"))
 
-    def _change(self, change: Callable[[Draft], Draft], *, goes_on: bool = False) -> bool:
+    def _change(self, change: Callable[[Draft], Draft], *, continues: bool = False) -> bool:
         try:
-            self._editor.change(change(self._editor.draft), goes_on=goes_on)
-        except RonnaError as refused:
-            self._say(refused)
+            self._editor.change(change(self._editor.draft), continues=continues)
+        except RonnaError as refusal:
+            self._show_problem(refusal)
             return False
-        self._say(None)
+        self._show_problem(None)
         return True
 
 
-def _table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
+def _distance_table(structures: Iterable[Structure], distances: Iterable[StructureDistance]) -> str:
     """Tabulate distances: a row per structure, a column per trajectory."""
-    known = {(one.structure, one.trajectory): one for one in distances}
+    known = {(item.structure, item.trajectory): item for item in distances}
     ways = tuple(dict.fromkeys(trajectory for _, trajectory in known))
     rows = "".join(
         tag(
             "tr",
-            tag("th", text(one.name), scope="row")
-            + "".join(_cell(known.get((one.name, way))) for way in ways),
+            tag("th", text(item.name), scope="row")
+            + "".join(_distance_cell(known.get((item.name, way))) for way in ways),
         )
-        for one in structures
+        for item in structures
     )
     if not rows or not ways:
         return ""
@@ -153,7 +167,7 @@ def _table(structures: Iterable[Structure], distances: Iterable[StructureDistanc
     return table_of(tag("tr", head), rows)
 
 
-def _cell(distance: StructureDistance | None) -> str:
+def _distance_cell(distance: StructureDistance | None) -> str:
     if distance is None:
         return tag("td", "–")
     words = f"{distance.distance_mm:.1f}" + ("" if distance.is_kept else " — too near")
@@ -175,7 +189,9 @@ def draw_stroke(draft: Draft, name: str, place_mm: Point, start_mm: Point | None
         points = np.concatenate([np.array(known.points_mm), points])
         within_mm, margin_mm = known.within_mm, known.margin_mm
     with _mistakes_as_refusals():
-        return _bounded(draft.with_structure(structure_of(name, margin_mm, points, within_mm)))
+        return _require_within_limits(
+            draft.with_structure(build_structure(name, margin_mm, points, within_mm))
+        )
 
 
 def import_structure(
@@ -185,7 +201,7 @@ def import_structure(
     if draft.structure(name) is not None:
         raise PlanMistakes(f"a structure named {name} already exists", action="Enter another name first.")
     with _mistakes_as_refusals():
-        return _bounded(
+        return _require_within_limits(
             draft.with_structure(read_structure(content, file_name, name, USUAL_MARGIN_MM, geometry))
         )
 
@@ -197,7 +213,7 @@ def set_margin(draft: Draft, name: str, margin_mm: float) -> Draft:
         return draft
     with _mistakes_as_refusals():
         changed = Structure.model_validate(known.model_copy(update={"margin_mm": margin_mm}).model_dump())
-    raise_together(structure_in_another_unit(changed), "the structure")
+    raise_together(find_structure_unit_mistakes(changed), "the structure")
     return draft.with_structure(changed)
 
 
@@ -206,10 +222,10 @@ def free_name(draft: Draft) -> str:
     return next(name for k in range(1, MOST_STRUCTURES + 2) if draft.structure(name := f"S{k}") is None)
 
 
-def _bounded(draft: Draft) -> Draft:
+def _require_within_limits(draft: Draft) -> Draft:
     if len(draft.structures) > MOST_STRUCTURES:
         raise PlanMistakes("too many structures", limit=f"{MOST_STRUCTURES}")
-    points = sum(len(one.points_mm) for one in draft.structures)
+    points = sum(len(item.points_mm) for item in draft.structures)
     if points > MOST_POINTS_TOGETHER:
         raise PlanMistakes("too many structure points", limit=f"{MOST_POINTS_TOGETHER}", got=f"{points}")
     return draft

@@ -21,9 +21,14 @@ class TrajectoryPanel:
     """Panel of the trajectories, in LPS mm and degrees; each change is one undo step."""
 
     def __init__(
-        self, editor: PlanEditor, look: PageView, looked: Callable[[], None], *, may_edit: bool
+        self, editor: PlanEditor, page_view: PageView, on_view_change: Callable[[], None], *, may_edit: bool
     ) -> None:
-        self._editor, self._look, self._looked, self._may_edit = editor, look, looked, may_edit
+        self._editor, self._page_view, self._on_view_change, self._may_edit = (
+            editor,
+            page_view,
+            on_view_change,
+            may_edit,
+        )
         self._names: tuple[tuple[str, ...], str] = ((), "")
         self.fields: dict[str, NumberField] = {}
         with ui.element("section").classes("card ways").props('aria-label="Trajectories"'):
@@ -33,98 +38,98 @@ class TrajectoryPanel:
                 with ui.element("div").classes("numbers").props(f'role=group aria-label="{title}"'):
                     ui.label(title).classes("rowname")
                     for axis, letter in enumerate("LPS"):
-                        self._field(f"{end} {letter}", letter, self._set_end(end, axis))
+                        self._add_field(f"{end} {letter}", letter, self._set_end(end, axis))
                 with ui.element("div").classes("under"):
                     if self._may_edit:
-                        self._button(
-                            f"{title} here", partial(self._at_crosshair, end), f"{end} at the crosshair"
+                        self._add_button(
+                            f"{title} here", partial(self._set_at_crosshair, end), f"{end} at the crosshair"
                         )
-                    self._button("show", partial(self._go, end), f"crosshair to the {end}")
+                    self._add_button("show", partial(self._go, end), f"crosshair to the {end}")
             with ui.element("div").classes("numbers").props('role=group aria-label="Axis"'):
                 ui.label("Axis").classes("rowname")
-                self._field("azimuth", "az. °", self._set_azimuth)
-                self._field("elevation", "el. °", self._set_elevation)
-                self._field("depth", "mm", self._set_depth)
+                self._add_field("azimuth", "az. °", self._set_azimuth)
+                self._add_field("elevation", "el. °", self._set_elevation)
+                self._add_field("depth", "mm", self._set_depth)
             with ui.element("div").classes("numbers").props('role=group aria-label="Guide"'):
                 ui.label("Guide").classes("rowname")
-                self._field("free angle", "angle °", self._set_free_angle)
-                self._field("margin", "margin mm", self._set_margin, 2)
+                self._add_field("free angle", "angle °", self._set_free_angle)
+                self._add_field("margin", "margin mm", self._set_margin, 2)
 
     def show(self) -> None:
         """Show the current draft."""
         draft = self._editor.draft
-        names = tuple(one.identifier for one in draft.ways)
-        if self._look.way not in names:
-            self._look.way = names[0]
-        if (names, self._look.way) != self._names:
-            self._names = names, self._look.way
+        names = tuple(item.identifier for item in draft.ways)
+        if self._page_view.way not in names:
+            self._page_view.way = names[0]
+        if (names, self._page_view.way) != self._names:
+            self._names = names, self._page_view.way
             self._build_tabs(names)
         way = self._way
         for end, place in (("entry", way.entry_mm), ("target", way.target_mm)):
             for axis, letter in enumerate("LPS"):
                 self.fields[f"{end} {letter}"].show(None if place is None else place[axis])
-        axis_of = Axis.of(*way.ends) if way.ends else None
-        self.fields["azimuth"].show(axis_of.azimuth_deg if axis_of else None)
-        self.fields["elevation"].show(axis_of.elevation_deg if axis_of else None)
+        way_axis = Axis.of(*way.ends) if way.ends else None
+        self.fields["azimuth"].show(way_axis.azimuth_deg if way_axis else None)
+        self.fields["elevation"].show(way_axis.elevation_deg if way_axis else None)
         self.fields["depth"].show(way.depth_mm)
         self.fields["free angle"].show(way.free_angle_deg)
         self.fields["margin"].show(way.margin_mm)
 
-    def place(self, end: str, place_mm: Point, *, goes_on: bool = False) -> None:
+    def place(self, end: str, place_mm: Point, *, continues: bool = False) -> None:
         """Move an end of the current trajectory."""
         way = self._way
         way = replace(way, entry_mm=place_mm) if end == "entry" else replace(way, target_mm=place_mm)
-        self._change(way, goes_on=goes_on)
+        self._change(way, continues=continues)
 
     @property
     def _way(self) -> DraftTrajectory:
-        return self._editor.draft.way(self._look.way)
+        return self._editor.draft.way(self._page_view.way)
 
-    def _change(self, way: DraftTrajectory, *, goes_on: bool = False) -> None:
+    def _change(self, way: DraftTrajectory, *, continues: bool = False) -> None:
         if self._may_edit:
-            self._editor.change(self._editor.draft.with_way(way.identifier, way), goes_on=goes_on)
+            self._editor.change(self._editor.draft.with_way(way.identifier, way), continues=continues)
 
     def _build_tabs(self, names: tuple[str, ...]) -> None:
         self._tabs.clear()
         with self._tabs:
             for name in names:
-                chosen = name == self._look.way
-                button = self._button(name, partial(self._choose, name), f"trajectory {name}")
+                chosen = name == self._page_view.way
+                button = self._add_button(name, partial(self._choose, name), f"trajectory {name}")
                 button.props(f"aria-pressed={'true' if chosen else 'false'}").classes(
                     "chosen" if chosen else ""
                 )
             if self._may_edit:
-                self._button("+", self._add, "add a trajectory")
-                self._button("−", self._remove, "remove this trajectory")
+                self._add_button("+", self._add, "add a trajectory")
+                self._add_button("−", self._remove, "remove this trajectory")
 
     def _choose(self, name: str) -> None:
-        self._look.way = name
-        self._looked()
+        self._page_view.way = name
+        self._on_view_change()
 
     def _add(self) -> None:
-        draft, self._look.way = self._editor.draft.with_new_way()
+        draft, self._page_view.way = self._editor.draft.with_new_way()
         self._editor.change(draft)
 
     def _remove(self) -> None:
-        self._editor.change(self._editor.draft.without_way(self._look.way))
+        self._editor.change(self._editor.draft.without_way(self._page_view.way))
 
-    def _at_crosshair(self, end: str) -> None:
-        self.place(end, self._look.place_mm)
+    def _set_at_crosshair(self, end: str) -> None:
+        self.place(end, self._page_view.place_mm)
 
     def _go(self, end: str) -> None:
         place = self._way.entry_mm if end == "entry" else self._way.target_mm
         if place is not None:
-            self._look.go_to(place)
-            self._looked()
+            self._page_view.go_to(place)
+            self._on_view_change()
 
     def _set_end(self, end: str, axis: int) -> Callable[[float], None]:
-        def take(value: float) -> None:
+        def set_value(value: float) -> None:
             way = self._way
-            place = list((way.entry_mm if end == "entry" else way.target_mm) or self._look.place_mm)
+            place = list((way.entry_mm if end == "entry" else way.target_mm) or self._page_view.place_mm)
             place[axis] = value
             self.place(end, (place[0], place[1], place[2]))
 
-        return take
+        return set_value
 
     def _set_axis(self, change: Callable[[Axis], Axis], depth_mm: float | None = None) -> None:
         way = self._way
@@ -148,10 +153,12 @@ class TrajectoryPanel:
     def _set_margin(self, value: float) -> None:
         self._change(replace(self._way, margin_mm=value))
 
-    def _field(self, name: str, label: str, take: Callable[[float], None], decimals: int = 1) -> None:
-        field = NumberField(label, name, take, decimals)
+    def _add_field(
+        self, name: str, label: str, set_value: Callable[[float], None], decimals: int = 1
+    ) -> None:
+        field = NumberField(label, name, set_value, decimals)
         field.enable(self._may_edit)
         self.fields[name] = field
 
-    def _button(self, sign: str, act: Callable[[], None], name: str) -> ui.button:
+    def _add_button(self, sign: str, act: Callable[[], None], name: str) -> ui.button:
         return small_button(sign, act, name).tooltip(name)

@@ -69,10 +69,10 @@ def closest_pair(bodies: Bodies, pose: Pose) -> Closest | None:
         a, b = moving[first]
         other = bodies.fixed[second] if second >= 0 else bodies.moving[-1 - second]
         c, d = fixed[second] if second >= 0 else moving[-1 - second]
-        gap = segment_distance_mm(a, b, c, d) - bodies.moving[first].radius_mm - other.radius_mm
-        if gap < (best.distance_mm if best else CLOSE_MM):
+        clearance_mm = segment_distance_mm(a, b, c, d) - bodies.moving[first].radius_mm - other.radius_mm
+        if clearance_mm < (best.distance_mm if best else CLOSE_MM):
             near, far = _closest_points(a, b, c, d)
-            best = Closest(bodies.moving[first].name, other.name, gap, near, far)
+            best = Closest(bodies.moving[first].name, other.name, clearance_mm, near, far)
     return best
 
 

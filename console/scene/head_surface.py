@@ -21,7 +21,7 @@ FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("unused", "
 Array = NDArray[np.float64]
 
 
-def series_of(run: Path) -> Path | None:
+def find_series_folder(run: Path) -> Path | None:
     """Return the folder of a run's CT series: its own, or the requested one."""
     own = run / "case" / "ct"
     if own.is_dir():
@@ -33,9 +33,9 @@ def series_of(run: Path) -> Path | None:
     return Path(case) / "ct" if isinstance(case, str) else None
 
 
-def head_stl(series: Path) -> bytes:
+def build_head_stl(series: Path) -> bytes:
     """Build binary STL in CT coordinates, metres. Raises the errors of reading, CT-022 without a head."""
-    return stl(*head_surface(read_series(series)))
+    return encode_stl(*head_surface(read_series(series)))
 
 
 def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
@@ -64,8 +64,8 @@ def head_surface(volume: Volume) -> tuple[Array, NDArray[np.int64]]:
 def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
     """Average over whole blocks, slab by slab: a whole volume of floats would be large."""
     counts = np.array(voxels.shape) // factor
-    a, b, c = (int(one) for one in factor)
-    slices, rows, columns = (int(one) for one in counts)
+    a, b, c = (int(count_per_axis) for count_per_axis in factor)
+    slices, rows, columns = (int(count_per_axis) for count_per_axis in counts)
     means = np.empty((slices, rows, columns))
     for number in range(slices):
         slab = voxels[number * a : (number + 1) * a, : rows * b, : columns * c]
@@ -73,7 +73,7 @@ def _block_means(voxels: NDArray[np.int16], factor: NDArray[np.int64]) -> Array:
     return means
 
 
-def stl(corners_mm: Array, triangles: NDArray[np.int64]) -> bytes:
+def encode_stl(corners_mm: Array, triangles: NDArray[np.int64]) -> bytes:
     """Encode a surface as binary STL, metres."""
     facets = np.zeros(len(triangles), FACET)
     facets["corners"] = corners_mm[triangles] * METRES

@@ -18,7 +18,7 @@ from ronna_hw.frames import Transform
 SIGHT, HIDDEN, VOLUME, FRUSTUM = "#ffb020", "#ff5a4f", "#6f8798", "#42d392"
 SIGHT_OPACITY, VOLUME_OPACITY, FRUSTUM_OPACITY = 0.5, 0.6, 0.9
 HOUSING_RADIUS_MM = 40.0
-LOOK_AGAIN_S = 0.5  # host time between checks which lines of sight are blocked
+RECHECK_S = 0.5  # host time between checks which lines of sight are blocked
 CORNERS = ((-1, -1), (1, -1), (1, 1), (-1, 1))
 
 
@@ -30,7 +30,7 @@ class Sights:
         self._marks: list[Any] = []
         self._lines: list[tuple[Any, Point, Point]] = []
         self._hidden: list[bool] = []
-        self._looked_s = -math.inf
+        self._checked_s = -math.inf
         self._frusta: list[Any] = []
         self._bodies: Bodies | None = None
         self._shown: object = ()
@@ -48,8 +48,8 @@ class Sights:
         if pose is None or view.bodies is None:
             return
         self._place_frusta(pose)
-        if time.monotonic() - self._looked_s > LOOK_AGAIN_S:
-            self._looked_s = time.monotonic()
+        if time.monotonic() - self._checked_s > RECHECK_S:
+            self._checked_s = time.monotonic()
             self._colour_lines(view.bodies, pose)
 
     @property
@@ -60,26 +60,26 @@ class Sights:
     def _build_tracker(
         self, tracker: Transform | None, volume: MeasuringVolume | None, figures: CaseFigures | None
     ) -> None:
-        for one in self._marks:
-            one.delete()
+        for mark in self._marks:
+            mark.delete()
         self._marks, self._lines, self._hidden = [], [], []
         if tracker is None or figures is None:
             return
-        eyes = [_point(eye) for eye in tracker.apply(SENSORS_MM).tolist()]
+        eyes = [_to_point(eye) for eye in tracker.apply(SENSORS_MM).tolist()]
         housing = Rod(self._scene, HOUSING_RADIUS_MM, SIGHT)
         self._scene.run_method("run_methods", housing.place(eyes[0], eyes[1]))
         self._marks.append(housing.group)
-        seen = [sphere.tracker_mm for sphere in figures.spheres if sphere.tracker_mm is not None]
-        for place in seen:
+        sphere_places = [sphere.tracker_mm for sphere in figures.spheres if sphere.tracker_mm is not None]
+        for place in sphere_places:
             for eye in eyes:
-                line = self._line(eye, place, SIGHT, SIGHT_OPACITY)
+                line = self._add_line(eye, place, SIGHT, SIGHT_OPACITY)
                 self._lines.append((line, eye, place))
                 self._marks.append(line)
         self._hidden = [False] * len(self._lines)
-        self._looked_s = -math.inf
+        self._checked_s = -math.inf
         for start, end in volume_edges(volume):
-            places = [_point(place) for place in tracker.apply([start, end]).tolist()]
-            self._marks.append(self._line(places[0], places[1], VOLUME, VOLUME_OPACITY))
+            places = [_to_point(place) for place in tracker.apply([start, end]).tolist()]
+            self._marks.append(self._add_line(places[0], places[1], VOLUME, VOLUME_OPACITY))
 
     def _colour_lines(self, bodies: Bodies, pose: Pose) -> None:
         hidden = [is_hidden(eye, place, bodies, pose) for _, eye, place in self._lines]
@@ -89,16 +89,16 @@ class Sights:
         self._hidden = hidden
 
     def _build_frusta(self, bodies: Bodies) -> None:
-        for one in self._frusta:
-            one.delete()
+        for mark in self._frusta:
+            mark.delete()
         self._bodies, self._frusta = bodies, []
         for camera in bodies.cameras:
             values = camera.points_mm
-            centre, *corners = (_point(values[k : k + 3]) for k in range(0, len(values), 3))
+            centre, *corners = (_to_point(values[k : k + 3]) for k in range(0, len(values), 3))
             with self._scene.group() as group:
                 for number, corner in enumerate(corners):
-                    self._line(centre, corner, FRUSTUM, FRUSTUM_OPACITY)
-                    self._line(corner, corners[(number + 1) % len(corners)], FRUSTUM, FRUSTUM_OPACITY)
+                    self._add_line(centre, corner, FRUSTUM, FRUSTUM_OPACITY)
+                    self._add_line(corner, corners[(number + 1) % len(corners)], FRUSTUM, FRUSTUM_OPACITY)
             self._frusta.append(group.with_name(f"{camera.name} camera").visible(False))
 
     def _place_frusta(self, pose: Pose) -> None:
@@ -108,10 +108,10 @@ class Sights:
         calls: list[Call] = []
         for group in self._frusta:
             group.visible_ = True
-            calls += [*placing_calls(group, _point(pose.tool_mm), rows), ["visible", group.id, True]]
+            calls += [*placing_calls(group, _to_point(pose.tool_mm), rows), ["visible", group.id, True]]
         self._scene.run_method("run_methods", calls)
 
-    def _line(self, start: Point, end: Point, colour: str, opacity: float) -> Any:
+    def _add_line(self, start: Point, end: Point, colour: str, opacity: float) -> Any:
         metres = [[value * METRES for value in point] for point in (start, end)]
         return self._scene.line(*metres).material(colour, opacity)
 
@@ -134,6 +134,6 @@ def is_hidden(eye: Point, place: Point, bodies: Bodies, pose: Pose) -> bool:
     return any(segment_distance_mm(eye, place, *axis_ends(axis)) < body.radius_mm for body, axis in capsules)
 
 
-def _point(values: Any) -> Point:
+def _to_point(values: Any) -> Point:
     x, y, z = values
     return (x, y, z)

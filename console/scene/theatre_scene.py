@@ -77,29 +77,31 @@ class ScenePanel:
             self._names = names
             self._build_views(names)
         self._scene.show(view, figures, heads)
-        self._age.set_content(_age(view) + self._clearance() + self._sight())
+        self._age.set_content(_age(view) + self._clearance_html() + self._sight_html())
 
     def _build_views(self, names: list[str]) -> None:
         self._views.clear()
         with self._views:
-            for where, words in (
+            for view_name, words in (
                 ("robot", "robot"),
                 ("head", "head"),
                 ("tracker", "tracker"),
                 *((name, f"along {name}") for name in names),
             ):
                 ui.button(
-                    words, on_click=lambda where=where: self._scene.look_at(where, self._figures), color=None
+                    words,
+                    on_click=lambda view_name=view_name: self._scene.look_at(view_name, self._figures),
+                    color=None,
                 ).classes("plain small").props("no-caps unelevated")
 
-    def _clearance(self) -> str:
+    def _clearance_html(self) -> str:
         closest = self._scene.closest
         if closest is None:
             return ""
         words = f"closest: {closest.first} and {closest.second}, {closest.distance_mm:.0f} mm"
         return tag("div", text(words), class_="num")
 
-    def _sight(self) -> str:
+    def _sight_html(self) -> str:
         hidden = self._scene.hidden
         if not hidden:
             return ""
@@ -111,10 +113,10 @@ class ScenePanel:
 
 
 def _age(view: CaseView) -> str:
-    stood = view.pose
-    if stood is None:
+    reported_pose = view.pose
+    if reported_pose is None:
         return tag("div", "No arm position yet.", class_="dim")
-    age_s = view.theatre_time_s - stood.said_s + stood.pose.age_s
+    age_s = view.theatre_time_s - reported_pose.reported_s + reported_pose.pose.age_s
     if age_s > OLD_S:
         return tag("div", f"POSE IS {age_s:.1f} s OLD, shown grey", class_="warn num")
     return tag("div", f"pose is {age_s:.2f} s old", class_="num")
@@ -139,10 +141,10 @@ class TheatreScene:
         self._moving: list[Capsule] = []
         self._fixed: list[Capsule] = []
         self._pose: Pose | None = None
-        self._grey: bool | None = None
+        self._is_grey: bool | None = None
         self._figures: object = None
         self._marks: list[Any] = []
-        self._inserted: tuple[Point, Point] | None = None
+        self._instrument_ends: tuple[Point, Point] | None = None
         self._instrument: list[Any] = []
         self._head: Any = None
         self._head_count = 0
@@ -160,21 +162,21 @@ class TheatreScene:
             if key != self._figures:
                 self._figures = key
                 self._build_marks(figures, heads)
-            self._show_instrument(_inserted(view, figures))
+            self._show_instrument(_instrument_ends(view, figures))
             self._sights.show(view, figures)
             if view.pose is None:
                 self._pose = None
                 self._show_closest(None)
             elif view.pose.pose is not self._pose:
-                self._place(view.pose.pose)
+                self._place_bodies(view.pose.pose)
         self._grey_if_old(view)
 
     # The bodies
 
     def _build_bodies(self, bodies: Bodies, pose: Pose | None) -> None:
-        for one in (*self._moving, *self._fixed):
-            one.delete()
-        self._bodies, self._moving, self._pose, self._grey = bodies, [], None, None
+        for item in (*self._moving, *self._fixed):
+            item.delete()
+        self._bodies, self._moving, self._pose, self._is_grey = bodies, [], None, None
         self._fixed = [
             Capsule(self.scene, body, *axis_ends(body.ends_mm), ROOM, 1.0)
             for body in bodies.fixed
@@ -189,7 +191,7 @@ class TheatreScene:
             for number, (body, place) in enumerate(zip(bodies.moving, pose.bodies_mm, strict=True))
         ]
 
-    def _place(self, pose: Pose) -> None:
+    def _place_bodies(self, pose: Pose) -> None:
         self._pose, bodies = pose, self._bodies
         if bodies is None or len(pose.bodies_mm) != len(bodies.moving):
             self._show_closest(None)
@@ -209,29 +211,32 @@ class TheatreScene:
         return self._near.place(closest.from_mm, closest.to_mm)
 
     def _grey_if_old(self, view: CaseView) -> None:
-        stood = view.pose
-        old = stood is None or view.theatre_time_s - stood.said_s + stood.pose.age_s > OLD_S
-        if old == self._grey or not self._moving:
+        reported_pose = view.pose
+        is_old = (
+            reported_pose is None
+            or view.theatre_time_s - reported_pose.reported_s + reported_pose.pose.age_s > OLD_S
+        )
+        if is_old == self._is_grey or not self._moving:
             return
-        self._grey = old
+        self._is_grey = is_old
         for number, capsule in enumerate(self._moving):
-            colour = OLD if old else ARM if number < LINKS else TOOL
+            colour = OLD if is_old else ARM if number < LINKS else TOOL
             for child in capsule.group.children:
                 child.material(colour, 1.0)
 
     # Measurements and plan
 
     def _build_marks(self, figures: CaseFigures | None, heads: int) -> None:
-        for one in self._marks:
-            one.delete()
+        for item in self._marks:
+            item.delete()
         self._marks = []
         self._show_head(None if figures is None else figures.robot_from_ct, heads)
         if figures is None:
             return
         for sphere in figures.spheres:
-            self._sphere(sphere)
+            self._add_sphere(sphere)
         for path in figures.trajectories:
-            self._path(path.name, path.entry_mm, path.target_mm)
+            self._add_path(path.name, path.entry_mm, path.target_mm)
 
     def _show_head(self, pose: Transform | None, heads: int) -> None:
         if pose is None or not heads:
@@ -249,50 +254,50 @@ class TheatreScene:
         x, y, z = pose.translation_mm.tolist()
         self.scene.run_method("run_methods", placing_calls(self._head, (x, y, z), rotation))
 
-    def _sphere(self, sphere: SphereFigure) -> None:
+    def _add_sphere(self, sphere: SphereFigure) -> None:
         ct = sphere.ct_mm
         if ct is not None:
-            self._ball(ct, CT)
-            self._label(f"{sphere.number}", ct)
+            self._add_ball(ct, CT)
+            self._add_label(f"{sphere.number}", ct)
         for place, colour in ((sphere.tracker_mm, TRACKER), (sphere.stereo_mm, STEREO)):
             if place is None:
                 continue
             if ct is None:
-                self._ball(place, colour)
+                self._add_ball(place, colour)
                 continue
             x, y, z = (c + self.magnified * (p - c) for c, p in zip(ct, place, strict=True))
-            self._ball((x, y, z), colour, share=0.8)
+            self._add_ball((x, y, z), colour, share=0.8)
 
-    def _ball(self, place: Point, colour: str, share: float = 1.0) -> None:
+    def _add_ball(self, place: Point, colour: str, share: float = 1.0) -> None:
         radius = SPHERE_RADIUS_MM * share * METRES
         ball = (
             self.scene.sphere(radius, 20, 14).move(*(value * METRES for value in place)).material(colour, 0.8)
         )
         self._marks.append(ball)
 
-    def _label(self, words: str, place: Point) -> None:
+    def _add_label(self, words: str, place: Point) -> None:
         self._marks.append(self.scene.text(words, LABEL).move(*(value * METRES for value in place)))
 
-    def _path(self, name: str, entry: Point, target: Point) -> None:
+    def _add_path(self, name: str, entry: Point, target: Point) -> None:
         out = tuple(e + OUTSIDE * (e - t) for e, t in zip(entry, target, strict=True))
-        self._marks.append(self._rod(1.2, PATH, (out[0], out[1], out[2]), target))
-        self._ball(target, PATH, share=0.4)
-        self._label(name, (out[0], out[1], out[2]))
+        self._marks.append(self._add_rod(1.2, PATH, (out[0], out[1], out[2]), target))
+        self._add_ball(target, PATH, share=0.4)
+        self._add_label(name, (out[0], out[1], out[2]))
 
-    def _rod(self, radius_mm: float, colour: str, start: Point, end: Point) -> Any:
+    def _add_rod(self, radius_mm: float, colour: str, start: Point, end: Point) -> Any:
         rod = Rod(self.scene, radius_mm, colour)
         self.scene.run_method("run_methods", rod.place(start, end))
         return rod.group
 
     def _show_instrument(self, inserted: tuple[Point, Point] | None) -> None:
-        if inserted == self._inserted:
+        if inserted == self._instrument_ends:
             return
-        for one in self._instrument:
-            one.delete()
-        self._inserted, self._instrument = inserted, []
+        for item in self._instrument:
+            item.delete()
+        self._instrument_ends, self._instrument = inserted, []
         if inserted is not None:
             caption = self.scene.text(CAPTION, LABEL).move(*(value * METRES for value in inserted[0]))
-            self._instrument = [self._rod(2.0, INSTRUMENT, *inserted), caption]
+            self._instrument = [self._add_rod(2.0, INSTRUMENT, *inserted), caption]
 
     # Views
 
@@ -301,31 +306,33 @@ class TheatreScene:
         """Count the spheres hidden from the tracker by the arm."""
         return self._sights.hidden
 
-    def look_at(self, where: str, figures: CaseFigures | None) -> None:
+    def look_at(self, view_name: str, figures: CaseFigures | None) -> None:
         """Move the camera: to the `robot`, the `head`, behind the `tracker`, or along a trajectory."""
-        path = next((one for one in figures.trajectories if one.name == where), None) if figures else None
+        path = (
+            next((item for item in figures.trajectories if item.name == view_name), None) if figures else None
+        )
         if path is not None:
             out = [e + 8.0 * (e - t) for e, t in zip(path.entry_mm, path.target_mm, strict=True)]
             self._camera(out, path.entry_mm)
-        elif where == "head" and figures and figures.trajectories:
+        elif view_name == "head" and figures and figures.trajectories:
             x, y, z = figures.trajectories[0].target_mm
             self._camera((x + 350.0, y - 600.0, z + 450.0), (x, y, z))
-        elif where == "tracker" and figures and figures.robot_from_tracker is not None:
+        elif view_name == "tracker" and figures and figures.robot_from_tracker is not None:
             behind, ahead = figures.robot_from_tracker.apply([BEHIND_TRACKER_MM, AHEAD_MM]).tolist()
             self._camera(behind, ahead)
         else:
             self._camera((2000.0, -2300.0, 1500.0), (450.0, 0.0, 350.0))
 
-    def _camera(self, place: Any, looks_at: Any) -> None:
+    def _camera(self, place: Any, aim: Any) -> None:
         x, y, z = (value * METRES for value in place)
-        a, b, c = (value * METRES for value in looks_at)
+        a, b, c = (value * METRES for value in aim)
         self.scene.move_camera(x, y, z, a, b, c, duration=0.0)
 
 
-def _inserted(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
+def _instrument_ends(view: CaseView, figures: CaseFigures | None) -> tuple[Point, Point] | None:
     """Return the planned ends of the instrument at its target; None without one."""
     topic, _, name = (view.question.topic if view.question else "").partition(":")
-    path = next((one for one in figures.trajectories if one.name == name), None) if figures else None
+    path = next((item for item in figures.trajectories if item.name == name), None) if figures else None
     if topic != AT_TARGET or path is None or view.pose is None:
         return None
     end = guide_end(view.pose.pose.bodies_mm[LINKS:], path.entry_mm, path.target_mm)

@@ -20,7 +20,7 @@ from console.guard import SESSION
 
 FROM_PAGES = ("event", "javascript_response", "ack", "log")
 _owners: dict[str, str] = {}  # page -> session; the library's own pages are also global
-HERE = Path(__file__).parent
+FOLDER = Path(__file__).parent
 RECONNECT_S = 10.0  # as long as the seat is kept: a busy computer may delay a page for seconds
 RESENT_MESSAGES = 400  # within that time, at the rate of an operator's page; otherwise the page is reloaded
 
@@ -35,7 +35,7 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
         title=title,
         dark=None,
         tailwind=False,
-        favicon=str(HERE / "icon.svg"),
+        favicon=str(FOLDER / "icon.svg"),
         reconnect_timeout=reconnect_s,
         message_history_length=RESENT_MESSAGES,
         show_welcome_message=False,
@@ -48,8 +48,8 @@ def use_library(app: FastAPI, title: str, reconnect_s: float = RECONNECT_S) -> N
 
 def page_head() -> str:
     """Return the style and script common to all pages."""
-    style = (HERE / "style.css").read_text(encoding="utf-8")
-    script = (HERE / "fresh.js").read_text(encoding="utf-8")
+    style = (FOLDER / "style.css").read_text(encoding="utf-8")
+    script = (FOLDER / "fresh.js").read_text(encoding="utf-8")
     return f"<style>{style}</style><script>{script}</script>"
 
 
@@ -58,7 +58,7 @@ async def _not_found(_request: Request, _error: Exception) -> PlainTextResponse:
     return PlainTextResponse("Not found.", 404)
 
 
-def own_page(client: Any, session: str) -> None:
+def bind_page(client: Any, session: str) -> None:
     """Bind a page to a session: sockets of others may no longer address it."""
     _owners[client.id] = session
     client.on_delete(lambda: _owners.pop(client.id, None))
@@ -68,26 +68,26 @@ def bind_sockets(sio: Any) -> None:
     """Insert the check before the handlers of the page library."""
     handlers = sio.handlers["/"]
     for name in FROM_PAGES:
-        sio.on(name, _checked(sio, handlers[name]))
+        sio.on(name, _with_check(sio, handlers[name]))
     handshake, connect = handlers["handshake"], handlers["connect"]
 
-    async def checked_handshake(sid: str, data: Any = None) -> bool:
+    async def handle_handshake(sid: str, data: Any = None) -> bool:
         if not isinstance(data, dict) or not _may_speak(sio, sid, data.get("client_id")):
             return False
         return bool(await handshake(sid, data))
 
-    async def checked_connect(sid: str, environ: dict[str, Any], auth: Any = None) -> Any:
-        named = parse_qs(environ.get("QUERY_STRING", "")).get("client_id", [""])[0]
-        if named and _owners.get(named) not in (None, _session_of(environ)):
+    async def handle_connect(sid: str, environ: dict[str, Any], auth: Any = None) -> Any:
+        page_name = parse_qs(environ.get("QUERY_STRING", "")).get("client_id", [""])[0]
+        if page_name and _owners.get(page_name) not in (None, _find_session(environ)):
             return False
         return await connect(sid, environ, auth)
 
-    sio.on("handshake", checked_handshake)
-    sio.on("connect", checked_connect)
+    sio.on("handshake", handle_handshake)
+    sio.on("connect", handle_connect)
 
 
-def _checked(sio: Any, inner: Callable[[str, Any], Any]) -> Callable[..., None]:
-    def checked(sid: str, message: Any = None, *_more: Any) -> None:
+def _with_check(sio: Any, inner: Callable[[str, Any], Any]) -> Callable[..., None]:
+    def call_checked(sid: str, message: Any = None, *_more: Any) -> None:
         if not isinstance(message, dict) or not _may_speak(sio, sid, message.get("client_id")):
             return
         try:
@@ -95,16 +95,16 @@ def _checked(sio: Any, inner: Callable[[str, Any], Any]) -> Callable[..., None]:
         except (KeyError, TypeError, ValueError, AttributeError, IndexError):
             return
 
-    return checked
+    return call_checked
 
 
 def _may_speak(sio: Any, sid: str, client: Any) -> bool:
     if not isinstance(client, str) or client not in _owners:
         return False
     environ = sio.get_environ(sid)
-    return environ is not None and _owners[client] == _session_of(environ)
+    return environ is not None and _owners[client] == _find_session(environ)
 
 
-def _session_of(environ: dict[str, Any]) -> str | None:
+def _find_session(environ: dict[str, Any]) -> str | None:
     session = environ.get("asgi.scope", {}).get(SESSION)
     return None if session is None else str(session.identifier)

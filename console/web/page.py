@@ -10,13 +10,13 @@ from fastapi import FastAPI, Request
 from nicegui import ui
 
 from console.case_view import CaseView, RecordedCase
-from console.changes import changed_within
+from console.changes import await_change
 from console.figures import Figures, figures_at
 from console.guard import SESSION, Role, Session
 from console.hub import NO_REPLY, Hub
 from console.panels.case_state import banner, case_line, chart, chart_key, clock, devices, devices_key, mode
 from console.panels.html import tag, text
-from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, stop_button
+from console.panels.orders import OrderPanel, QuestionPanel, SeatPanel, add_stop_button
 from console.panels.results import (
     LogTail,
     accuracy,
@@ -32,7 +32,7 @@ from console.panels.results import (
     problems,
 )
 from console.scene.theatre_scene import ScenePanel
-from console.web.library import own_page, page_head, use_library
+from console.web.library import bind_page, page_head, use_library
 from procedures.reporting.case_figures import CaseFigures
 
 TITLE = "RONNA console"  # the same for every case: titles are visible in window lists
@@ -54,7 +54,7 @@ def add_page(app: FastAPI, hub: Hub) -> None:
     async def page(request: Request) -> None:
         ui.add_head_html(head)
         session: Session = request.scope[SESSION]
-        own_page(ui.context.client, session.identifier)
+        bind_page(ui.context.client, session.identifier)
         CasePage(hub, figures, tail, session, low="low" in request.query_params).build()
 
     use_library(app, TITLE)
@@ -75,11 +75,11 @@ class CasePage:
         self._beat = 0
         self._slow = 0
         self._figures_key: object = None
-        self._figures_then: CaseFigures | None = None
+        self._shown_figures: CaseFigures | None = None
 
     @property
     def _is_mine(self) -> bool:
-        return self._hub.seated == self._session.identifier and self._hub.view.seat is not None
+        return self._hub.seated_session == self._session.identifier and self._hub.view.seat is not None
 
     def build(self) -> None:
         """Create the parts and start filling them."""
@@ -89,33 +89,33 @@ class CasePage:
             self._add(case_line, lambda view: (view.run, view.theatre, view.strategy, view.outcome))
             self._add(mode, lambda view: view.mode)
             self._clock = ui.html("", sanitize=False)
-            self._seat = SeatPanel(self._give, may_operate=may_operate)
+            self._seat = SeatPanel(self._give_order, may_operate=may_operate)
             if may_operate:
-                stop_button(self._give)
+                add_stop_button(self._give_order)
         self._frozen = ui.html("", sanitize=False).classes("frozenbox")
         ui.html('<div id="lost" role="alert" hidden></div>', sanitize=False)
         if self._hub.review is not None:
-            self._add(lambda _view: problems(self._figures_then), self._measured).classes("words")
+            self._add(lambda _view: problems(self._shown_figures), self._update_figures).classes("words")
         self._words = ui.html("", sanitize=False).classes("words")
-        self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.tell)
+        self._moment = None if self._hub.review is None else MomentPanel(self._hub.review, self._hub.notify)
         self._orders: OrderPanel | None = None
         with ui.element("main").classes("places"):
             with ui.element("div").classes("left"):
                 if may_operate:
-                    self._orders = OrderPanel(self._give, self._say)
+                    self._orders = OrderPanel(self._give_order, self._show_message)
                 self._section("Progress", chart, chart_key, "chart")
             with ui.element("div").classes("middle"):
-                self._question = QuestionPanel(self._give, self._say)
+                self._question = QuestionPanel(self._give_order, self._show_message)
                 self._scene = ScenePanel(low=self._low)
                 self._section(
                     "Trajectories in the CT",
-                    lambda view: cuts(view, self._figures_then),
-                    lambda view: (self._measured(view), cuts_key(view)),
+                    lambda view: cuts(view, self._shown_figures),
+                    lambda view: (self._update_figures(view), cuts_key(view)),
                     "cutbox",
                 )
             with ui.element("div").classes("right"):
                 self._section(
-                    "Accuracy", lambda _view: accuracy(self._figures_then), self._measured, "accuracy"
+                    "Accuracy", lambda _view: accuracy(self._shown_figures), self._update_figures, "accuracy"
                 )
                 self._section("Faults, refusals, notes", notices, lambda view: view.notices, "noticebox")
             with ui.element("div").classes("bottom"):
@@ -124,12 +124,15 @@ class CasePage:
                         "Devices", devices, lambda view: (self._slow, devices_key(view)), "devicebox"
                     )
                     self._section(
-                        "Timeline", lambda _view: course(self._figures_then), self._measured, "coursebox"
+                        "Timeline",
+                        lambda _view: course(self._shown_figures),
+                        self._update_figures,
+                        "coursebox",
                     )
                 self._section(
                     "Stereo pictures",
-                    lambda _view: pictures(self._figures_then),
-                    self._measured,
+                    lambda _view: pictures(self._shown_figures),
+                    self._update_figures,
                     "picturebox",
                     live=lambda: live_pair(self._hub),
                 )
@@ -138,15 +141,15 @@ class CasePage:
                     self._section("Journal", journal, lambda view: view.journal, "journalbox")
                     self._section("Log", lambda _view: log(lines()), lambda _view: lines(), "logbox")
         client = ui.context.client
-        ui.on("alive", self._alive)
+        ui.on("alive", self._on_alive)
         changed = self._hub.subscribe()
         task = asyncio.create_task(self._keep_fresh(client, changed))
 
-        def gone() -> None:
+        def forget_page() -> None:
             self._hub.unsubscribe(changed)
             task.cancel()
 
-        client.on_delete(gone)
+        client.on_delete(forget_page)
 
     def _add(self, render: Callable[[CaseView], str], key: Callable[[CaseView], object]) -> ui.html:
         place = ui.html("", sanitize=False)
@@ -167,30 +170,32 @@ class CasePage:
                 self._add(lambda _view: live(), lambda _view: live_key(self._hub))
             self._add(render, key).classes("body")
 
-    def _measured(self, view: CaseView) -> object:
+    def _update_figures(self, view: CaseView) -> object:
         """Return a key that changes with the figures known at that moment."""
         key = self._figures.key(), view.steps, self._hub.view.steps
         if key != self._figures_key:
             self._figures_key = key
-            self._figures_then = figures_at(self._figures.latest, view, self._hub.view)
+            self._shown_figures = figures_at(self._figures.latest, view, self._hub.view)
         return key
 
-    async def _give(self, order: dict[str, Any]) -> None:
+    async def _give_order(self, order: dict[str, Any]) -> None:
         """Give an order and show the engine's reply."""
         try:
-            refused = await self._hub.order(self._session, order)
+            refusal = await self._hub.order(self._session, order)
         except ValueError:
-            refused = (
+            refusal = (
                 "a name of 1 to 60 characters is needed" if order["kind"] == "claim" else "not a valid order"
             )
-        words = refused if refused == NO_REPLY else f"Refused: {refused}"
-        self._say(f"{words}." if refused else "")
+        words = refusal if refusal == NO_REPLY else f"Refused: {refusal}"
+        self._show_message(f"{words}." if refusal else "")
 
-    def _say(self, words: str) -> None:
+    def _show_message(self, words: str) -> None:
         self._words.set_content(tag("div", text(words), class_="said", role="alert") if words else "")
 
-    async def _alive(self) -> None:
-        if self._hub.seated == self._session.identifier:  # even before the engine's first event says so
+    async def _on_alive(self) -> None:
+        if (
+            self._hub.seated_session == self._session.identifier
+        ):  # even before the engine's first event says so
             await self._hub.order(self._session, {"kind": "renew"})
 
     async def _keep_fresh(self, client: Any, changed: asyncio.Event) -> None:
@@ -201,17 +206,17 @@ class CasePage:
                 with client:
                     self._show(loop.time())
             fact, next_s = self._hub.view.fact, loop.time() + self._period_s
-            await changed_within(changed, BEAT_S)
+            await await_change(changed, BEAT_S)
             await asyncio.sleep(GATHERING_S)
-            while self._hub.view.fact == fact and (left_s := next_s - loop.time()) > 0.0:
-                await changed_within(changed, left_s)
+            while self._hub.view.fact == fact and (remaining_s := next_s - loop.time()) > 0.0:
+                await await_change(changed, remaining_s)
 
     @property
     def _period_s(self) -> float:
         return OPERATOR_PERIOD_S if self._is_mine else VIEWER_PERIOD_S
 
     def _show(self, now_s: float) -> None:
-        latest = self._hub.aged
+        latest = self._hub.aged_view
         view = latest if self._moment is None else self._moment.view(latest)
         self._slow = int(now_s / SLOW_KEYS_S)
         for place, render, key, shown in self._panels:
@@ -224,8 +229,8 @@ class CasePage:
         self._seat.show(view, is_mine=mine, orders=not frozen and self._hub.live)
         if self._orders is not None:
             self._orders.show(view, is_mine=mine and not frozen)
-        self._measured(view)
-        self._scene.show(view, self._figures_then, self._figures.heads)
+        self._update_figures(view)
+        self._scene.show(view, self._shown_figures, self._figures.heads)
         self._frozen.set_content(f'<div class="frozen" role="alert">{text(frozen)}</div>' if frozen else "")
         self._beat += 1
         self._clock.set_content(clock(view, self._beat))
@@ -240,22 +245,24 @@ class MomentPanel:
         with ui.element("section").classes("moment card").props('aria-label="Playback position"'):
             self._back = self._button("◀", -1, "previous event")
             self._slider = ui.slider(min=0, max=len(recorded), value=len(recorded), step=1)
-            self._slider.on_value_change(self._moved).props('aria-label="Playback position"').classes("slide")
-            self._on = self._button("▶", +1, "next event")
+            self._slider.on_value_change(self._on_move).props('aria-label="Playback position"').classes(
+                "slide"
+            )
+            self._forward = self._button("▶", +1, "next event")
             self._text = ui.label("").classes("num")
 
     def view(self, latest: CaseView) -> CaseView:
         """Return the view at the selected moment."""
         count, chosen = len(self._recorded), int(self._slider.value)
         if self._slider.props["max"] != count:
-            at_end = chosen >= self._slider.props["max"]
+            is_at_end = chosen >= self._slider.props["max"]
             self._slider.props(f"max={count}")
             self._slider.props["max"] = count
-            if at_end:
+            if is_at_end:
                 self._slider.set_value(count)
                 chosen = count
-        goes_on = "" if self._recorded.over else ", running"
-        self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{goes_on}")
+        status_text = "" if self._recorded.is_over else ", running"
+        self._text.set_text(f"{self._recorded.time_s(chosen):.1f} s, event {chosen} of {count}{status_text}")
         return latest if chosen >= count else self._recorded.at(chosen)
 
     def _button(self, sign: str, by: int, name: str) -> ui.button:
@@ -268,5 +275,5 @@ class MomentPanel:
             .props(f'unelevated aria-label="{name}"')
         )
 
-    def _moved(self) -> None:
+    def _on_move(self) -> None:
         self._changed()

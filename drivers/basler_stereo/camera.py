@@ -19,7 +19,7 @@ from drivers.basler_stereo.errors import CommandRefused, NoCamera
 from drivers.basler_stereo.features import known_state
 from drivers.basler_stereo.features.description import fetch_description, parse_description
 from drivers.basler_stereo.features.feature_map import FeatureMap, RegisterMemory
-from drivers.basler_stereo.identity import CameraIdentity, cameras_near, identify
+from drivers.basler_stereo.identity import CameraIdentity, describe_cameras_near, identify
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import Tie
 from drivers.basler_stereo.stream.frame_assembler import Frame, StreamCounters, next_block_id
@@ -97,13 +97,13 @@ class Camera:
         If no camera replies, the message names those found by broadcast discovery.
         """
         try:
-            self._control = ControlChannel(self._address, passed=self._recorder.passed)
+            self._control = ControlChannel(self._address, on_bytes=self._recorder.on_bytes)
         except OSError as error:
             raise NoCamera(f"no route to {self._address}", got=error.strerror) from error
         try:
             return identify(self._control, deadline_s)
         except NoCamera as error:
-            near = cameras_near(self._control.peer_address)
+            near = describe_cameras_near(self._control.peer_address)
             raise NoCamera(error.what, expected=error.expected, got=near) from error
 
     def configure(self, receiver_process: ReceiverProcess, deadline_s: float) -> None:
@@ -141,10 +141,10 @@ class Camera:
         known_state.set_exposure(self.features, exposure_us, gain_raw, f"{self.side} camera")
         self._exposure_us = exposure_us
 
-    def temperature_C(self, deadline_s: float) -> float | None:
+    def read_temperature_C(self, deadline_s: float) -> float | None:
         """Read the internal temperature; None if not reported."""
         self._set_deadline(deadline_s)
-        return known_state.temperature_C(self.features)
+        return known_state.read_temperature_C(self.features)
 
     def start(self, deadline_s: float) -> None:
         """Open the stream and start the acquisition; block ids restart."""
@@ -316,10 +316,10 @@ class LinkRecorder:
         self._name = name
         self._sink = sink
 
-    def passed(self, direction: Direction, data: bytes) -> None:
+    def on_bytes(self, direction: Direction, data: bytes) -> None:
         """Record a datagram of the control channel."""
         if self._sink is not None:
-            self._sink.passed(f"{self._name}.control", direction, data)
+            self._sink.on_bytes(f"{self._name}.control", direction, data)
 
     def note_frame(self, frame: Frame, counters: StreamCounters) -> None:
         """Record the arrival of an image, complete or not."""

@@ -20,8 +20,8 @@ from drivers.basler_stereo.identity import CameraIdentity, identify
 from drivers.basler_stereo.stream.receiver import choose_packet_bytes, open_stream_socket
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.network import Interface, interface_of, interfaces
-from ronna_hw.host.port_users import PortUser, user_of_udp_port
+from ronna_hw.host.network import Interface, find_interface, interfaces
+from ronna_hw.host.port_users import PortUser, find_udp_port_user
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GvcpCapability
 
@@ -77,37 +77,45 @@ def check_camera(endpoint: Endpoint) -> CameraState:
 
 
 def _check_stages(control: ControlChannel, endpoint: Endpoint) -> CameraState:
-    interface = interface_of(control.local_address)
+    interface = find_interface(control.local_address)
     try:
         identity = identify(control, _reply_deadline_s())
     except (NoCamera, MalformedReply, CommandRefused):
         response = Response.REFUSED if control.port_closed else Response.SILENT
         return CameraState(endpoint, response, interface)
-    controller = _controller(control)
-    size = None if controller.taken else _largest_packet(control)
+    controller = _read_controller(control)
+    size = None if controller.taken else _find_largest_packet(control)
     return CameraState(endpoint, Response.ANSWERED, interface, identity, controller, size)
 
 
-def _controller(control: ControlChannel) -> Controller:
-    if _read(control, Bootstrap.CCP) == gev.CCP_OPEN:
+def _read_controller(control: ControlChannel) -> Controller:
+    if _try_read_register(control, Bootstrap.CCP) == gev.CCP_OPEN:
         return Controller(taken=False)
-    names_it = (_read(control, Bootstrap.GVCP_CAPABILITY) or 0) & GvcpCapability.CCP_APPLICATION
-    port = _read(control, Bootstrap.PRIMARY_APPLICATION_PORT) if names_it else None
-    address = _read(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if names_it else None
+    reports_application = (
+        _try_read_register(control, Bootstrap.GVCP_CAPABILITY) or 0
+    ) & GvcpCapability.CCP_APPLICATION
+    port = _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_PORT) if reports_application else None
+    address = (
+        _try_read_register(control, Bootstrap.PRIMARY_APPLICATION_ADDRESS) if reports_application else None
+    )
     if not port or not address:
         return Controller(taken=True)  # under exclusive access even reading is refused
     owner = socket.inet_ntoa(address.to_bytes(4, "big"))
-    own = [each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))]
-    return Controller(True, owner, port, user_of_udp_port(owner, port) if own else None, bool(own))
+    own_interfaces = [
+        each for each in interfaces() if each.address == owner or (each.loopback and each.reaches(owner))
+    ]
+    return Controller(
+        True, owner, port, find_udp_port_user(owner, port) if own_interfaces else None, bool(own_interfaces)
+    )
 
 
-def _largest_packet(control: ControlChannel) -> int | None:
+def _find_largest_packet(control: ControlChannel) -> int | None:
     """Find the largest test packet that arrives; None if the camera does not grant control."""
     try:
         control.write_register(Bootstrap.CCP, gev.CCP_CONTROL, _reply_deadline_s())
     except (CommandRefused, NoReply):
         return None
-    before = _read(control, Bootstrap.SCPS)
+    before = _try_read_register(control, Bootstrap.SCPS)
     try:
         with open_stream_socket(control.local_address, RECEIVE_BUFFER_BYTES) as stream:
             size, arrived = choose_packet_bytes(control, stream, None, time.monotonic() + TEST_LIMIT_S)
@@ -122,7 +130,7 @@ def _largest_packet(control: ControlChannel) -> int | None:
             control.write_register(Bootstrap.CCP, gev.CCP_OPEN, _reply_deadline_s())
 
 
-def _read(control: ControlChannel, register: int) -> int | None:
+def _try_read_register(control: ControlChannel, register: int) -> int | None:
     """Read a register; None if the camera refuses or does not reply."""
     try:
         return control.read_register(register, _reply_deadline_s())
@@ -134,7 +142,7 @@ def _reply_deadline_s() -> float:
     return time.monotonic() + REPLY_LIMIT_S
 
 
-class Expected(NamedTuple):
+class ExpectedCamera(NamedTuple):
     """Address of a camera, and its expected identity, if known."""
 
     endpoint: Endpoint
@@ -142,7 +150,9 @@ class Expected(NamedTuple):
     model: str | None = None
 
 
-def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Diagnostic:
+def camera_diagnostic(
+    camera: CameraState, found: Sequence[CameraIdentity], expected: ExpectedCamera
+) -> Diagnostic:
     """Return the doctor's entry for a camera, with figures; `found` replied to broadcast discovery."""
     well, seen, advice = _diagnose(camera, found, expected)
     document: dict[str, Any] = {
@@ -150,8 +160,8 @@ def camera_diagnostic(camera: CameraState, found: Sequence[CameraIdentity], expe
         "well": well,
         "access": camera.response.value,
         "interface": asdict(camera.interface) if camera.interface else None,
-        "camera": _identity(camera.identity) if camera.identity else None,
-        "control": _control(camera.controller) if camera.controller else None,
+        "camera": _identity_document(camera.identity) if camera.identity else None,
+        "control": _control_document(camera.controller) if camera.controller else None,
         "packet_bytes": camera.packet_bytes,
         "seen": seen,
         "cause": advice,
@@ -169,15 +179,15 @@ def discovery_diagnostic(interface: Interface, found: Sequence[CameraIdentity]) 
         if doubled
         else ""
     )
-    shown = ", ".join(map(_shown, found))
+    shown = ", ".join(map(_describe_camera, found))
     by_endpoint = {f"gev://{each.address}": each.serial for each in found}
     return Diagnostic(f"cameras on {interface.name}", True, shown, advice, serials=by_endpoint)
 
 
-def _diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Expected) -> Finding:
+def _diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: ExpectedCamera) -> Finding:
     identity, controller = camera.identity, camera.controller
     if identity is None or controller is None:
-        return _unanswered(camera, found)
+        return _diagnose_no_reply(camera, found)
     if expected.model and identity.model != expected.model:
         advice = f"Expected a {expected.model}, got a {identity.model}: check address and cable."
         return False, f"a {identity.model}, expected a {expected.model}", advice
@@ -197,7 +207,7 @@ def _diagnose(camera: CameraState, found: Sequence[CameraIdentity], expected: Ex
     return False, seen, advice
 
 
-def _identity(identity: CameraIdentity) -> dict[str, str]:
+def _identity_document(identity: CameraIdentity) -> dict[str, str]:
     return {
         "address": identity.address,
         "vendor": identity.vendor,
@@ -208,7 +218,7 @@ def _identity(identity: CameraIdentity) -> dict[str, str]:
     }
 
 
-def _control(controller: Controller) -> dict[str, Any]:
+def _control_document(controller: Controller) -> dict[str, Any]:
     return {
         "taken": controller.taken,
         "address": controller.address,
@@ -253,35 +263,37 @@ def _wrong_serial_advice(serial: str, found: Sequence[CameraIdentity]) -> str:
 
 
 def _small_packets_advice(interface: Interface | None) -> str:
-    where = f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path MTU is small"
-    return f"{where}: for full frames at full rate allow jumbo frames on the card and every switch."
+    limit_text = (
+        f"{interface.name} has an MTU of {interface.mtu_bytes}" if interface else "The path MTU is small"
+    )
+    return f"{limit_text}: for full frames at full rate allow jumbo frames on the card and every switch."
 
 
-def _unanswered(camera: CameraState, found: Sequence[CameraIdentity]) -> Finding:
+def _diagnose_no_reply(camera: CameraState, found: Sequence[CameraIdentity]) -> Finding:
     interface = camera.interface
     if camera.response is Response.NO_ROUTE:
         advice = "Give this computer an address in the camera's subnet."
         return False, f"no route: {camera.reason}", advice
     via = f" via {interface.name} ({interface.address})" if interface else ""
-    elsewhere = _other_replies(camera, found)
+    other_replies = _other_replies(camera, found)
     if camera.response is Response.REFUSED:
         advice = "A computer is at this address, not a camera: check the camera's power, cable and address."
-        return False, f"refused{via}: nothing listens on the GigE Vision port", advice + elsewhere
+        return False, f"refused{via}: nothing listens on the GigE Vision port", advice + other_replies
     if interface is not None and not interface.reaches(camera.endpoint.host):
         advice = "No network card of this computer is in its subnet: camera and host must share one."
     else:
         advice = "Check power and cable of the camera, and its address."
-    return False, f"silent{via}", advice + elsewhere
+    return False, f"silent{via}", advice + other_replies
 
 
 def _other_replies(camera: CameraState, found: Sequence[CameraIdentity]) -> str:
     others = [each for each in found if each.address != camera.endpoint.host]
     if not others:
         return ""
-    listed = ", ".join(map(_shown, others[:LISTED_CAMERAS]))
+    listed = ", ".join(map(_describe_camera, others[:LISTED_CAMERAS]))
     more = f" and {len(others) - LISTED_CAMERAS} more" if len(others) > LISTED_CAMERAS else ""
     return f" These reply: {listed}{more}."
 
 
-def _shown(camera: CameraIdentity) -> str:
+def _describe_camera(camera: CameraIdentity) -> str:
     return f"{camera.model} {camera.serial} at {camera.address}"

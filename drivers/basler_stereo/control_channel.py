@@ -22,11 +22,11 @@ from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 FIRST_TRY_S = 0.2  # a camera replies within milliseconds; each retry waits twice as long
 COMMAND_LIMIT_S = 1.5  # for one command including retries, unless the caller's deadline is earlier
 REFUSED_PAUSE_S = 0.05  # between tries while the host reports a closed port
-OWN_IDS_LAST = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
+LAST_OWN_ID = gev.REQUEST_ID_LAST - 1  # the last id is reserved for the receiver process, for keep-alives
 LAST_READ_S = 1e-3  # for a reply that arrived while the host stalled
 Command = tuple[GvcpCommand, bytes]
 """A command and its payload."""
-ASK_AGAIN_S = 0.1
+RETRY_PAUSE_S = 0.1
 LAPSE_MARGIN_S = 0.5  # cameras check their timer only now and then
 BEATS_PER_TIMEOUT = 4
 SLOWEST_BEAT_S = 1.0
@@ -47,10 +47,10 @@ class ControlChannel:
         *,
         port: int = gev.GVCP_PORT,
         monotonic: Callable[[], float] = time.monotonic,
-        passed: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
+        on_bytes: Callable[[Direction, bytes], None] = lambda _direction, _data: None,
     ) -> None:
-        """Open the channel; `passed` gets every datagram. Raises OSError without a route to the address."""
-        self._passed = passed
+        """Open the channel; `on_bytes` gets every datagram. Raises OSError without a route to the address."""
+        self._passed = on_bytes
         # also used by the receiver process, which sends resend requests and keep-alives through it
         self.link = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
         try:
@@ -126,9 +126,9 @@ class ControlChannel:
     ) -> bytes:
         """Wait for the acknowledge of a sent command, with retries."""
         # a deadline that passed while waiting for the lock or the CPU still allows one try
-        begun_s = self._monotonic()
-        deadline_s = max(deadline_s, begun_s + FIRST_TRY_S)
-        limit_s = min(deadline_s, begun_s + COMMAND_LIMIT_S)
+        started_s = self._monotonic()
+        deadline_s = max(deadline_s, started_s + FIRST_TRY_S)
+        limit_s = min(deadline_s, started_s + COMMAND_LIMIT_S)
         patience_s = FIRST_TRY_S
         while True:
             acknowledge = self._receive(
@@ -147,10 +147,10 @@ class ControlChannel:
         """Receive the acknowledge with this request id; None if it has not arrived by `until_s`."""
         while True:
             # also after the deadline: data that arrived while the host stalled was in time
-            left_s = until_s - self._monotonic()
-            if left_s < -COMMAND_LIMIT_S:
+            remaining_s = until_s - self._monotonic()
+            if remaining_s < -COMMAND_LIMIT_S:
                 return None  # only unrelated datagrams
-            self.link.settimeout(max(LAST_READ_S, left_s))
+            self.link.settimeout(max(LAST_READ_S, remaining_s))
             try:
                 datagram = self.link.recv(gvcp.LARGEST_DATAGRAM_BYTES)
             except TimeoutError:
@@ -178,7 +178,7 @@ class ControlChannel:
 
     def _next_id(self) -> int:
         with self._id_lock:
-            self._request_id = self._request_id % OWN_IDS_LAST + gev.REQUEST_ID_FIRST
+            self._request_id = self._request_id % LAST_OWN_ID + gev.REQUEST_ID_FIRST
             return self._request_id
 
 
@@ -212,8 +212,8 @@ def send_together(
     return results
 
 
-def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
-    """Take the control privilege; `who` names the camera in the message.
+def take_control(control: ControlChannel, camera_name: str, deadline_s: float) -> None:
+    """Take the control privilege; `camera_name` names the camera in the message.
 
     Retries until the current controller's heartbeat time-out has passed, within the deadline (host monotonic
     time). Raises GEV-005 when that controller is alive or time is up, GEV-006, GEV-007.
@@ -221,10 +221,10 @@ def take_control(control: ControlChannel, who: str, deadline_s: float) -> None:
     give_up_s: float | None = None
     while (refusal := _try_control(control, deadline_s)) is not None:
         if give_up_s is None:
-            give_up_s = _control_lapses_s(control, deadline_s)
-        if time.monotonic() + 2 * ASK_AGAIN_S >= give_up_s:  # time for one more try, not two
-            raise ControlTaken(f"{who} is controlled by another application", got=refusal)
-        time.sleep(ASK_AGAIN_S)
+            give_up_s = _control_end_s(control, deadline_s)
+        if time.monotonic() + 2 * RETRY_PAUSE_S >= give_up_s:  # time for one more try, not two
+            raise ControlTaken(f"{camera_name} is controlled by another application", got=refusal)
+        time.sleep(RETRY_PAUSE_S)
 
 
 def require_control(control: ControlChannel, deadline_s: float) -> None:
@@ -249,7 +249,7 @@ def _try_control(control: ControlChannel, deadline_s: float) -> str | None:
     return None if privilege & gev.CCP_CONTROL else f"privilege {privilege}"
 
 
-def _control_lapses_s(control: ControlChannel, deadline_s: float) -> float:
+def _control_end_s(control: ControlChannel, deadline_s: float) -> float:
     """Return the time at which a dead controller loses control; at most the deadline."""
     try:
         timeout_ms = control.read_register(Bootstrap.HEARTBEAT_TIMEOUT_MS, deadline_s)
@@ -291,14 +291,14 @@ class Heartbeat:
             self._thread.join(JOIN_LIMIT_S)
 
     def _run(self) -> None:
-        silent, answered_s = 0, self._monotonic()
+        silent, last_reply_s = 0, self._monotonic()
         while not self._ending.wait(self._period_s):
             try:
                 require_control(self._control, self._monotonic() + ASK_LIMIT_S)
-                silent, answered_s = 0, self._monotonic()
+                silent, last_reply_s = 0, self._monotonic()
             except NoReply as error:
                 silent += 1
-                silent_s = self._monotonic() - answered_s
+                silent_s = self._monotonic() - last_reply_s
                 if silent < SILENT_BEATS or silent_s < self._timeout_s or self._ending.is_set():
                     continue
                 lost = CameraLost(

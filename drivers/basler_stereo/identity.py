@@ -13,12 +13,12 @@ from ipaddress import IPv4Address
 from drivers.basler_stereo import gvcp
 from drivers.basler_stereo.control_channel import ControlChannel
 from drivers.basler_stereo.errors import MalformedReply, NoCamera, NoReply
-from ronna_hw.host.network import Interface, interface_of
+from ronna_hw.host.network import Interface, find_interface
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap, GevStatus, GvcpCommand
 
 REPLY_LIMIT_S = 0.5  # a camera replies within milliseconds
-EVERYBODY = "255.255.255.255"
+BROADCAST_ADDRESS = "255.255.255.255"
 DATAGRAM_LIMIT_BYTES = 2048
 REQUEST_ID = gev.REQUEST_ID_FIRST
 
@@ -59,15 +59,15 @@ def decode_identity(memory: bytes, address: str) -> CameraIdentity:
     return CameraIdentity(
         address=address,
         mac=(high << 32 | low).to_bytes(6, "big").hex(":"),
-        vendor=_text(memory, Bootstrap.MANUFACTURER_NAME),
-        model=_text(memory, Bootstrap.MODEL_NAME),
-        serial=_text(memory, Bootstrap.SERIAL_NUMBER),
-        version=_text(memory, Bootstrap.DEVICE_VERSION),
-        user_name=_text(memory, Bootstrap.USER_DEFINED_NAME),
+        vendor=_read_text(memory, Bootstrap.MANUFACTURER_NAME),
+        model=_read_text(memory, Bootstrap.MODEL_NAME),
+        serial=_read_text(memory, Bootstrap.SERIAL_NUMBER),
+        version=_read_text(memory, Bootstrap.DEVICE_VERSION),
+        user_name=_read_text(memory, Bootstrap.USER_DEFINED_NAME),
     )
 
 
-def _text(memory: bytes, register: Bootstrap) -> str:
+def _read_text(memory: bytes, register: Bootstrap) -> str:
     field = memory[register : register + gev.TEXT_BYTES[register]]
     return field.split(b"\0", 1)[0].decode("utf-8", errors="replace").strip()
 
@@ -78,21 +78,25 @@ def discover_cameras(interface: Interface, limit_s: float = REPLY_LIMIT_S) -> tu
     A device also replies if its address belongs to another subnet.
     """
     found: dict[tuple[str, str], CameraIdentity] = {}
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as caller, contextlib.suppress(OSError):
-        caller.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
-        caller.bind((interface.address, 0))  # also selects the interface
-        caller.sendto(gvcp.encode(GvcpCommand.DISCOVERY, REQUEST_ID), (EVERYBODY, gev.GVCP_PORT))
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as broadcast_socket, contextlib.suppress(OSError):
+        broadcast_socket.setsockopt(socket.SOL_SOCKET, socket.SO_BROADCAST, 1)
+        broadcast_socket.bind((interface.address, 0))  # also selects the interface
+        broadcast_socket.sendto(
+            gvcp.encode(GvcpCommand.DISCOVERY, REQUEST_ID), (BROADCAST_ADDRESS, gev.GVCP_PORT)
+        )
         deadline_s = time.monotonic() + limit_s
-        while (left_s := deadline_s - time.monotonic()) > 0.0 and select.select([caller], [], [], left_s)[0]:
+        while (remaining_s := deadline_s - time.monotonic()) > 0.0 and select.select(
+            [broadcast_socket], [], [], remaining_s
+        )[0]:
             with contextlib.suppress(MalformedReply):
-                identity = _decode_reply(*caller.recvfrom(DATAGRAM_LIMIT_BYTES))
+                identity = _decode_reply(*broadcast_socket.recvfrom(DATAGRAM_LIMIT_BYTES))
                 found[identity.address, identity.serial] = identity
     return tuple(sorted(found.values(), key=lambda identity: IPv4Address(identity.address)))
 
 
-def cameras_near(address: str) -> str:
+def describe_cameras_near(address: str) -> str:
     """Describe the cameras on the network of an address; no other network is queried."""
-    if (interface := interface_of(address)) is None:
+    if (interface := find_interface(address)) is None:
         return f"no network interface of this computer is in the subnet of {address}"
     if not (cameras := discover_cameras(interface)):
         return "no camera replied to broadcast discovery"
@@ -109,6 +113,12 @@ def _decode_reply(datagram: bytes, sender: tuple[str, int]) -> CameraIdentity:
     ):
         raise MalformedReply(f"{sender[0]}: not a reply to discovery", wire=datagram[:16])
     # a camera of another subnet also replies: its own address is in the reply
-    place = acknowledge.payload[Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES]
-    own = socket.inet_ntoa(place) if any(place) and len(place) == gev.REGISTER_BYTES else sender[0]
-    return decode_identity(acknowledge.payload, own)
+    address_bytes = acknowledge.payload[
+        Bootstrap.CURRENT_ADDRESS : Bootstrap.CURRENT_ADDRESS + gev.REGISTER_BYTES
+    ]
+    camera_address = (
+        socket.inet_ntoa(address_bytes)
+        if any(address_bytes) and len(address_bytes) == gev.REGISTER_BYTES
+        else sender[0]
+    )
+    return decode_identity(acknowledge.payload, camera_address)

@@ -78,7 +78,7 @@ class BaslerOptions(Strict):
     load_default_user_set: bool = Field(default=True, description="Start from the camera's factory settings.")
 
     @model_validator(mode="after")
-    def _checks(self) -> Self:
+    def _require_different_serials(self) -> Self:
         if self.left_serial is not None and self.left_serial == self.right_serial:
             raise ValueError("left_serial and right_serial are equal")
         return self

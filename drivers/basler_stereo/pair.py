@@ -87,7 +87,7 @@ class BaslerStereoPair(PairDevice[Camera]):
                     "Use jumbo frames, another cable or port, a larger receive buffer.",
                 )
             )
-            if (inside_C := camera.temperature_C(deadline_s)) is not None:
+            if (inside_C := camera.read_temperature_C(deadline_s)) is not None:
                 facts.append(Fact(f"temperature of the {side} camera", f"{inside_C:.0f} C"))
         return tuple(facts)
 
@@ -114,7 +114,7 @@ class BaslerStereoPair(PairDevice[Camera]):
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
-        return self._watched(lambda: self._grab(deadline_s), deadline_s, leaves_settings=True)
+        return self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s, keeps_settings=True)
 
     @property
     def _streams(self) -> PairGrabber:
@@ -124,13 +124,13 @@ class BaslerStereoPair(PairDevice[Camera]):
     def _stream_facts(self) -> dict[str, Any]:
         return {"streams": self.counters}
 
-    def _begin(self, deadline_s: float) -> None:
-        self._streams.begin(deadline_s)
+    def _start_streams(self, deadline_s: float) -> None:
+        self._streams.start_streams(deadline_s)
 
-    def _end(self, deadline_s: float) -> None:
-        self._streams.end(deadline_s)
+    def _stop_streams(self, deadline_s: float) -> None:
+        self._streams.stop_streams(deadline_s)
 
-    def _watched(self, work: Callable[[], T], deadline_s: float, *, leaves_settings: bool = False) -> T:
+    def _run_guarded(self, work: Callable[[], T], deadline_s: float, *, keeps_settings: bool = False) -> T:
         """Do one piece of work, again after a silence; latch FAULT for lost cameras or control.
 
         A camera that stays silent while its settings change also latches FAULT: they are then unknown.
@@ -153,17 +153,19 @@ class BaslerStereoPair(PairDevice[Camera]):
         except CommandRefused as error:
             if error.status != GevStatus.ACCESS_DENIED:
                 raise
-            taken = ControlLost("a camera rejects our commands", got=error.what)
-            self._guard.latch(taken)
-            raise taken from error
+            control_lost = ControlLost("a camera rejects our commands", got=error.what)
+            self._guard.latch(control_lost)
+            raise control_lost from error
         except NoReply as error:
-            if leaves_settings:
+            if keeps_settings:
                 raise
             lost = CameraLost("a camera no longer replies", got=error.what)
             self._guard.latch(lost)
             raise lost from error
 
-    def _open(self, deadline_s: float) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
+    def _open_cameras(
+        self, deadline_s: float
+    ) -> tuple[tuple[Camera, Camera], tuple[CameraIdentity, CameraIdentity]]:
         left, right = (
             Camera(
                 side, self._addresses[side], self._options, LinkRecorder(f"{self._name}.{side}", self._sink)
@@ -180,26 +182,26 @@ class BaslerStereoPair(PairDevice[Camera]):
 
     def _configure_cameras(self, deadline_s: float) -> None:
         """Take control of both and find the packet size; on an error neither camera stays controlled."""
-        done: list[Camera] = []
+        configured_cameras: list[Camera] = []
         self._end_receiver_process()
         self._receiver_process = ReceiverProcess()
         try:
             for camera in self._pair:
                 camera.notices.clear()
                 camera.configure(self._receiver_process, deadline_s)
-                done.append(camera)
+                configured_cameras.append(camera)
         except BaseException:  # including interruptions: neither cameras nor receiver are left behind
-            for camera in done:
+            for camera in configured_cameras:
                 with contextlib.suppress(RonnaError, OSError):
                     camera.release(deadline_s)
             self._end_receiver_process()
             raise
         self._grabber = PairGrabber(self._pair, self.serials, self._clock, self._options)
 
-    def _grab(self, deadline_s: float) -> StereoReading:
+    def _grab_reading(self, deadline_s: float) -> StereoReading:
         reading = self._streams.grab(self._sequence + 1, deadline_s)
         self._sequence += 1
-        return self._keep(reading)
+        return self._store_pair(reading)
 
     def _release_all(self) -> None:
         super()._release_all()

@@ -13,7 +13,7 @@ from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.capabilities import counted_fact
+from ronna_hw.devices.capabilities import report_count
 from ronna_hw.devices.lifecycle import (
     READABLE,
     RUNNING,
@@ -21,7 +21,7 @@ from ronna_hw.devices.lifecycle import (
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    activated,
+    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import AreaOfInterest, StereoReading, Validity
@@ -30,7 +30,7 @@ from ronna_hw.errors import RonnaError
 CLOSE_LIMIT_S = 1.0  # per camera, even a dead one
 
 
-class OneCamera(Protocol):
+class PairCamera(Protocol):
     """Camera of one side. Deadlines are host monotonic time."""
 
     area: AreaOfInterest
@@ -42,7 +42,7 @@ class OneCamera(Protocol):
     def close(self, deadline_s: float) -> None: ...
 
 
-C = TypeVar("C", bound=OneCamera)
+C = TypeVar("C", bound=PairCamera)
 T = TypeVar("T")
 
 
@@ -62,7 +62,7 @@ class PairDevice(ABC, Generic[C]):
         self._exposure: tuple[float, int | None] = (options.exposure_us, options.gain_raw)
         self._sequence = 0
         self._last_pair: StereoReading | None = None
-        self._unusable = 0
+        self._unusable_count = 0
 
     @property
     def name(self) -> str:
@@ -94,10 +94,10 @@ class PairDevice(ABC, Generic[C]):
         return left.area, right.area
 
     def observe(self) -> LastKnown[StereoReading]:
-        return self._guard.last_known(self._last_pair, counted_fact("unusable pairs", self._unusable))
+        return self._guard.last_known(self._last_pair, report_count("unusable pairs", self._unusable_count))
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return activated(self, timeout_s)
+        return hold_active(self, timeout_s)
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         """Find both cameras and check models and serial numbers; does not take control.
@@ -105,7 +105,7 @@ class PairDevice(ABC, Generic[C]):
         Raises GEV-001 (no camera), GEV-002 (model), GEV-003 (serial number), GEV-004 (swapped).
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
-        self._cameras, self._identities = self._open(time.monotonic() + timeout_s)
+        self._cameras, self._identities = self._open_cameras(time.monotonic() + timeout_s)
         identity = pair_identity(*self._identities)
         self._guard.enter(Lifecycle.CONNECTED, addresses=self._addresses, identity=identity)
         return identity
@@ -124,7 +124,7 @@ class PairDevice(ABC, Generic[C]):
         """Start both streams; the cameras then wait for triggers."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
         deadline_s = time.monotonic() + timeout_s
-        self._watched(lambda: self._begin(deadline_s), deadline_s)
+        self._run_guarded(lambda: self._start_streams(deadline_s), deadline_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
@@ -132,7 +132,7 @@ class PairDevice(ABC, Generic[C]):
         self._guard.require("deactivate", RUNNING)
         deadline_s = time.monotonic() + timeout_s
         facts = self._stream_facts()
-        self._watched(lambda: self._end(deadline_s), deadline_s)
+        self._run_guarded(lambda: self._stop_streams(deadline_s), deadline_s)
         self._guard.enter(Lifecycle.CONFIGURED, **facts)
 
     def set_areas(self, left: AreaOfInterest, right: AreaOfInterest, timeout_s: float = 5.0) -> None:
@@ -144,20 +144,20 @@ class PairDevice(ABC, Generic[C]):
         if (left, right) == self.areas:
             return
         deadline_s = time.monotonic() + timeout_s
-        self._watched(lambda: self._change_areas((left, right), deadline_s), deadline_s)
+        self._run_guarded(lambda: self._change_areas((left, right), deadline_s), deadline_s)
         self._areas = (left, right)
 
     def set_exposure(self, exposure_us: float, gain_raw: int, timeout_s: float = 5.0) -> None:
         """Set both cameras to the same values; raises GEV-011."""
         self._guard.require("set_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
-        self._expose(exposure_us, gain_raw, time.monotonic() + timeout_s)
+        self._set_exposure(exposure_us, gain_raw, time.monotonic() + timeout_s)
         self._exposure = (exposure_us, gain_raw)
 
     def scale_exposure(self, share: float, timeout_s: float = 5.0) -> None:
         """Multiply the exposure configured or set last by `share`; raises GEV-011."""
         self._guard.require("scale_exposure", {Lifecycle.CONFIGURED, Lifecycle.ACTIVE})
         exposure_us, gain_raw = self._exposure
-        self._expose(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
+        self._set_exposure(share * exposure_us, gain_raw, time.monotonic() + timeout_s)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         """Go from FAULT to CONFIGURED: reconnect to the same cameras, restore areas and exposure.
@@ -169,7 +169,7 @@ class PairDevice(ABC, Generic[C]):
         before = self.serials
         deadline_s = time.monotonic() + timeout_s
         self._release_all()
-        cameras, identities = self._open(deadline_s)
+        cameras, identities = self._open_cameras(deadline_s)
         found = (identities[0].serial, identities[1].serial)
         if found != before:
             self._close_all(cameras)
@@ -189,7 +189,7 @@ class PairDevice(ABC, Generic[C]):
             self._guard.enter(Lifecycle.CLOSED)
 
     @abstractmethod
-    def _open(self, deadline_s: float) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
+    def _open_cameras(self, deadline_s: float) -> tuple[tuple[C, C], tuple[CameraIdentity, CameraIdentity]]:
         """Connect to both cameras and check them; neither stays open on an error."""
 
     @abstractmethod
@@ -197,15 +197,15 @@ class PairDevice(ABC, Generic[C]):
         """Take control of both cameras and bring them to a known state."""
 
     @abstractmethod
-    def _begin(self, deadline_s: float) -> None:
+    def _start_streams(self, deadline_s: float) -> None:
         """Start both streams."""
 
     @abstractmethod
-    def _end(self, deadline_s: float) -> None:
+    def _stop_streams(self, deadline_s: float) -> None:
         """Stop both streams."""
 
     @abstractmethod
-    def _watched(self, work: Callable[[], T], deadline_s: float) -> T:
+    def _run_guarded(self, work: Callable[[], T], deadline_s: float) -> T:
         """Do one piece of work; latch FAULT for lost cameras or control."""
 
     def _stream_facts(self) -> dict[str, Any]:
@@ -222,18 +222,18 @@ class PairDevice(ABC, Generic[C]):
         for camera in cameras:
             camera.close(time.monotonic() + CLOSE_LIMIT_S)
 
-    def _expose(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
+    def _set_exposure(self, exposure_us: float, gain_raw: int | None, deadline_s: float) -> None:
         def change() -> None:
             for camera in self._pair:
                 camera.set_exposure(exposure_us, gain_raw, deadline_s)
 
-        self._watched(change, deadline_s)
+        self._run_guarded(change, deadline_s)
 
     def _change_areas(self, areas: tuple[AreaOfInterest, AreaOfInterest], deadline_s: float) -> None:
         running = self._guard.state is Lifecycle.ACTIVE
         before = self.areas
         if running:
-            self._end(deadline_s)
+            self._stop_streams(deadline_s)
         try:
             for camera, area in zip(self._pair, areas, strict=True):
                 camera.set_area(area, deadline_s)
@@ -243,15 +243,15 @@ class PairDevice(ABC, Generic[C]):
             for camera, area in zip(self._pair, before, strict=True):
                 camera.set_area(area, deadline_s)
             if running:
-                self._begin(deadline_s)
+                self._start_streams(deadline_s)
             raise
         if running:
-            self._begin(deadline_s)
+            self._start_streams(deadline_s)
 
-    def _keep(self, pair: StereoReading) -> StereoReading:
+    def _store_pair(self, pair: StereoReading) -> StereoReading:
         """Keep a new pair for `observe`."""
         self._last_pair = pair
-        self._unusable += pair.validity is not Validity.OK
+        self._unusable_count += pair.validity is not Validity.OK
         return pair
 
     @property

@@ -18,12 +18,12 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.wire.gige_vision import GevStatus
 
 ALIVE_LIMIT_S = 0.5  # to check whether a camera that sent nothing still replies
-ASK_AGAIN_S = 0.1  # between two such checks: the heartbeat shares the channel
+RECHECK_PAUSE_S = 0.1  # between two such checks: the heartbeat shares the channel
 PARTNER_LIMIT_S = 2.0  # for the second image of a pair after the first
 FIRST_TRY_SHARE = 0.6  # of the time limit, for the first of two triggers
 SHORTEST_LIMIT_FOR_TWO_S = 1.0  # below this only one trigger is sent
-NOT_TAKEN = "Reconnect to reset their triggers; if they are still busy then, grab less often."
-NO_PULSE = "Check the source of the trigger pulse and its wiring to input Line1 of both cameras."
+BUSY_ADVICE = "Reconnect to reset their triggers; if they are still busy then, grab less often."
+NO_PULSE_ADVICE = "Check the source of the trigger pulse and its wiring to input Line1 of both cameras."
 
 Frames = tuple[Frame | None, Frame | None]
 
@@ -42,13 +42,13 @@ class PairGrabber:
         self._must_restart = False
         self.block_ids: tuple[int | None, int | None] = (None, None)
 
-    def begin(self, deadline_s: float) -> None:
+    def start_streams(self, deadline_s: float) -> None:
         """Start both streams; block ids restart."""
         left, right = self._cameras
         left.start(deadline_s)
         try:
             right.start(deadline_s)
-            self._tie(deadline_s)
+            self._tie_clocks(deadline_s)
         except BaseException:  # including interruptions: a single camera must not keep streaming
             for camera in self._cameras:
                 with contextlib.suppress(RonnaError, OSError):
@@ -56,7 +56,7 @@ class PairGrabber:
             raise
         self._must_restart = False
 
-    def end(self, deadline_s: float) -> None:
+    def stop_streams(self, deadline_s: float) -> None:
         """Stop both streams; after a failure the next grab restarts them."""
         self._must_restart = True
         for camera in self._cameras:
@@ -71,8 +71,8 @@ class PairGrabber:
         GEV-015, GEV-017.
         """
         limit_s = deadline_s - time.monotonic()
-        twice = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
-        if twice:
+        may_retry = limit_s >= SHORTEST_LIMIT_FOR_TWO_S and self._options.trigger != "line1"
+        if may_retry:
             try:
                 reading = self._grab(sequence, time.monotonic() + FIRST_TRY_SHARE * limit_s)
                 if reading.validity not in (Validity.UNPAIRED, Validity.STALE):
@@ -96,12 +96,12 @@ class PairGrabber:
                 except NoReply:
                     if time.monotonic() >= deadline_s:
                         raise
-                time.sleep(ASK_AGAIN_S)
+                time.sleep(RECHECK_PAUSE_S)
 
     def _grab(self, sequence: int, deadline_s: float) -> StereoReading:
         if self._must_restart:
-            self.end(deadline_s)
-            self.begin(deadline_s)
+            self.stop_streams(deadline_s)
+            self.start_streams(deadline_s)
         for camera in self._cameras:
             camera.expect_next()
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
@@ -109,18 +109,18 @@ class PairGrabber:
         self._trigger(deadline_s)
         frames = self._collect(deadline_s)
         self.block_ids = tuple(frame.block_id if frame else None for frame in frames)  # type: ignore[assignment]
-        self._must_restart = self._restarts_after(frames)
+        self._must_restart = self._needs_restart(frames)
         if None in frames:
             self._raise_for_missing(frames)
-        return self._reading(frames, sequence, triggered_s)
+        return self._make_reading(frames, sequence, triggered_s)
 
-    def _restarts_after(self, frames: Frames) -> bool:
+    def _needs_restart(self, frames: Frames) -> bool:
         """Test whether the streams restart before the next trigger: this pair is incomplete."""
         if self._options.trigger == "line1":  # a restart could miss the next pulse
             return None in frames and frames != (None, None)
         return any(frame is None or frame.missing_packets for frame in frames)
 
-    def _tie(self, deadline_s: float) -> None:
+    def _tie_clocks(self, deadline_s: float) -> None:
         """Tie the tick counts of both cameras to theatre time."""
         left, right = (camera.tie(self._clock, deadline_s) for camera in self._cameras)
         self._pair_clock = PairClock((left, right), self._options.pair_skew_ms / 1000.0)
@@ -141,14 +141,14 @@ class PairGrabber:
     def _collect(self, deadline_s: float) -> Frames:
         """Take a frame from each camera; the wait for the second is shorter."""
 
-        def any_lost() -> bool:
+        def is_any_lost() -> bool:
             return any(camera.lost is not None for camera in self._cameras)
 
         left, right = self._cameras
-        first = left.take(deadline_s, any_lost)
+        first = left.take(deadline_s, is_any_lost)
         if first is not None:
             deadline_s = min(deadline_s, time.monotonic() + PARTNER_LIMIT_S)
-        return first, right.take(deadline_s, any_lost)
+        return first, right.take(deadline_s, is_any_lost)
 
     def _raise_for_missing(self, frames: Frames) -> None:
         """Raise the error for a missing frame.
@@ -162,23 +162,27 @@ class PairGrabber:
                 raise camera.lost
             require_control(camera.control, time.monotonic() + ALIVE_LIMIT_S)
         if frames == (None, None):
-            raise self._trigger_missed()
+            raise self._trigger_missed_error()
 
-    def _trigger_missed(self) -> TriggerMissed:
+    def _trigger_missed_error(self) -> TriggerMissed:
         """Return the error for a trigger without any image, with the known reason."""
         expected = "an image from either camera"
         if self._options.trigger == "line1":
-            return TriggerMissed("no pulse arrived on the trigger line", expected=expected, action=NO_PULSE)
+            return TriggerMissed(
+                "no pulse arrived on the trigger line", expected=expected, action=NO_PULSE_ADVICE
+            )
         if any(camera.receiver.has_begun for camera in self._cameras):
             return TriggerMissed(
                 "no complete image after a trigger", expected=expected, got="some of its packets"
             )
         if any(camera.receiver.counters.refusals for camera in self._cameras):
-            said = "'no image' from both cameras"
-            return TriggerMissed("no image after a trigger", expected=expected, got=said, action=NOT_TAKEN)
+            refusal_text = "'no image' from both cameras"
+            return TriggerMissed(
+                "no image after a trigger", expected=expected, got=refusal_text, action=BUSY_ADVICE
+            )
         return TriggerMissed("no image after a trigger", expected=expected, got="no packets")
 
-    def _reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
+    def _make_reading(self, frames: Frames, sequence: int, triggered_s: float) -> StereoReading:
         match, moments_s = self._match(frames, triggered_s)
         left, right = (
             camera_image(
@@ -207,12 +211,12 @@ class PairGrabber:
         if left is None or right is None:
             return Validity.OK, (None, None)  # the missing side is reported anyway
         ticks = (left.ticks, right.ticks)
-        if not self._pair_clock.tied and all(camera.tick_frequency_hz for camera in self._cameras):
+        if not self._pair_clock.is_tied and all(camera.tick_frequency_hz for camera in self._cameras):
             # a counter at zero at the start of the stream looked like a stopped one
-            self._tie(time.monotonic() + ALIVE_LIMIT_S)
+            self._tie_clocks(time.monotonic() + ALIVE_LIMIT_S)
         now_s = self._clock.now_s()
         moments_s = self._pair_clock.moments_s(ticks)
         frequencies_hz = (self._cameras[0].tick_frequency_hz, self._cameras[1].tick_frequency_hz)
-        match = self._pair_clock.judge(ticks, frequencies_hz, triggered_s, now_s)
+        match = self._pair_clock.judge_pair(ticks, frequencies_hz, triggered_s, now_s)
         self._must_restart |= match is not Validity.OK
         return match, moments_s

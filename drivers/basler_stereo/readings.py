@@ -39,7 +39,7 @@ def camera_image(
     """
     if frame.leader is None:
         return None
-    as_set = (
+    matches_settings = (
         frame.leader.area == area
         and frame.leader.pixel_format == pixel_format
         and frame.leader.padding_x == 0
@@ -48,9 +48,9 @@ def camera_image(
     validity = Validity.PARTIAL if frame.missing_packets else Validity.OK
     return CameraImage(
         stamp=Stamp(sequence, frame.leader.ticks, theatre_time_s, measured_s),
-        validity=validity if as_set else Validity.CORRUPT,
+        validity=validity if matches_settings else Validity.CORRUPT,
         serial=serial,
-        pixels=pixels_of(frame.data, area, pixel_format),
+        pixels=decode_pixels(frame.data, area, pixel_format),
         area=area,
         missing_packets=frame.missing_packets,
     )
@@ -75,7 +75,7 @@ def stereo_reading(
     return StereoReading(Stamp(sequence, ticks, theatre_time_s, measured_s), worst, left, right)
 
 
-def pixels_of(
+def decode_pixels(
     data: bytearray | memoryview, area: AreaOfInterest, pixel_format: PixelFormat
 ) -> NDArray[np.uint8] | NDArray[np.uint16]:
     """Return grey values (height, width), 8 or 12 bits; read-only."""
@@ -93,9 +93,9 @@ def pixels_of(
 
 def unpack_12_bits(packed: NDArray[np.uint8], count: int) -> NDArray[np.uint16]:
     """Unpack Mono12Packed: two values in three bytes, the low four bits of both in the middle byte."""
-    whole = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
-    whole[: len(packed)] = packed
-    first, shared, second = whole[0::3], whole[1::3], whole[2::3]
+    padded = np.zeros(-(-count // 2) * 3, dtype=np.uint16)
+    padded[: len(packed)] = packed
+    first, shared, second = padded[0::3], padded[1::3], padded[2::3]
     values = np.empty(2 * len(first), dtype=np.uint16)
     values[0::2] = first << 4 | shared & 0x0F
     values[1::2] = second << 4 | shared >> 4
@@ -133,7 +133,7 @@ class PairClock:
         self._skew_s = skew_s
 
     @property
-    def tied(self) -> bool:
+    def is_tied(self) -> bool:
         """True if the counts of both cameras are tied to theatre time."""
         return None not in self._ties
 
@@ -144,7 +144,7 @@ class PairClock:
         )
         return left, right
 
-    def judge(
+    def judge_pair(
         self, ticks: tuple[int, int], frequencies_hz: tuple[int, int], triggered_s: float, now_s: float
     ) -> Validity:
         """Return UNPAIRED if left and right come from different triggers, STALE if both are older, else OK.

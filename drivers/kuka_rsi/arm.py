@@ -15,7 +15,7 @@ from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.micro_move import MicroMove
 from drivers.kuka_rsi.motion import MotionFollower, MotionPlanner
 from drivers.kuka_rsi.options import load_usable_context, read_options
-from drivers.kuka_rsi.readings import ArmReadings, readiness_facts, reported_facts
+from drivers.kuka_rsi.readings import ArmReadings, controller_facts, readiness_facts
 from drivers.kuka_rsi.realtime.link_health import link_statistics
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Phase, RecordedCycle, StopOrder
 from ronna_hw.arm.clearance.bodies import Surroundings
@@ -32,7 +32,7 @@ from ronna_hw.devices.lifecycle import (
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    activated,
+    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import ArmReading, LinkStatistics, ToolIdentity
@@ -43,8 +43,8 @@ from ronna_hw.vectors import JointVector
 from ronna_hw.wire.kuka_eki import CommandName, OperationMode
 
 CLOSING_STOP_S = 1.0  # host time for the arm to come to rest in close()
-ANSWERS_S = 0.5  # host time: a connection silent for longer is reopened in a recovery
-RUNS_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
+EKI_REPLY_LIMIT_S = 0.5  # host time: a connection silent for longer is reopened in a recovery
+LIVE_HEARTBEAT_S = 0.2  # largest age of the real-time process' last heartbeat for it to be worth contacting
 UNVERIFIED = (
     "the controller does not report which program it runs: to verify it, each axis in turn moves out and "
     "back by less than 0.05 mm at the flange, with a person next to the arm"
@@ -80,7 +80,7 @@ class KukaRsiArm:
         self._follower = MotionFollower(name, self.connections, self._watch, cycle_s)
         self._readings = ArmReadings(self.connections, clock, options.silence_limit_s)
         self._t1_confirmed_by = ""
-        self._asked: tuple[str, ...] = ()  # the texts last returned by `to_confirm`
+        self._prompted: tuple[str, ...] = ()  # the texts last returned by `to_confirm`
         self._micro_move_confirmed_by = ""
 
     @property
@@ -98,8 +98,8 @@ class KukaRsiArm:
 
     @property
     def operating_mode(self) -> OperatingMode:
-        said = None if self._guard.state in RUNNING else self.connections.reported
-        return _operating_mode(self._watch.mode if said is None else said.mode)
+        reported_state = None if self._guard.state in RUNNING else self.connections.reported
+        return _operating_mode(self._watch.mode if reported_state is None else reported_state.mode)
 
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
         return self._planner.limits(mode or self.operating_mode)
@@ -112,11 +112,11 @@ class KukaRsiArm:
 
     def observe(self) -> LastKnown[ArmReading]:
         streaming = self._guard.state in RUNNING  # unlike `state`, this does not check for new faults
-        says = tuple(reported_facts(self.connections.reported))
-        return self._guard.last_known(self._readings.newest(streaming=streaming), says)
+        facts = tuple(controller_facts(self.connections.reported))
+        return self._guard.last_known(self._readings.newest(streaming=streaming), facts)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return activated(self, timeout_s)
+        return hold_active(self, timeout_s)
 
     @property
     def controller(self) -> ControllerCommands:
@@ -149,23 +149,23 @@ class KukaRsiArm:
 
     @property
     def to_confirm(self) -> str | None:
-        said = self.connections.reported
-        asked = []
+        reported_state = self.connections.reported
+        prompts = []
         if self.connections.open_eki is not None and not self.connections.verified:
-            asked.append(UNVERIFIED)
-        if said is not None and said.mode is OperationMode.T1:
-            asked.append(IN_T1)
-        self._asked = tuple(asked)
-        return "; ".join(asked) or None
+            prompts.append(UNVERIFIED)
+        if reported_state is not None and reported_state.mode is OperationMode.T1:
+            prompts.append(IN_T1)
+        self._prompted = tuple(prompts)
+        return "; ".join(prompts) or None
 
     def confirm_start(self, confirmed_by: str) -> None:
         person = require_person(confirmed_by)
-        self._micro_move_confirmed_by = person if UNVERIFIED in self._asked else ""
-        self._t1_confirmed_by = person if IN_T1 in self._asked else ""
+        self._micro_move_confirmed_by = person if UNVERIFIED in self._prompted else ""
+        self._t1_confirmed_by = person if IN_T1 in self._prompted else ""
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
         """Report everything that `activate` checks, as the controller states it now."""
-        return tuple(readiness_facts(self._ask(timeout_s), verified=self.connections.verified))
+        return tuple(readiness_facts(self._request_state(timeout_s), verified=self.connections.verified))
 
     def allow_t1(self, confirmed_by: str) -> None:
         """Let the next `activate` start in T1, with someone next to the arm holding the pendant.
@@ -189,9 +189,9 @@ class KukaRsiArm:
                 self.activate_unverified(person, timeout_s)
                 return
             raise Unverified(f"{self._name}: the controller does not report which context it runs")
-        stops = self.connections.link.stop_number
+        stop_count = self.connections.link.stop_number
         self._start(timeout_s)
-        self._enter_active(stops)
+        self._enter_active(stop_count)
 
     def activate_unverified(self, confirmed_by: str, timeout_s: float = 30.0) -> None:
         """Activate with a controller that does not report what it runs, tested by a micro-move.
@@ -203,17 +203,17 @@ class KukaRsiArm:
         self._guard.require("activate_unverified", (Lifecycle.CONFIGURED,))
         require_person(confirmed_by)
         link = self.connections.link
-        stops = link.stop_number
+        stop_count = link.stop_number
         self._start(timeout_s)
         try:
             limits = self.limits(_operating_mode(self._watch.mode))
-            MicroMove(self._name, link, self._kinematics, limits, stops).verify()
+            MicroMove(self._name, link, self._kinematics, limits, stop_count).verify()
         except RonnaError as error:
             self._watch.latch(error)
             with contextlib.suppress(RonnaError):
                 self.connections.end_stream(time.monotonic() + CLOSING_STOP_S)
             raise
-        self._enter_active(stops)
+        self._enter_active(stop_count)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Bring the arm to rest and end the RSI program. Raises a fault that comes up meanwhile."""
@@ -228,16 +228,16 @@ class KukaRsiArm:
         except RonnaError as error:
             self._watch.latch(error)
             raise
-        ended = self.connections.link.state
+        final_state = self.connections.link.state
         if self._guard.state is Lifecycle.FAULT:  # it must be acknowledged, although the program has ended
             self._watch.raise_any()
         self._guard.enter(
             Lifecycle.CONFIGURED,
-            cycles=ended.cycles,
-            late=ended.late,
-            lost=ended.lost,
-            rejected=ended.rejected,
-            foreign=ended.foreign,
+            cycles=final_state.cycles,
+            late=final_state.late,
+            lost=final_state.lost,
+            rejected=final_state.rejected,
+            foreign=final_state.foreign,
         )
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
@@ -251,15 +251,15 @@ class KukaRsiArm:
         require_person(acknowledged_by)
         deadline = time.monotonic() + timeout_s
         connections = self.connections
-        if self._guard.state is Lifecycle.CONNECTED and self._ask(timeout_s).error:
+        if self._guard.state is Lifecycle.CONNECTED and self._request_state(timeout_s).error:
             connections.acknowledge(deadline)
             return
         self._guard.require("recover", (Lifecycle.FAULT,))
-        if not connections.eki_answers(ANSWERS_S):
+        if not connections.is_eki_answering(EKI_REPLY_LIMIT_S):
             connections.find_controller(remaining_s(deadline), self._watch, retry=True)
         link = connections.open_link
         if link is not None:
-            if link.alive and link.stalled_s < RUNS_S:
+            if link.alive and link.stalled_s < LIVE_HEARTBEAT_S:
                 with contextlib.suppress(RonnaError):
                     connections.end_stream(time.monotonic() + 0.5 * remaining_s(deadline))
             connections.close_link()
@@ -289,13 +289,13 @@ class KukaRsiArm:
         self._guard.require("read_state", READABLE)
         if self._guard.state in RUNNING:
             return self._readings.from_stream(self.connections.link.state)
-        return self._readings.from_controller(self._ask(timeout_s))
+        return self._readings.from_controller(self._request_state(timeout_s))
 
     def read_tool_identity(self, timeout_s: float = 1.0) -> ToolIdentity:
         """Read the number of the tool at the controller's inputs; 0 is none."""
         self._watch.raise_new()
         self._guard.require("read_tool_identity", READABLE)
-        return ToolIdentity(self._readings.stamp(), self._ask(timeout_s).tool)
+        return ToolIdentity(self._readings.stamp(), self._request_state(timeout_s).tool)
 
     def link_statistics(self) -> LinkStatistics:
         """Return the health of the link since the last `activate`."""
@@ -303,7 +303,9 @@ class KukaRsiArm:
         link = self.connections.open_link
         if link is None:
             return link_statistics(NO_STATE, ())
-        return link_statistics(link.state, link.mailbox.histogram(), link.mailbox.jitter_histogram())
+        return link_statistics(
+            link.state, link.mailbox.read_histogram(), link.mailbox.read_jitter_histogram()
+        )
 
     def move_joints(
         self, target_rad: JointVector, *, speed_fraction: float = 1.0, timeout_s: float = 60.0
@@ -322,8 +324,10 @@ class KukaRsiArm:
 
     def preview(self, motion: Motion, *, start_rad: JointVector | None = None) -> PathPreview:
         if start_rad is None:
-            here = self.read_state()
-            start_rad = here.commanded_rad or here.joints_rad  # nothing is commanded before the stream runs
+            current_reading = self.read_state()
+            start_rad = (
+                current_reading.commanded_rad or current_reading.joints_rad
+            )  # nothing is commanded before the stream runs
         return self._planner.preview(motion, start_rad, self.operating_mode)
 
     def stop(self, kind: StopKind = StopKind.HOLD, timeout_s: float = 5.0) -> None:
@@ -334,16 +338,18 @@ class KukaRsiArm:
         if link is None or not link.alive:
             return  # nothing is moving the arm
         # First: from now on `_move` finds HOLD, or has read the number of an earlier stop and is refused.
-        held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
+        was_held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
         number = link.stop(_STOP_ORDERS[kind])
-        held = self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or held  # a start that ended meanwhile
-        resting = self._follower.wait(
+        was_held = (
+            self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD) or was_held
+        )  # a start that ended meanwhile
+        rest_state = self._follower.wait(
             lambda s: (s.stop_number >= number and not s.moving) or s.phase is Phase.IDLE, timeout_s
         )
         if kind is StopKind.DRIVES_OFF:
             self.connections.eki.require(CommandName.DRIVES, timeout_s, On=0)
-        if resting is None and not link.state.fault:
-            if held:  # HOLD means an arm at rest; the order remains, and no motion starts before that
+        if rest_state is None and not link.state.fault:
+            if was_held:  # HOLD means an arm at rest; the order remains, and no motion starts before that
                 self._guard.exchange(Lifecycle.HOLD, Lifecycle.ACTIVE)
             raise MotionNotFinished(f"{self._name}: the arm does not come to rest", limit=f"{timeout_s:g} s")
         self._watch.check_until_certain()
@@ -359,18 +365,20 @@ class KukaRsiArm:
     def _move(self, call: str, motion: Motion, timeout_s: float) -> ArmReading:
         self._watch.raise_new()
         open_link = self.connections.open_link
-        stops = 0 if open_link is None else open_link.stop_number  # before the state is checked: see `stop`
+        stop_count = (
+            0 if open_link is None else open_link.stop_number
+        )  # before the state is checked: see `stop`
         self._guard.require(call, (Lifecycle.ACTIVE,))
         link, mode = self.connections.link, _operating_mode(self._watch.mode)
         planned = self._planner.plan(motion, link.state.commanded_rad, mode)
         link.surround(self._planner.surroundings)
-        clear = self._planner.clear(planned, mode)
-        return self._readings.from_stream(self._follower.follow(clear, stops, timeout_s))
+        clear_plan = self._planner.clear_plan(planned, mode)
+        return self._readings.from_stream(self._follower.follow(clear_plan, stop_count, timeout_s))
 
-    def _enter_active(self, stops: int) -> None:
-        """Enter ACTIVE, or HOLD if more than `stops` stops are known: one was ordered during the start."""
+    def _enter_active(self, stop_count: int) -> None:
+        """Enter ACTIVE, or HOLD if a stop was ordered during the start: more than `stop_count` are known."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
-        if self.connections.link.stop_number != stops:
+        if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)
 
     def _start(self, timeout_s: float) -> None:
@@ -383,7 +391,7 @@ class KukaRsiArm:
             self._watch.latch(error)
             raise
 
-    def _ask(self, timeout_s: float) -> ControllerState:
+    def _request_state(self, timeout_s: float) -> ControllerState:
         try:
             return self.connections.eki.status(timeout_s)
         except RonnaError:

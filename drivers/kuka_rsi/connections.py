@@ -10,9 +10,9 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 
 from drivers.kuka_rsi.eki.client import EkiClient, Listener
-from drivers.kuka_rsi.eki.telegrams import ControllerState, require_ours, require_ready
+from drivers.kuka_rsi.eki.telegrams import ControllerState, require_matching_setup, require_ready
 from drivers.kuka_rsi.errors import CommandRefused, ControllerLost, ControllerNotFound, NoTelegram, Unverified
-from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_wait
+from drivers.kuka_rsi.fault_errors import fault_error, start_error
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES, CommandKind, Fault, LinkSettings, Phase
@@ -20,7 +20,7 @@ from drivers.kuka_rsi.realtime.mailbox import KeptCycle
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.pose import radians6
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.capabilities import ByteSink, Direction, Passed
+from ronna_hw.devices.capabilities import ByteSink, Direction, PassedBytes
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -30,7 +30,7 @@ from ronna_hw.wire.kuka_eki import AckCode, CommandName, Correction, OperationMo
 BytesPassed = Callable[[Direction, bytes], None]
 FIRST_PAUSE_S = 0.1  # between attempts to reopen the EKI connection; doubled each time
 LONGEST_PAUSE_S = 2.0
-LEAST_TRY_S = 0.2
+SHORTEST_TRY_S = 0.2
 NO_DESCRIPTOR = -1
 STOP_OBJECT_LIMIT_S = 1.0  # host time for the RSI program to end after Stop was sent
 
@@ -69,7 +69,7 @@ class Connections:
             raise NoTelegram(f"{self._name}: no real-time process is running")
         return self.open_link
 
-    def eki_answers(self, limit_s: float) -> bool:
+    def is_eki_answering(self, limit_s: float) -> bool:
         """Test whether the EKI connection is unbroken and the controller replies in time."""
         if self.open_eki is None or self.open_eki.failure is not None:
             return False
@@ -88,7 +88,7 @@ class Connections:
         """
         self.close_eki()
         deadline, pause_s = time.monotonic() + timeout_s, FIRST_PAUSE_S
-        limit_s = max(timeout_s, LEAST_TRY_S) if retry else timeout_s
+        limit_s = max(timeout_s, SHORTEST_TRY_S) if retry else timeout_s
         while True:
             try:
                 self.open_eki, identity, self.verified = self._open_controller(limit_s)
@@ -98,7 +98,7 @@ class Connections:
                     raise
             time.sleep(pause_s)
             pause_s = min(2.0 * pause_s, LONGEST_PAUSE_S)
-            limit_s = max(remaining_s(deadline), LEAST_TRY_S)
+            limit_s = max(remaining_s(deadline), SHORTEST_TRY_S)
         self.open_eki.listen(listener)
         return identity
 
@@ -120,7 +120,7 @@ class Connections:
         modes = tuple(limits)
         deadline = time.monotonic() + timeout_s
         state = eki.status(remaining_s(deadline))
-        require_ours(state, context, options.variant)
+        require_matching_setup(state, context, options.variant)
         require_ready(state, drives=False, modes=modes)
         if not state.drives:
             if state.mode is OperationMode.EXT:
@@ -128,32 +128,32 @@ class Connections:
                 if answer.code is not AckCode.OK:
                     # A change since the state was read is more informative than the refusal.
                     require_ready(
-                        eki.status(max(remaining_s(deadline), LEAST_TRY_S)), drives=False, modes=modes
+                        eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=False, modes=modes
                     )
                     raise CommandRefused(
                         f"the controller refused {CommandName.DRIVES}",
                         got=f"{answer.code.name} {answer.text}".strip(),
                     )
             eki.await_state(lambda s: s.drives, remaining_s(deadline))
-            state = eki.status(max(remaining_s(deadline), LEAST_TRY_S))
+            state = eki.status(max(remaining_s(deadline), SHORTEST_TRY_S))
         require_ready(state, drives=True, modes=modes)
         mode = state.mode
         number = link.command(CommandKind.OPEN, axes_rad=radians6(*state.axes_deg), limits=limits[mode])
         link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
-        wanted = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
+        parameters = {"Cycle": context.program.cycle_ms, "Ref": Reference.ABSOLUTE, "Corr": Correction.AXIS}
         if mode is OperationMode.EXT:
-            eki.require(CommandName.RSI_START, remaining_s(deadline), **wanted)
+            eki.require(CommandName.RSI_START, remaining_s(deadline), **parameters)
         else:
             # Whether or not the controller accepts it: in T1 an operator starts the program on the pendant.
-            eki.command(CommandName.RSI_START, remaining_s(deadline), **wanted)
+            eki.command(CommandName.RSI_START, remaining_s(deadline), **parameters)
         if link.wait(lambda s: s.phase not in (Phase.ARMED, Phase.IDLE), remaining_s(deadline)) is None:
-            raise error_of_wait(name, link.state, state.axes_deg, options, timeout_s)
+            raise start_error(name, link.state, state.axes_deg, options, timeout_s)
         if eki.await_state(lambda s: s.rsi is RsiState.MOVECORR, remaining_s(deadline)) is None:
             raise NoTelegram(f"{name}: the RSI program does not reach RSI_MOVECORR", limit=f"{timeout_s:g} s")
-        fault = error_of_fault(name, link.state, options, mode)
+        fault = fault_error(name, link.state, options, mode)
         if fault is not None:
             raise fault
-        require_ready(eki.status(max(remaining_s(deadline), LEAST_TRY_S)), drives=True, modes=(mode,))
+        require_ready(eki.status(max(remaining_s(deadline), SHORTEST_TRY_S)), drives=True, modes=(mode,))
         return mode
 
     def acknowledge(self, deadline: float) -> None:
@@ -163,27 +163,27 @@ class Connections:
         """
         eki = self.eki
         eki.command(CommandName.RSI_STOP, remaining_s(deadline))
-        refused = None
+        ack_refusal = None
         try:
             eki.require(CommandName.ACK_ERRORS, remaining_s(deadline))
         except CommandRefused as problem:  # the state is more informative than the answer
-            refused = problem
+            ack_refusal = problem
         state = eki.status(remaining_s(deadline))
-        require_ours(state, self._context, self._options.variant)
+        require_matching_setup(state, self._context, self._options.variant)
         require_ready(state, drives=False, modes=(OperationMode.EXT, OperationMode.T1))
-        if refused is not None:
-            raise refused
+        if ack_refusal is not None:
+            raise ack_refusal
 
     def end_stream(self, deadline: float) -> None:
         """End the RSI program with the STOP object, or by EKI if that fails, and close the stream."""
         eki, link = self.eki, self.link
         number = link.command(CommandKind.END)
         state = link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
-        ended = None
+        end_state = None
         if state is not None and state.phase is Phase.ENDING and state.fault is not Fault.SILENCE:
             limit_s = min(remaining_s(deadline) / 2, STOP_OBJECT_LIMIT_S)
-            ended = eki.await_state(lambda s: s.rsi in (RsiState.IDLE, RsiState.FAULT), limit_s)
-        if ended is None:
+            end_state = eki.await_state(lambda s: s.rsi in (RsiState.IDLE, RsiState.FAULT), limit_s)
+        if end_state is None:
             eki.require(CommandName.RSI_STOP, remaining_s(deadline))
         number = link.command(CommandKind.CLOSE)
         link.wait(lambda s: s.command_number >= number, remaining_s(deadline))
@@ -211,7 +211,7 @@ class Connections:
         eki = EkiClient(address.host, address.port, timeout_s, self.recorder.eki_sink)
         try:
             state = eki.status(remaining_s(deadline))
-            unreported = require_ours(state, self._context, options.variant)
+            unreported = require_matching_setup(state, self._context, options.variant)
             if unreported and not options.accept_unverified:
                 raise Unverified("the controller does not report its " + ", ".join(unreported))
         except RonnaError as error:
@@ -245,8 +245,8 @@ def link_settings(rsi: Endpoint, context: RsiContext, options: KukaOptions) -> L
         sentype=context.ethernet.sentype,
         send_tags=tuple(e.tag for e in context.send),
         receive_tags=tuple(e.tag for e in context.receive),
-        axis_tags=tuple(context.wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
-        stop_tag=context.wired_tag("STOP", "In1") or "",
+        axis_tags=tuple(context.find_wired_tag("AXISCORR", axis) or "" for axis in AXIS_NAMES),
+        stop_tag=context.find_wired_tag("STOP", "In1") or "",
         silence_limit_s=options.silence_limit_s,
         heartbeat_limit_s=options.heartbeat_limit_s,
         settle_tolerance_deg=options.settle_tolerance_deg,
@@ -269,7 +269,7 @@ class LinkRecorder:
         sink, link = self.sink, f"{self._arm}.eki"
         if sink is None:
             return None
-        return lambda direction, data: sink.passed(link, direction, data)
+        return lambda direction, data: sink.on_bytes(link, direction, data)
 
     @property
     def rsi_sink(self) -> Callable[[list[KeptCycle], int], None] | None:
@@ -278,19 +278,19 @@ class LinkRecorder:
         if sink is None:
             return None
 
-        def take(cycles: list[KeptCycle], lost: int) -> None:
-            sink.passed_earlier(link, list(_traffic_of(cycles)))
+        def pass_on(cycles: list[KeptCycle], lost: int) -> None:
+            sink.on_earlier_bytes(link, list(_iterate_traffic(cycles)))
             if lost:
                 sink.note(link, lost_bytes=lost)
 
-        return take
+        return pass_on
 
 
-def _traffic_of(cycles: list[KeptCycle]) -> Iterator[Passed]:
+def _iterate_traffic(cycles: list[KeptCycle]) -> Iterator[PassedBytes]:
     for cycle in cycles:
-        yield Passed(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
+        yield PassedBytes(cycle.received_ns, Direction.RECEIVED, cycle.telegram)
         if cycle.reply:
-            yield Passed(cycle.sent_ns, Direction.SENT, cycle.reply)
+            yield PassedBytes(cycle.sent_ns, Direction.SENT, cycle.reply)
 
 
 def remaining_s(deadline: float) -> float:

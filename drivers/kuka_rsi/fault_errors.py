@@ -48,7 +48,7 @@ _REFUSALS = {
 _HEAD = ("cycle", "IPOC", "ms", "turnaround us", "choice")
 
 
-def error_of_fault(
+def fault_error(
     name: str,
     state: LinkState,
     options: KukaOptions,
@@ -57,23 +57,23 @@ def error_of_fault(
     surroundings: Surroundings = NOTHING_AROUND,
 ) -> RonnaError | None:
     """Return the error for the latched fault, None without one. `message`: the controller's, 0 for none."""
-    where = f"{name}: after {state.cycles} cycles"
+    prefix = f"{name}: after {state.cycles} cycles"
     match state.fault:
         case Fault.NONE:
             return None
         case Fault.MONITOR:
-            return _tripped(where, state, kr6_r900(options.variant), surroundings, mode)
+            return _monitor_error(prefix, state, kr6_r900(options.variant), surroundings, mode)
         case Fault.SILENCE:
-            said = f"; the controller shows message {message}" if message else ""
+            message_text = f"; the controller shows message {message}" if message else ""
             return LinkSilent(
-                f"{where} telegrams stopped{said}",
+                f"{prefix} telegrams stopped{message_text}",
                 expected="a telegram in every cycle",
                 limit=f"{options.silence_limit_s:g} s",
                 got=f"IPOC {state.IPOC}",
             )
         case Fault.HEARTBEAT:
             return HeartbeatLate(
-                f"{where} this program's heartbeat was late", limit=f"{options.heartbeat_limit_s:g} s"
+                f"{prefix} this program's heartbeat was late", limit=f"{options.heartbeat_limit_s:g} s"
             )
         case Fault.PROTECTIVE:
             return ProtectiveStop(f"{name}: a protective stop was requested")
@@ -82,16 +82,16 @@ def error_of_fault(
         case Fault.DRIVES_OFF:
             return DrivesOff(f"{name}: the drives were switched off on request")
         case Fault.PATH:
-            return PathFailed(f"{where} the path had no solution")
+            return PathFailed(f"{prefix} the path had no solution")
         case Fault.RESTARTED:
             sender = f" from {state.foreign_host}" if state.foreign else ""
             return ControllerRestarted(
-                f"{where} received telegrams of another run{sender}",
+                f"{prefix} received telegrams of another run{sender}",
                 got=f"IPOC {state.IPOC}",
             )
         case Fault.LOSSES:
             return LinkUnusable(
-                f"{where} too few replies were accepted{losses_text(NO_STATE, state)}",
+                f"{prefix} too few replies were accepted{losses_text(NO_STATE, state)}",
                 limit=f"{UNUSABLE_SHARE:.0%} of {WINDOW_CYCLES} cycles, in two consecutive windows",
             )
         case Fault.BASE:
@@ -101,18 +101,18 @@ def error_of_fault(
             )
 
 
-def error_of_wait(
+def start_error(
     name: str, state: LinkState, axes_deg: JointVector, options: KukaOptions, timeout_s: float
 ) -> NoTelegram | PoseDisagrees:
     """Return the error for a start without a matching telegram; names other senders."""
     last = f", the last from {state.foreign_host}" if state.foreign_host else ""
-    counted = (
+    counts = (
         (state.disagreeing, "reported other axes"),
         (state.foreign, "came from elsewhere"),
         (state.rejected, "were malformed or of another Type"),
     )
-    met = ", ".join(f"{count} {what}" for count, what in counted if count)
-    others = f"; {met}{last}" if met else ""
+    sender_counts = ", ".join(f"{count} {what}" for count, what in counts if count)
+    others = f"; {sender_counts}{last}" if sender_counts else ""
     limit = f"{timeout_s:g} s"
     if not state.disagreeing:
         return NoTelegram(
@@ -130,20 +130,20 @@ def error_of_wait(
     )
 
 
-def _tripped(
-    where: str, state: LinkState, arm: Kr6R900, surroundings: Surroundings, mode: OperationMode
+def _monitor_error(
+    prefix: str, state: LinkState, arm: Kr6R900, surroundings: Surroundings, mode: OperationMode
 ) -> MotionTripped:
     bodies = Bodies(arm, surroundings)
     kind, axis = ViolationKind(state.violation_kind), state.violation_axis
     violation = Violation(kind, axis, state.violation_value, state.violation_limit)
-    limit = violation.in_units(violation.limit)
-    if violation.of_axis:
-        who = f"A{axis}"
+    limit = violation.format_value(violation.limit)
+    if violation.is_axis_violation:
+        subject = f"A{axis}"
     elif kind is ViolationKind.BODY_SPEED:
-        who = f"the {bodies.moving_names[axis]}" if axis < len(bodies.moving_names) else "a body"
+        subject = f"the {bodies.moving_names[axis]}" if axis < len(bodies.moving_names) else "a body"
     else:
-        known = axis < len(bodies.pairs)
-        who = "{} and {}".format(*bodies.names(bodies.pairs[axis])) if known else "its bodies"
+        is_known = axis < len(bodies.pairs)
+        subject = "{} and {}".format(*bodies.names(bodies.pairs[axis])) if is_known else "its bodies"
     if kind is ViolationKind.SPEED:
         share = violation.limit / arm.full_speed_rad_s[axis - 1]
         limit += f" ({share:.0%} of full speed in {mode})"
@@ -151,18 +151,18 @@ def _tripped(
         limit += f" in {mode}"
     what = ViolationKind.SPEED if kind is ViolationKind.BODY_SPEED else kind
     return MotionTripped(
-        f"{where} the monitor stopped the arm: {what} of {who}",
+        f"{prefix} the monitor stopped the arm: {what} of {subject}",
         limit=limit,
-        got=violation.in_units(violation.value),
+        got=violation.format_value(violation.value),
     )
 
 
-def error_of_refusal(name: str, state: LinkState) -> MotionRefused | MotionStopped:
+def refusal_error(name: str, state: LinkState) -> MotionRefused | MotionStopped:
     """Return the error for a motion refused by the real-time process, or forestalled by a stop."""
     if state.result is Result.REFUSED_STOP:
         return MotionStopped(f"{name}: stopped before it began", got=axes_text(state))
-    why = _REFUSALS.get(state.result, f"result {state.result.name}")
-    return MotionRefused(f"{name}: the motion was refused: {why}")
+    reason = _REFUSALS.get(state.result, f"result {state.result.name}")
+    return MotionRefused(f"{name}: the motion was refused: {reason}")
 
 
 def losses_text(initial: LinkState, state: LinkState) -> str:
@@ -207,7 +207,7 @@ def flight_table(cycles: Sequence[RecordedCycle], title: str) -> str:
         *(f"{axis} sent" for axis in AXIS_NAMES),
         *(f"{axis} behind" for axis in AXIS_NAMES),
     )
-    rows = [_row(cycle, cycles[-1].received_ns) for cycle in cycles]
+    rows = [_format_row(cycle, cycles[-1].received_ns) for cycle in cycles]
     widths = [max(len(text) for text in column) for column in zip(columns, *rows, strict=True)]
     lines = [title, ""]
     for row in (columns, *rows):
@@ -215,7 +215,7 @@ def flight_table(cycles: Sequence[RecordedCycle], title: str) -> str:
     return "\n".join(lines) + "\n"
 
 
-def _row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
+def _format_row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
     behind = [s - m for s, m in zip(cycle.sent_rad, cycle.measured_rad, strict=True)]
     return (
         str(cycle.cycle),
@@ -223,11 +223,11 @@ def _row(cycle: RecordedCycle, last_ns: int) -> tuple[str, ...]:
         f"{(cycle.received_ns - last_ns) / 1e6:.2f}",
         f"{cycle.turnaround_us:.1f}",
         cycle.choice.name.lower(),
-        *_degrees(cycle.measured_rad),
-        *_degrees(cycle.sent_rad),
+        *_format_degrees(cycle.measured_rad),
+        *_format_degrees(cycle.sent_rad),
         *(f"{degrees(angle):.4f}" for angle in behind),
     )
 
 
-def _degrees(joints_rad: JointVector) -> tuple[str, ...]:
+def _format_degrees(joints_rad: JointVector) -> tuple[str, ...]:
     return tuple(f"{degrees(angle):.4f}" for angle in joints_rad)

@@ -16,7 +16,7 @@ from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.eki.client import EkiClient
 from drivers.kuka_rsi.eki.telegrams import ControllerState, unmet_conditions
 from drivers.kuka_rsi.errors import ControllerStopped, LinkProcessStalled, NoAnswer
-from drivers.kuka_rsi.fault_errors import attach_flight_record, error_of_fault
+from drivers.kuka_rsi.fault_errors import attach_flight_record, fault_error
 from drivers.kuka_rsi.link_client import LinkClient
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NOTHING_AROUND, Fault, LinkState, StopOrder
@@ -50,7 +50,7 @@ class FaultWatch:
         # The same patience as that process has with this program and with the controller.
         self._stall_limit_s = max(options.heartbeat_limit_s, options.silence_limit_s)
         self._eki_limit_s = max(EKI_SILENCE_S, options.silence_limit_s)
-        self._raised: RonnaError | None = None  # the fault that was already raised to a caller
+        self._raised_fault: RonnaError | None = None  # the fault that was already raised to a caller
         self._inquiry: _Inquiry | None = None  # why the axes no longer follow
         self._inquiry_lock = threading.Lock()
         self.mode = OperationMode.EXT  # mode in which the stream was started: a change stops the arm
@@ -59,18 +59,18 @@ class FaultWatch:
         """Latch faults found by the real-time process or the EKI channel since the last call."""
         eki = self._connections.open_eki
         if self._guard.state not in RUNNING:
-            parked = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
+            idle_link = self._connections.open_link if self._guard.state is Lifecycle.CONFIGURED else None
             if eki is not None and eki.failure and self._guard.state in READABLE:
                 self._guard.latch(eki.failure)
-            elif parked is not None and not parked.alive:
-                self._guard.latch(parked.death_error())
+            elif idle_link is not None and not idle_link.alive:
+                self._guard.latch(idle_link.death_error())
             return
         link = self._connections.link
         state = link.state
-        error = self._error_of(state)
-        lags = state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR
-        if error is not None and lags and eki is not None and eki.failure is None:
-            error = self._following_error_cause(error, eki)
+        error = self._state_error(state)
+        is_lagging = state.fault is Fault.MONITOR and state.violation_kind == ViolationKind.FOLLOWING_ERROR
+        if error is not None and is_lagging and eki is not None and eki.failure is None:
+            error = self._find_following_error_cause(error, eki)
             if error is None:
                 return
         else:
@@ -106,14 +106,14 @@ class FaultWatch:
         if link is not None and self._guard.state in RUNNING:
             self._latch_with_record(error, link)
         self._guard.latch(error)
-        self._raised = self._guard.fault
+        self._raised_fault = self._guard.fault
 
     def raise_new(self) -> None:
         """Raise a latched fault to the first call after it; later calls are refused and name it."""
         self.check_until_certain()
         fault = self._guard.fault
-        if fault is not None and fault is not self._raised:
-            self._raised = fault
+        if fault is not None and fault is not self._raised_fault:
+            self._raised_fault = fault
             raise fault
 
     def raise_any(self) -> None:
@@ -121,7 +121,7 @@ class FaultWatch:
         self.check_until_certain()
         fault = self._guard.fault
         if fault is not None:
-            self._raised = fault
+            self._raised_fault = fault
             raise fault
 
     def on_state(self, state: ControllerState) -> None:
@@ -129,9 +129,9 @@ class FaultWatch:
         self.check()
         if self._guard.state not in RUNNING:
             return
-        stopped = self._stopped_by(state)
-        if stopped is not None:
-            self._stop_for(stopped)
+        stop_error = self._controller_stop_error(state)
+        if stop_error is not None:
+            self._stop_for(stop_error)
 
     def on_silence(self) -> None:
         """Check for a silence that is too long. Called by the EKI reader."""
@@ -144,7 +144,7 @@ class FaultWatch:
                 self.check()
             self._stop_for(failure)
 
-    def _stopped_by(self, state: ControllerState) -> ControllerStopped | None:
+    def _controller_stop_error(self, state: ControllerState) -> ControllerStopped | None:
         causes = unmet_conditions(state, drives=True, modes=(self.mode,))
         if not causes:
             return None
@@ -157,7 +157,7 @@ class FaultWatch:
             )
         return ControllerStopped(f"{self._name} was stopped: {'; '.join(causes)}")
 
-    def _following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
+    def _find_following_error_cause(self, tripped: RonnaError, eki: EkiClient) -> RonnaError | None:
         """Return why the axes no longer follow: the controller's reason if it has one; None while unknown.
 
         Braked axes leave their set-points before the controller's unsolicited state arrives: only its reply
@@ -167,12 +167,12 @@ class FaultWatch:
             inquiry = self._inquiry
             if inquiry is None or inquiry.eki is not eki:
                 try:
-                    inquiry = self._inquiry = _Inquiry(eki, eki.ask(), time.monotonic() + REASON_S)
+                    inquiry = self._inquiry = _Inquiry(eki, eki.request_state(), time.monotonic() + REASON_S)
                 except RonnaError:
                     return tripped
-        state = eki.reply(inquiry.number)
+        state = eki.find_reply(inquiry.number)
         if state is not None:
-            return self._stopped_by(state) or tripped
+            return self._controller_stop_error(state) or tripped
         return tripped if time.monotonic() > inquiry.until_s else None
 
     def _stop_for(self, error: RonnaError) -> None:
@@ -188,10 +188,10 @@ class FaultWatch:
         self._guard.latch(error)
         self._inquiry = None  # last: a thread that sees no inquiry then sees the fault
 
-    def _error_of(self, state: LinkState) -> RonnaError | None:
+    def _state_error(self, state: LinkState) -> RonnaError | None:
         eki = self._connections.open_eki
         latest = eki.latest if eki is not None else None
         message = latest.error if latest is not None else 0
         link = self._connections.open_link
-        around = NOTHING_AROUND if link is None else link.surroundings
-        return error_of_fault(self._name, state, self._options, self.mode, message, around)
+        arm_surroundings = NOTHING_AROUND if link is None else link.surroundings
+        return fault_error(self._name, state, self._options, self.mode, message, arm_surroundings)

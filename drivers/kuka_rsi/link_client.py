@@ -27,21 +27,21 @@ from drivers.kuka_rsi.realtime.mailbox import KeptCycle, Mailbox
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.motion.limits import MotionLimits
 from ronna_hw.arm.motion.planning import MotionPlan
-from ronna_hw.host.process import children_uninterrupted, describe_exit
+from ronna_hw.host.process import describe_exit, shield_children
 from ronna_hw.vectors import JointVector
 
 START_TIMEOUT_S = 10.0
 HEARTBEAT_S = 0.05
 END_TIMEOUT_S = 2.0  # for the process to bring the arm to rest and exit, once its input was closed
 LONGEST_MESSAGE = 4000
-GIVE_OUR_ADDRESS = (
+ADDRESS_ADVICE = (
     "Give endpoint rsi, and the Ethernet file, the address that this computer has in the subnet of the "
     "controller's RSI interface; check that the cable is connected and the interface is up."
 )
-FIND_WHAT_ENDS_IT = "Find out what ends it (a signal, the memory, a resource limit), then start again."
+END_CAUSE_ADVICE = "Find out what ends it (a signal, the memory, a resource limit), then start again."
 
 Condition = Callable[[LinkState], bool]
-Kept = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
+TrafficHandler = Callable[[list[KeptCycle], int], None]  # called with cycles, and the number of bytes lost
 
 
 class LinkClient:
@@ -51,29 +51,29 @@ class LinkClient:
         self,
         settings: LinkSettings,
         timeout_s: float = START_TIMEOUT_S,
-        kept: Kept | None = None,
+        on_traffic: TrafficHandler | None = None,
     ) -> None:
         """Start the process, with descriptors of its own in the settings. Raises RSI-001.
 
-        `kept` is called from a thread of this object with the link's traffic.
+        `on_traffic` is called from a thread of this object with the link's traffic.
         """
         self._memory_fd = os.memfd_create("kuka_rsi")
         self._event_fd = os.eventfd(0, os.EFD_NONBLOCK | os.EFD_CLOEXEC)
         Mailbox.initialise(self._memory_fd)
         self.mailbox = Mailbox(self._memory_fd)
         self._settings = replace(
-            settings, mailbox_fd=self._memory_fd, event_fd=self._event_fd, keeps_bytes=kept is not None
+            settings, mailbox_fd=self._memory_fd, event_fd=self._event_fd, keeps_bytes=on_traffic is not None
         )
-        self._on_traffic = kept
+        self._on_traffic = on_traffic
         self.surroundings = Surroundings()  # used to monitor the next motions
         self._lock = threading.Lock()
         self._changed = threading.Condition()
         self._end_reason: str | None = None
-        self._commands = 0
+        self._command_count = 0
         self.stop_number = 0  # of the last stop ordered
         self._stop_kind = StopOrder.HOLD  # the strongest since the stream was opened
         self._closing = threading.Event()
-        with children_uninterrupted():
+        with shield_children():
             self.process = subprocess.Popen(
                 [sys.executable, "-P", "-m", "drivers.kuka_rsi.realtime.process"],
                 stdin=subprocess.PIPE,
@@ -104,8 +104,8 @@ class LinkClient:
     @property
     def stalled_s(self) -> float:
         """Host time since the process was last seen running; it reports every 10 ms."""
-        said_ns = self.mailbox.alive_ns()
-        return (time.monotonic_ns() - said_ns) / 1e9 if said_ns else 0.0
+        heartbeat_ns = self.mailbox.read_alive_ns()
+        return (time.monotonic_ns() - heartbeat_ns) / 1e9 if heartbeat_ns else 0.0
 
     def command(
         self,
@@ -120,13 +120,15 @@ class LinkClient:
         For OPEN, `axes_rad` are the axes as reported by the controller, `limits` those of the whole stream.
         """
         with self._lock:
-            self._commands += 1
+            self._command_count += 1
             if kind is CommandKind.OPEN:
                 self._stop_kind = StopOrder.HOLD
-            seen = self.stop_number if stop_number is None else stop_number
-            command = Command(self._commands, kind, plan, seen, self.surroundings, axes_rad, limits)
+            known_stop = self.stop_number if stop_number is None else stop_number
+            command = Command(
+                self._command_count, kind, plan, known_stop, self.surroundings, axes_rad, limits
+            )
             self.mailbox.write_command(command)
-            return self._commands
+            return self._command_count
 
     def surround(self, surroundings: Surroundings) -> None:
         """Set the surroundings that the next motions are monitored against."""
@@ -157,10 +159,10 @@ class LinkClient:
                     return state
                 if not self.alive:
                     raise self.death_error()
-                rest = deadline - time.monotonic()
-                if rest <= 0.0:
+                remaining_s = deadline - time.monotonic()
+                if remaining_s <= 0.0:
                     return None
-                self._changed.wait(min(rest, HEARTBEAT_S))
+                self._changed.wait(min(remaining_s, HEARTBEAT_S))
 
     def death_error(self) -> LinkProcessDied:
         """Return the error for a process that ended unexpectedly."""
@@ -170,7 +172,7 @@ class LinkClient:
 
     def recorded_cycles(self) -> tuple[RecordedCycle, ...]:
         """Return the last cycles, oldest first; frozen while a fault is latched."""
-        return self.mailbox.records()
+        return self.mailbox.read_records()
 
     def close(self) -> None:
         """End the process, which stops the arm first. Bounded in time, never raises, may be called twice."""
@@ -205,24 +207,24 @@ class LinkClient:
         try:
             state = self.wait(lambda s: s.phase is not Phase.STARTING, timeout_s)
         except LinkProcessDied as error:
-            raise LinkNotStarted(error.what, action=FIND_WHAT_ENDS_IT) from None
-        where = f"udp://{self._settings.host}:{self._settings.port}"
+            raise LinkNotStarted(error.what, action=END_CAUSE_ADVICE) from None
+        endpoint_text = f"udp://{self._settings.host}:{self._settings.port}"
         if state is None:
             raise LinkNotStarted(
-                f"the real-time process for {where} does not report", limit=f"{timeout_s:g} s"
+                f"the real-time process for {endpoint_text} does not report", limit=f"{timeout_s:g} s"
             )
         if state.phase is Phase.FAILED:
             known = os.strerror(state.errno) if state.errno > 0 else "no such address"
-            reason = f"cannot listen on {where}: {known}"
+            reason = f"cannot listen on {endpoint_text}: {known}"
             if state.errno <= 0 or state.errno == errno.EADDRNOTAVAIL:
-                raise LinkNotStarted(reason, expected="an address of this computer", action=GIVE_OUR_ADDRESS)
+                raise LinkNotStarted(reason, expected="an address of this computer", action=ADDRESS_ADVICE)
             raise LinkNotStarted(reason)
 
     def _run_heartbeat(self) -> None:
         count = 0
         while not self._closing.is_set():
             count += 1
-            self.mailbox.beat(count)
+            self.mailbox.write_heartbeat(count)
             self._deliver_traffic()
             ready, _, _ = select.select([self._event_fd], [], [], HEARTBEAT_S)
             if ready:

@@ -22,9 +22,9 @@ from ronna_hw.vectors import JointVector
 LARGEST_SHIFT_MM = 0.05
 REACH_BEYOND_FLANGE_MM = 150.0  # for a tool: nothing on the arm may move farther than the limit
 LARGEST_ANGLE_RAD = radians(0.02)
-SLOW = 0.1  # of the working speed
+SLOW_FRACTION = 0.1  # of the working speed
 STRAY_RAD = radians(0.002)  # for an axis that should not move: twenty digits of the wire
-ANSWERED_SHARE = 0.75  # share of the commanded angle that must be measured
+FOLLOWED_SHARE = 0.75  # share of the commanded angle that must be measured
 POLL_S = 0.002  # host time between checks of the measured axes
 AXIS_LIMIT_CYCLES = 500  # for one axis to move and settle: about five times what it takes
 TELEGRAMS_LIMIT_S = 10.0  # host time
@@ -33,33 +33,33 @@ PROBE_RAD = 1e-4
 
 
 class MicroMove:
-    """Micro-move of one arm; overridden by any stop after the first `stops`."""
+    """Micro-move of one arm; overridden by any stop after the first `stop_count`."""
 
     def __init__(
-        self, name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stops: int
+        self, name: str, link: LinkClient, kinematics: Kinematics, limits: MotionLimits, stop_count: int
     ) -> None:
         self._name = name
         self._link = link
         self._kinematics = kinematics
         # An axis close to an end of its range moves away from it.
-        self._limits = replace(limits.slowed(SLOW), range_margin_rad=0.0)
-        self._stops = stops
+        self._limits = replace(limits.slowed(SLOW_FRACTION), range_margin_rad=0.0)
+        self._stops = stop_count
 
     def verify(self) -> None:
         """Move each axis out and back.
 
         Raises RSI-018 when the cycle differs or an axis does not move exactly as commanded, RSI-010 when more
-        than `stops` stops have been ordered, and RSI-007 when the real-time process has ended. The caller
-        then ends the stream, since accumulating corrections continue as long as they are sent.
+        than `stop_count` stops have been ordered, and RSI-007 when the real-time process has ended. The
+        caller then ends the stream, since accumulating corrections continue as long as they are sent.
         """
         self._require_cycle()
         start = self._link.state.commanded_rad
         for axis in reversed(range(len(AXIS_NAMES))):
             angle = micro_angle(self._kinematics, start, axis)
             self._move_and_watch(start, _with_axis_moved(start, axis, angle), axis)
-            answered = self._link.state.measured_rad[axis] - start[axis]
-            if not ANSWERED_SHARE * abs(angle) <= abs(answered) <= abs(angle) + STRAY_RAD:
-                self._refuse(f"{AXIS_NAMES[axis]} moved by {degrees(answered):.4f} deg", angle)
+            moved_rad = self._link.state.measured_rad[axis] - start[axis]
+            if not FOLLOWED_SHARE * abs(angle) <= abs(moved_rad) <= abs(angle) + STRAY_RAD:
+                self._refuse(f"{AXIS_NAMES[axis]} moved by {degrees(moved_rad):.4f} deg", angle)
             self._move_and_watch(start, start, axis)
 
     def _require_cycle(self) -> None:
@@ -98,11 +98,15 @@ class MicroMove:
             self._refuse(f"{AXIS_NAMES[axis]} was stopped: {state.fault.name} {state.result.name}", 0.0)
 
     def _require_small(self, state: LinkState, start: JointVector, axis: int) -> None:
-        for other, (at, was) in enumerate(zip(state.measured_rad, start, strict=True)):
-            allowed = STRAY_RAD + (LARGEST_ANGLE_RAD if other == axis else 0.0)
-            if abs(at - was) > allowed:
-                moved = f"{AXIS_NAMES[other]} moved by {degrees(at - was):.4f} deg"
-                self._refuse(f"{moved} while {AXIS_NAMES[axis]} was commanded", allowed)
+        for axis_number, (measured_angle, start_angle) in enumerate(
+            zip(state.measured_rad, start, strict=True)
+        ):
+            allowed_rad = STRAY_RAD + (LARGEST_ANGLE_RAD if axis_number == axis else 0.0)
+            if abs(measured_angle - start_angle) > allowed_rad:
+                motion_text = (
+                    f"{AXIS_NAMES[axis_number]} moved by {degrees(measured_angle - start_angle):.4f} deg"
+                )
+                self._refuse(f"{motion_text} while {AXIS_NAMES[axis]} was commanded", allowed_rad)
 
     def _refuse(self, what: str, limit_rad: float) -> NoReturn:
         self._link.stop(StopOrder.HOLD)
@@ -114,10 +118,13 @@ class MicroMove:
 
 def micro_angle(kinematics: Kinematics, joints_rad: JointVector, axis: int) -> float:
     """Return an angle, towards mid-range, that moves no point of arm and tool by more than 0.05 mm."""
-    beyond = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
-    here = kinematics.forward(joints_rad)
-    there = kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD))
-    moved_mm = max(dist(here.position_mm, there.position_mm), dist(here.apply(beyond), there.apply(beyond)))
+    tool_point_mm = (0.0, 0.0, REACH_BEYOND_FLANGE_MM)
+    start_pose = kinematics.forward(joints_rad)
+    moved_pose = kinematics.forward(_with_axis_moved(joints_rad, axis, PROBE_RAD))
+    moved_mm = max(
+        dist(start_pose.position_mm, moved_pose.position_mm),
+        dist(start_pose.apply(tool_point_mm), moved_pose.apply(tool_point_mm)),
+    )
     angle = min(LARGEST_ANGLE_RAD, LARGEST_SHIFT_MM * PROBE_RAD / max(moved_mm, 1e-9))
     middle = 0.5 * (kinematics.lower_rad[axis] + kinematics.upper_rad[axis])
     return angle if joints_rad[axis] <= middle else -angle

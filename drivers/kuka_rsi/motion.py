@@ -8,7 +8,7 @@ from math import radians
 
 from drivers.kuka_rsi.connections import Connections
 from drivers.kuka_rsi.errors import LinkProcessDied, MotionNotFinished, MotionRefused, MotionStopped
-from drivers.kuka_rsi.fault_errors import axes_text, error_of_refusal, furthest_text, losses_text
+from drivers.kuka_rsi.fault_errors import axes_text, furthest_text, losses_text, refusal_error
 from drivers.kuka_rsi.fault_watch import FaultWatch
 from drivers.kuka_rsi.link_client import Condition
 from drivers.kuka_rsi.options import KukaOptions
@@ -46,14 +46,14 @@ class MotionPlanner:
     def limits(self, mode: OperatingMode) -> MotionLimits:
         """Return the limits of every motion in an operating mode."""
         if mode is OperatingMode.REDUCED_SPEED:
-            return self._limits.at_reduced_speed(self._kinematics)
+            return self._limits.with_reduced_speed(self._kinematics)
         return self._limits
 
     def plan(self, motion: Motion, start_rad: JointVector, mode: OperatingMode) -> MotionPlan:
         """Plan the path of a motion from `start_rad`; raises the errors of `plan_motion`."""
         return plan_motion(self._kinematics, start_rad, motion, self.limits(mode))
 
-    def clear(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
+    def clear_plan(self, plan: MotionPlan, mode: OperatingMode) -> MotionPlan:
         """Return the plan with speed limits along its path; raises ARM-007 if anything comes too close."""
         path = sweep_path(self._kinematics, plan, self.surroundings)
         path.require(f"the path of {self._name}")
@@ -74,8 +74,8 @@ class MotionFollower:
         self._cycle_s = cycle_s
         self._motion_lock = threading.Lock()  # held while a motion is followed
 
-    def follow(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
-        """Execute a plan made when `stops` stops were known; return the state once the arm has settled.
+    def follow(self, plan: MotionPlan, stop_count: int, timeout_s: float) -> LinkState:
+        """Execute a plan made when `stop_count` stops were known; return the state once the arm has settled.
 
         Raises RSI-010 when it was stopped, also before it began, RSI-011 when it used up `timeout_s` of
         controller cycles or did not settle at the end of its path, RSI-012 when it was refused, and the fault
@@ -84,7 +84,7 @@ class MotionFollower:
         if not self._motion_lock.acquire(blocking=False):
             raise MotionRefused(f"{self._name}: another motion is running")
         try:
-            return self._execute(plan, stops, timeout_s)
+            return self._execute(plan, stop_count, timeout_s)
         finally:
             self._motion_lock.release()
 
@@ -101,18 +101,18 @@ class MotionFollower:
             self._watch.latch(error)
             raise
 
-    def _execute(self, plan: MotionPlan, stops: int, timeout_s: float) -> LinkState:
+    def _execute(self, plan: MotionPlan, stop_count: int, timeout_s: float) -> LinkState:
         link = self._connections.link
-        number = link.command(CommandKind.MOVE, plan, stops)
+        number = link.command(CommandKind.MOVE, plan, stop_count)
         start = link.state
         rested_cycles: int | None = None  # when the path was first seen to have ended
 
-        def ended(state: LinkState) -> bool:
+        def has_ended(state: LinkState) -> bool:
             if state.fault:
                 return not state.moving
             return state.command_number >= number and state.result is not Result.RUNNING
 
-        while (state := self.wait(ended, POLL_S)) is None:
+        while (state := self.wait(has_ended, POLL_S)) is None:
             self._watch.check()
             if link.stalled_s > POLL_S:
                 self._watch.raise_any()
@@ -141,5 +141,5 @@ class MotionFollower:
         if state.result is Result.STOPPED:
             raise MotionStopped(f"{self._name}: stopped before its end", got=axes_text(state))
         if state.result is not Result.DONE:
-            raise error_of_refusal(self._name, state)
+            raise refusal_error(self._name, state)
         return state

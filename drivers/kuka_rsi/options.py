@@ -101,7 +101,7 @@ def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
     if options.cycle_ms is not None:
         program = context.program.model_copy(update={"cycle_ms": options.cycle_ms})
         context = context.model_copy(update={"program": program})
-    reasons = list(objections_to(context))
+    reasons = list(find_objections(context))
     if context.program.variant != options.variant.value:
         reasons.append(f"its program is for {context.program.variant}, option variant is {options.variant}")
     if reasons:
@@ -110,15 +110,15 @@ def load_usable_context(device: str, options: KukaOptions) -> RsiContext:
     return context
 
 
-def objections_to(context: RsiContext) -> Iterator[str]:
+def find_objections(context: RsiContext) -> Iterator[str]:
     """Find everything that makes a context unsafe, or that it fails to report."""
     holdon = {element.indx: element.holdon for element in context.receive}
     axes = [w for w in context.wiring if w.object == "AXISCORR"]
-    stops = [w for w in context.wiring if w.object == "STOP"]
+    stop_count = [w for w in context.wiring if w.object == "STOP"]
     if context.program.corrections != "absolute":
-        runaway = any(holdon[w.indx] for w in axes)
+        is_runaway = any(holdon[w.indx] for w in axes)
         yield "corrections are relative" + (
-            " with HOLDON 1: a lost reply would keep the arm moving" if runaway else ", not absolute"
+            " with HOLDON 1: a lost reply would keep the arm moving" if is_runaway else ", not absolute"
         )
     elif any(not holdon[w.indx] for w in axes):
         yield "corrections have HOLDON 0: a lost reply would jump back to the start pose"
@@ -127,14 +127,14 @@ def objections_to(context: RsiContext) -> Iterator[str]:
         yield f"AXISCORR is not wired for {' '.join(unwired)}"
     if any(w.object == "POSCORR" for w in context.wiring):
         yield "POSCORR is wired as well: two corrections would add up"
-    if not stops or context.stop is None or context.stop.mode != "ExitMoveCorr":
+    if not stop_count or context.stop is None or context.stop.mode != "ExitMoveCorr":
         yield "no STOP object of mode ExitMoveCorr is wired: this driver could not end the program"
-    elif any(holdon[w.indx] for w in stops):
+    elif any(holdon[w.indx] for w in stop_count):
         yield "STOP has HOLDON 1: it would stay set"
-    yield from _limits(context)
-    said = {element.tag for element in context.send}
+    yield from _find_limit_objections(context)
+    sent_tags = {element.tag for element in context.send}
     for keyword in NEEDED_KEYWORDS:
-        if keyword not in said:
+        if keyword not in sent_tags:
             yield f"{keyword} is not sent"
     if context.ethernet.only_send:
         yield "ONLYSEND is TRUE: replies would be ignored"
@@ -142,7 +142,7 @@ def objections_to(context: RsiContext) -> Iterator[str]:
         yield f"Precision is {context.ethernet.precision}, not at least {LEAST_PRECISION}"
 
 
-def _limits(context: RsiContext) -> Iterator[str]:
+def _find_limit_objections(context: RsiContext) -> Iterator[str]:
     """Check that the controller neither clamps nor trips before the driver's own monitor does.
 
     That monitor allows motion up to the end switches; values that AXISCORR passes must not trip AXISCORRMON.

@@ -29,15 +29,15 @@ from ronna_hw.devices.probing import (
     Progress,
     Proposal,
     Search,
-    connect_and_leave,
-    documented_options,
+    connect_and_identify,
+    describe_options,
     endpoints_of,
-    leave_alone,
+    inspect_nothing,
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.network import Interface
-from ronna_hw.host.port_users import user_of_udp_port
+from ronna_hw.host.port_users import find_udp_port_user
 from ronna_hw.wire.kuka_context import load_context
 from ronna_hw.wire.kuka_eki import PROJECT_PORT
 
@@ -58,22 +58,22 @@ class KukaProbe:
     table = "robot"
 
     def __call__(
-        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
         """Check the stream's port, then the controller. Sends nothing to the stream, moves nothing."""
         streams = [endpoint for endpoint in endpoints_of(config) if endpoint.scheme == "udp"]
         ports = tuple(map(stream_port_diagnostic, streams))  # before the driver itself listens there
-        return (*ports, *connect_and_leave(name, config, KukaRsiArm, inspect=inspect))
+        return (*ports, *connect_and_identify(name, config, KukaRsiArm, inspect=inspect))
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
         """Propose every controller with our EKI server: at the given addresses, or else on the networks.
 
         A controller serves one EKI client at a time; one that serves another is found but not identified.
         """
-        known = search.controllers or tuple(_listening(search.interfaces))
+        known = search.controllers or tuple(_find_listening(search.interfaces))
         found = []
         for number, controller in enumerate(known, start=1):
-            proposal = _proposal(controller, stream_address(search))
+            proposal = _make_proposal(controller, stream_address(search))
             if search.controllers or not proposal.absent:  # on a network, other machines also listen
                 found.append(proposal)
             progress(number / len(known))
@@ -93,14 +93,14 @@ def stream_port_diagnostic(endpoint: Endpoint) -> Diagnostic:
     try:
         bind(endpoint.host, endpoint.port).close()
     except OSError as error:
-        return Diagnostic(subject, False, *_refusal(endpoint, error))
+        return Diagnostic(subject, False, *_describe_refusal(endpoint, error))
     return Diagnostic(subject, True, "free for the driver to listen on")
 
 
-def _refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
+def _describe_refusal(endpoint: Endpoint, error: OSError) -> tuple[str, str]:
     """Return observation and advice for a port that cannot be bound."""
     if error.errno == errno.EADDRINUSE:
-        if user := user_of_udp_port(endpoint.host, endpoint.port):
+        if user := find_udp_port_user(endpoint.host, endpoint.port):
             return f"in use by {user}", "Stop that program; it may be another run of the robot."
         return (
             "in use by a program not visible to this user",
@@ -125,16 +125,16 @@ def stream_address(search: Search) -> str:
     return str(search.stream or Endpoint("udp", ethernet.pc_ip, ethernet.pc_port))
 
 
-def _listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
+def _find_listening(interfaces: Sequence[Interface]) -> Iterator[Endpoint]:
     """Find addresses on the networks that accept a connection on the port of our EKI server."""
-    hosts = [host for each in interfaces for host in _hosts(each)]
+    hosts = [host for each in interfaces for host in _list_hosts(each)]
     with ThreadPoolExecutor(KNOCKS_AT_ONCE) as pool:
-        for host, taken in zip(hosts, pool.map(_listens, hosts), strict=True):
-            if taken:
+        for host, is_accepted in zip(hosts, pool.map(_is_listening, hosts), strict=True):
+            if is_accepted:
                 yield Endpoint("tcp", host, PROJECT_PORT)
 
 
-def _hosts(interface: Interface) -> list[str]:
+def _list_hosts(interface: Interface) -> list[str]:
     """List the addresses of one network except our own; on loopback only its own."""
     if interface.loopback:
         return [interface.address]
@@ -142,7 +142,7 @@ def _hosts(interface: Interface) -> list[str]:
     return [str(host) for host in islice(network.hosts(), MOST_ADDRESSES) if str(host) != interface.address]
 
 
-def _listens(host: str) -> bool:
+def _is_listening(host: str) -> bool:
     try:
         socket.create_connection((host, PROJECT_PORT), KNOCK_LIMIT_S).close()
     except OSError:
@@ -150,7 +150,7 @@ def _listens(host: str) -> bool:
     return True
 
 
-def _proposal(controller: Endpoint, stream: str) -> Proposal:
+def _make_proposal(controller: Endpoint, stream: str) -> Proposal:
     """Propose a controller as far as it can be identified, even if it is silent or serves another client."""
     remarks: tuple[str, ...] = (VARIANT, STREAM)
     what, variant, absent = "a controller", None, ""
@@ -175,4 +175,4 @@ def _endpoints(controller: str, stream: str) -> dict[str, str]:
 
 
 def _options(variant: str | None = None) -> tuple[Option, ...]:
-    return documented_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})
+    return describe_options(KukaOptions, {"variant": variant or ArmVariant.SIXX.value})

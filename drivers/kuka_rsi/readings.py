@@ -20,7 +20,7 @@ from ronna_hw.wire.kuka_eki import OperationMode, RsiState
 STALE_S = 0.5  # host time: age at which a measured pose is called stale
 MODES = (OperationMode.EXT, OperationMode.T1)  # modes in which a case can begin; T1 with someone at the arm
 MEANINGS = {29002: "RSITimeout: replies came late, were lost or had a wrong Type, and the controller stopped"}
-AUTOMATIC = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
+MODE_ADVICE = "Set the mode selector to EXT, or to T1 for motions with a person at the pendant."
 
 
 class ArmReadings:
@@ -40,12 +40,12 @@ class ArmReadings:
 
     def from_stream(self, state: LinkState) -> ArmReading:
         """Make a reading of the last telegram's axes."""
-        self._newest = self._streamed(state, self.stamp(state.IPOC))
+        self._newest = self._make_stream_reading(state, self.stamp(state.IPOC))
         return self._newest
 
     def from_controller(self, state: ControllerState) -> ArmReading:
         """Make a reading of the axes in a requested `State`."""
-        self._newest = self._reported(state, self.stamp())
+        self._newest = self._make_controller_reading(state, self.stamp())
         return self._newest
 
     def newest(self, *, streaming: bool) -> ArmReading | None:
@@ -57,13 +57,17 @@ class ArmReadings:
             if streaming and link is not None:
                 state = link.state
                 age_s = host_s - state.received_ns / 1e9
-                self._newest = self._streamed(state, Stamp(self._sequence, state.IPOC, now_s - age_s))
+                self._newest = self._make_stream_reading(
+                    state, Stamp(self._sequence, state.IPOC, now_s - age_s)
+                )
             elif eki is not None and eki.latest is not None:
                 age_s = host_s - eki.latest.received_s
-                self._newest = self._reported(eki.latest, Stamp(self._sequence, 0, now_s - age_s))
+                self._newest = self._make_controller_reading(
+                    eki.latest, Stamp(self._sequence, 0, now_s - age_s)
+                )
         return self._newest
 
-    def _streamed(self, state: LinkState, stamp: Stamp) -> ArmReading:
+    def _make_stream_reading(self, state: LinkState, stamp: Stamp) -> ArmReading:
         age_s = (time.monotonic_ns() - state.received_ns) / 1e9
         return ArmReading(
             stamp,
@@ -73,52 +77,52 @@ class ArmReadings:
             state.moving or not state.settled,
         )
 
-    def _reported(self, state: ControllerState, stamp: Stamp) -> ArmReading:
+    def _make_controller_reading(self, state: ControllerState, stamp: Stamp) -> ArmReading:
         return ArmReading(
             stamp, Validity.OK, radians6(*state.axes_deg), commanded_rad=None, moving=state.moving
         )
 
 
-def reported_facts(state: ControllerState | None) -> Iterator[Fact]:
+def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
     """List the settings that the controller reports unsolicited; nothing before its first report.
 
     Drives that are off are no objection: `activate` switches them on.
     """
     if state is None:
         return
-    yield Fact("operating mode", str(state.mode), state.mode in MODES, AUTOMATIC)
+    yield Fact("operating mode", str(state.mode), state.mode in MODES, MODE_ADVICE)
     yield Fact(
         "emergency stop", "pressed" if state.emergency_stop else "released", not state.emergency_stop,
         "Release the emergency stop.",
     )  # fmt: skip
     yield Fact("guard", "open" if state.guard_open else "closed", not state.guard_open, "Close the guard.")
     yield Fact(
-        MESSAGES, _message(state.error) if state.error else "none to acknowledge",
+        MESSAGES, _message_text(state.error) if state.error else "none to acknowledge",
         not state.error,
         "Remove its cause; acknowledge it at the pendant or with ronna-procedure acknowledge.",
     )  # fmt: skip
     yield Fact("drives", "on" if state.drives else "off; switched on when the case begins")
-    yield _brakes(state)
+    yield _brakes_fact(state)
 
 
-def _brakes(state: ControllerState) -> Fact:
+def _brakes_fact(state: ControllerState) -> Fact:
     """Report the brakes. With drives on they may be closed: the controller closes them after a while."""
     if state.open_brakes is None:
-        said = "normally released while the drives are on" if state.drives else "the drives are off"
-        return Fact("brakes", f"not reported; {said}")
+        drives_text = "normally released while the drives are on" if state.drives else "the drives are off"
+        return Fact("brakes", f"not reported; {drives_text}")
     axes = range(1, len(state.axes_deg) + 1)
-    are_open = [f"A{axis}" for axis in axes if state.open_brakes >> (axis - 1) & 1]
-    closed = [f"A{axis}" for axis in axes if f"A{axis}" not in are_open]
-    if are_open and not state.drives:
+    open_axes = [f"A{axis}" for axis in axes if state.open_brakes >> (axis - 1) & 1]
+    closed_axes = [f"A{axis}" for axis in axes if f"A{axis}" not in open_axes]
+    if open_axes and not state.drives:
         advice = "Let nobody under the arm, and have the brakes tested: it may sink."
-        return Fact("brakes", f"open while the drives are off: {' '.join(are_open)}", False, advice)
-    if closed and state.moving:
+        return Fact("brakes", f"open while the drives are off: {' '.join(open_axes)}", False, advice)
+    if closed_axes and state.moving:
         advice = "Stop the program at the pendant, and have the brakes and their cable tested."
-        return Fact("brakes", f"closed while the arm moves: {' '.join(closed)}", False, advice)
-    return Fact("brakes", f"closed: {' '.join(closed)}" if closed else "open")
+        return Fact("brakes", f"closed while the arm moves: {' '.join(closed_axes)}", False, advice)
+    return Fact("brakes", f"closed: {' '.join(closed_axes)}" if closed_axes else "open")
 
 
-def _message(number: int) -> str:
+def _message_text(number: int) -> str:
     meaning = MEANINGS.get(number)
     return (
         f"KSS{number} is not acknowledged ({meaning})" if meaning else f"number {number} is not acknowledged"
@@ -127,7 +131,7 @@ def _message(number: int) -> str:
 
 def readiness_facts(state: ControllerState, *, verified: bool) -> Iterator[Fact]:
     """List everything that `activate` checks."""
-    yield from reported_facts(state)
+    yield from controller_facts(state)
     yield Fact(
         "RSI program", state.rsi.name, state.rsi is RsiState.IDLE,
         "A message ended it: remove its cause and acknowledge it." if state.rsi is RsiState.FAULT

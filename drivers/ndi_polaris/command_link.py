@@ -30,7 +30,7 @@ from drivers.ndi_polaris.transport import Transport
 from ronna_hw.errors import ProtocolError
 from ronna_hw.wire import polaris as ndi
 
-KEPT_COMMANDS = 32  # every reading sends the same command
+CACHED_COMMANDS = 32  # every reading sends the same command
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", ndi.BX_START)
 ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
@@ -138,7 +138,7 @@ class CommandLink:
                 break
         return discarded
 
-    def distrust(self) -> None:
+    def mark_unsettled(self) -> None:
         """Resynchronise before the next command: the caller has seen an implausible reply."""
         self._settled = False
 
@@ -160,7 +160,7 @@ class CommandLink:
                 return
             if self.monotonic() >= self.deadline_s:
                 break
-        self._give_up()
+        self._raise_silence()
 
     def _exchange(
         self,
@@ -174,8 +174,8 @@ class CommandLink:
         try:
             return self._exchange_once(name, argument, reply_bytes, binary)
         except (ProtocolError, NoReply, UnitError) as problem:
-            noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
-            if not noise or not retry or self.monotonic() >= self.deadline_s:
+            is_noise = not isinstance(problem, UnitError) or problem.vendor_code in NOISE_CODES
+            if not is_noise or not retry or self.monotonic() >= self.deadline_s:
                 raise
         self.statistics.retries += 1
         return self._exchange_once(name, argument, reply_bytes, binary)
@@ -188,8 +188,8 @@ class CommandLink:
             self.settle()
         self.transport.write(command)
         self.statistics.commands += 1
-        began_s = self.monotonic()
-        until_s = min(began_s + limit_s, self.deadline_s)
+        started_s = self.monotonic()
+        until_s = min(started_s + limit_s, self.deadline_s)
         try:
             reply, rest = self._receive(until_s, binary)
         except ProtocolError:
@@ -199,22 +199,22 @@ class CommandLink:
         if reply is None:
             self._settled = False
             if self._silent_since_s is None:
-                self._silent_since_s = began_s
+                self._silent_since_s = started_s
             raise NoReply(
                 f"no reply to {name}",
-                limit=f"{until_s - began_s:.3f} s",
+                limit=f"{until_s - started_s:.3f} s",
                 wire=rest,
                 expected="a reply with CRC",
             )
-        self.waited_s = max(0.0, self.monotonic() - began_s - self._transfer_s(len(command) + len(reply)))
+        self.waited_s = max(0.0, self.monotonic() - started_s - self._transfer_s(len(command) + len(reply)))
         self._silent_since_s = None
         if rest:  # one reply per command: anything more is a duplicate or a late one
             self._settled = False
         if isinstance(reply, str):
-            self._raise_for(reply, name)
+            self._raise_unit_error(reply, name)
         return reply
 
-    def _raise_for(self, text: str, name: str) -> None:
+    def _raise_unit_error(self, text: str, name: str) -> None:
         if text == ndi.REPLY_RESET and name != "RESET":
             raise UnitRestarted(f"the unit replied RESET to {name}")
         error = unit_error(text, name)
@@ -232,15 +232,15 @@ class CommandLink:
                     return reply
             elif binary and buffer and buffer[0] not in _FIRST_BYTES_OF_TEXT:
                 raise MalformedReply("a binary reply does not start with C4 A5", wire=buffer)
-            elif (split := ascii_line(buffer)) is not None:
-                return open_ascii(split[0]), split[1]
+            elif (split := split_ascii_line(buffer)) is not None:
+                return decode_ascii(split[0]), split[1]
             if len(buffer) > LONGEST_REPLY_BYTES:
                 raise MalformedReply("a reply has no end", limit=f"{LONGEST_REPLY_BYTES} bytes", wire=buffer)
-            left_s = until_s - self.monotonic()
-            if left_s <= 0:
+            remaining_s = until_s - self.monotonic()
+            if remaining_s <= 0:
                 return None, buffer
-            data = self.transport.read(min(left_s, STALL_S) if buffer else left_s)
-            if not data and buffer and left_s > STALL_S:
+            data = self.transport.read(min(remaining_s, STALL_S) if buffer else remaining_s)
+            if not data and buffer and remaining_s > STALL_S:
                 raise MalformedReply("a reply is truncated", limit=f"{STALL_S} s", wire=buffer)
             buffer += data
 
@@ -257,12 +257,12 @@ class CommandLink:
         self._echoes += 1
         mark = f"INSTEP{self._echoes:06d}"
         command = encode_command("ECHO", mark)
-        began_s = self.monotonic()
+        started_s = self.monotonic()
         self.transport.write(command)
-        until_s = min(began_s + self.limit_s("ECHO", len(command), len(command)), self.deadline_s)
+        until_s = min(started_s + self.limit_s("ECHO", len(command), len(command)), self.deadline_s)
         heard = b""
-        while (left_s := until_s - self.monotonic()) > 0:
-            heard = (heard + self.transport.read(left_s))[-LONGEST_REPLY_BYTES:]
+        while (remaining_s := until_s - self.monotonic()) > 0:
+            heard = (heard + self.transport.read(remaining_s))[-LONGEST_REPLY_BYTES:]
             if RESET_TEXT in heard:
                 raise UnitRestarted("the unit sent RESET", wire=heard)
             if not heard.endswith(b"\r"):
@@ -276,10 +276,10 @@ class CommandLink:
         if heard:
             self._silent_since_s = None
         elif self._silent_since_s is None:
-            self._silent_since_s = began_s
+            self._silent_since_s = started_s
         return _Echo.SILENT
 
-    def _give_up(self) -> None:
+    def _raise_silence(self) -> None:
         since_s = self._silent_since_s
         silent_s = self.monotonic() - since_s if since_s is not None else 0.0
         limit_s = max(self._limits_s.get(name, 0.0) for name in ("BX", "TX", "ECHO"))
@@ -290,17 +290,17 @@ class CommandLink:
         )
 
 
-@lru_cache(maxsize=KEPT_COMMANDS)
+@lru_cache(maxsize=CACHED_COMMANDS)
 def encode_command(name: str, argument: str = "") -> bytes:
     """Encode a command as `NAME:argument` + CRC + CR, the form whose CRC the unit checks."""
     text = f"{name}:{argument}".encode("ascii")
     return b"%b%04X\r" % (text, ndi.crc16(text))
 
 
-def open_ascii(line: bytes) -> str:
+def decode_ascii(line: bytes) -> str:
     """Return the text of one ASCII reply (without its CR); raises NDI-005, or NDI-006 if it is not ASCII."""
     text = line[: -ndi.ASCII_CRC_DIGITS]
-    if not _crc_is_right(line):
+    if not _has_valid_crc(line):
         raise BadReplyCrc("wrong CRC in an ASCII reply", expected=f"{ndi.crc16(text):04X}", wire=line)
     try:
         return text.decode("ascii")
@@ -314,18 +314,18 @@ def trailing_text(heard: bytes) -> str | None:
     # A preceding binary reply does not end in CR; the CRC over a complete one is 0, so the text would be
     # valid together with it.
     for start in range(len(line)):
-        if line[start:].isascii() and _crc_is_right(line[start:]):
+        if line[start:].isascii() and _has_valid_crc(line[start:]):
             return line[start : -ndi.ASCII_CRC_DIGITS].decode("ascii")
     return None
 
 
-def _crc_is_right(line: bytes) -> bool:
+def _has_valid_crc(line: bytes) -> bool:
     # an empty text is legal: an empty parameter list has CRC 0000
     text, digits = line[: -ndi.ASCII_CRC_DIGITS], line[-ndi.ASCII_CRC_DIGITS :]
     return len(digits) == ndi.ASCII_CRC_DIGITS and digits == b"%04X" % ndi.crc16(text)
 
 
-def ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
+def split_ascii_line(buffer: bytes) -> tuple[bytes, bytes] | None:
     """Split off the first reply that ends in CR: (line without CR, rest), or None while incomplete."""
     line, end, rest = buffer.partition(ndi.CR)
     return (line, rest) if end else None
@@ -348,16 +348,18 @@ def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:
     """
     if len(buffer) < ndi.BX_HEADER_BYTES:
         return None
-    whole = binary_reply_bytes(buffer)
-    if len(buffer) < whole:
+    total_bytes = binary_reply_bytes(buffer)
+    if len(buffer) < total_bytes:
         return None
-    body = buffer[ndi.BX_HEADER_BYTES : whole - ndi.BX_CRC_BYTES]
-    (crc,) = _CRC.unpack_from(buffer, whole - ndi.BX_CRC_BYTES)
+    body = buffer[ndi.BX_HEADER_BYTES : total_bytes - ndi.BX_CRC_BYTES]
+    (crc,) = _CRC.unpack_from(buffer, total_bytes - ndi.BX_CRC_BYTES)
     if crc != ndi.crc16(body):
         raise BadReplyCrc(
-            "wrong CRC in the body of a binary reply", expected=f"{ndi.crc16(body):04X}", wire=buffer[:whole]
+            "wrong CRC in the body of a binary reply",
+            expected=f"{ndi.crc16(body):04X}",
+            wire=buffer[:total_bytes],
         )
-    return body, buffer[whole:]
+    return body, buffer[total_bytes:]
 
 
 def unit_error(text: str, command: str = "") -> UnitError | None:

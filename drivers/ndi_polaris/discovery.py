@@ -56,7 +56,7 @@ def find_unit(link: CommandLink) -> None:
         tried.append(f"{baud} baud" if transport.baud is not None else "the connection")
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.answered:
+        if inquiry.is_answered:
             return
     if transport.baud is not None and link.monotonic() < link.deadline_s:
         transport.set_baud(ndi.DEFAULT_BAUD)
@@ -66,12 +66,12 @@ def find_unit(link: CommandLink) -> None:
             return
         inquiry = inquire(link)
         heard += inquiry.heard
-        if inquiry.answered:
+        if inquiry.is_answered:
             return
     if heard:
         raise NotAPolaris("bytes without a valid CRC", wire=bytes(heard))
-    what = ", ".join(tried) or "none: the time limit is too short"
-    raise NothingAnswers(f"no unit replied; tried {what}", expected=f"a reply to {INQUIRY_COMMAND}")
+    tried_text = ", ".join(tried) or "none: the time limit is too short"
+    raise NothingAnswers(f"no unit replied; tried {tried_text}", expected=f"a reply to {INQUIRY_COMMAND}")
 
 
 def initialise(link: CommandLink) -> None:
@@ -93,8 +93,8 @@ def await_reset(link: CommandLink) -> bool:
     """Wait for RESET after a break or the RESET command; False if it does not come in time."""
     until_s = min(link.deadline_s, link.monotonic() + RESET_LIMIT_S)
     heard = b""
-    while (left_s := until_s - link.monotonic()) > 0:
-        heard = heard[-len(RESET_TEXT) :] + link.transport.read(left_s)
+    while (remaining_s := until_s - link.monotonic()) > 0:
+        heard = heard[-len(RESET_TEXT) :] + link.transport.read(remaining_s)
         if RESET_TEXT in heard:
             return True
     return False
@@ -114,7 +114,7 @@ def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] =
         if baud <= link.transport.baud:
             break
         try:
-            if _switch(link, code, baud, link.transport.baud, pause):
+            if _switch_rate(link, code, baud, link.transport.baud, pause):
                 break
         except LinkLost:
             find_unit(link)
@@ -122,7 +122,9 @@ def raise_baud(link: CommandLink, maximum: int, pause: Callable[[float], None] =
     return link.transport.baud
 
 
-def _switch(link: CommandLink, code: str, baud: int, current: int, pause: Callable[[float], None]) -> bool:
+def _switch_rate(
+    link: CommandLink, code: str, baud: int, current: int, pause: Callable[[float], None]
+) -> bool:
     try:  # our own end first: a unit at a rate we do not support would be lost
         link.transport.set_baud(baud)
         link.transport.set_baud(current)
@@ -137,10 +139,10 @@ def _switch(link: CommandLink, code: str, baud: int, current: int, pause: Callab
         pass  # the reply was lost: only a try shows whether the unit has switched
     pause(RATE_SETTLING_S)
     link.transport.set_baud(baud)
-    if inquire(link).answered:
+    if inquire(link).is_answered:
         return True
     link.transport.set_baud(current)
-    if not inquire(link).answered:
+    if not inquire(link).is_answered:
         raise LinkLost(f"no reply at {baud} baud nor at {current}")
     return False
 
@@ -152,7 +154,7 @@ class Inquiry(NamedTuple):
     reply: str | None = None
 
     @property
-    def answered(self) -> bool:
+    def is_answered(self) -> bool:
         return self.reply is not None
 
 
@@ -165,7 +167,7 @@ def inquire(link: CommandLink) -> Inquiry:
     for _ in range(TRIES):
         inquiry = _inquire_once(link)
         heard = inquiry.heard or heard
-        if inquiry.answered or not inquiry.heard:
+        if inquiry.is_answered or not inquiry.heard:
             return Inquiry(heard, inquiry.reply)
     return Inquiry(heard)
 
@@ -183,18 +185,18 @@ def _inquire_once(link: CommandLink) -> Inquiry:
     transport.write(INQUIRY)
     until_s = min(link.deadline_s, link.monotonic() + limit_s)
     heard = b""
-    while (left_s := until_s - link.monotonic()) > 0:
-        if not (data := transport.read(left_s)):
+    while (remaining_s := until_s - link.monotonic()) > 0:
+        if not (data := transport.read(remaining_s)):
             continue
         if not heard:
             until_s = min(until_s, link.monotonic() + rest_s)
         heard = (heard + data)[-LONGEST_REPLY_BYTES:]
-        if (reply := _last_reply(heard)) is not None:
+        if (reply := _find_last_reply(heard)) is not None:
             return Inquiry(heard, reply)
     return Inquiry(heard)
 
 
-def _last_reply(heard: bytes) -> str | None:
+def _find_last_reply(heard: bytes) -> str | None:
     """Return the text of the last reply with a valid CRC, ignoring our own command from a loop-back."""
     echo = f"{INQUIRY_COMMAND}:"
     texts = (trailing_text(line) for line in reversed(heard.split(ndi.CR)[:-1]))

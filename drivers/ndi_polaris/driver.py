@@ -35,14 +35,14 @@ from drivers.ndi_polaris.unit import (
 )
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.capabilities import ByteSink, counted_fact
+from ronna_hw.devices.capabilities import ByteSink, report_count
 from ronna_hw.devices.lifecycle import (
     RUNNING,
     Identity,
     LastKnown,
     Lifecycle,
     LifecycleGuard,
-    activated,
+    hold_active,
     require_person,
 )
 from ronna_hw.devices.readings import TrackerFrame
@@ -164,11 +164,11 @@ class PolarisTracker:
         return self._tracking.statistics if self._tracking else TrackingStatistics()
 
     def observe(self) -> LastKnown[TrackerFrame]:
-        says = counted_fact("disturbed replies", self.statistics.disturbed)
-        return self._guard.last_known(self._last_frame, says)
+        facts = report_count("disturbed replies", self.statistics.disturbed)
+        return self._guard.last_known(self._last_frame, facts)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return activated(self, timeout_s)
+        return hold_active(self, timeout_s)
 
     def record_bytes(self, sink: ByteSink | None) -> None:
         self._sink = sink
@@ -179,7 +179,7 @@ class PolarisTracker:
         Raises NDI-001 to NDI-004 (no port, no reply, wrong device) and the errors of the link.
         """
         self._guard.require("connect", {Lifecycle.DISCONNECTED})
-        self._identity = self._open(self._monotonic() + timeout_s)
+        self._identity = self._open_unit(self._monotonic() + timeout_s)
         self._guard.enter(Lifecycle.CONNECTED, endpoint=str(self._endpoint), identity=self._identity)
         return self._identity
 
@@ -191,7 +191,7 @@ class PolarisTracker:
         bump.
         """
         self._guard.require("configure", {Lifecycle.CONNECTED})
-        self._guarded(self._set_up, timeout_s)
+        self._run_guarded(self._set_up_unit, timeout_s)
         self._guard.enter(
             Lifecycle.CONFIGURED, baud=self.baud, tools=self.tools, volume=self._volume, notices=self.notices
         )
@@ -199,13 +199,13 @@ class PolarisTracker:
     def activate(self, timeout_s: float = 10.0) -> None:
         """Start tracking, with the frame number from 0."""
         self._guard.require("activate", {Lifecycle.CONFIGURED})
-        self._guarded(self._run.start, timeout_s)
+        self._run_guarded(self._tracking_run.start, timeout_s)
         self._guard.enter(Lifecycle.ACTIVE)
 
     def deactivate(self, timeout_s: float = 10.0) -> None:
         """Stop tracking; the tools stay loaded."""
         self._guard.require("deactivate", RUNNING)
-        self._guarded(lambda: stop_tracking(self._link), timeout_s)
+        self._run_guarded(lambda: stop_tracking(self._link), timeout_s)
         self._guard.enter(Lifecycle.CONFIGURED, frames=self.statistics, link=self._link.statistics)
 
     def read_frame(self, timeout_s: float = 1.0) -> TrackerFrame:
@@ -217,7 +217,7 @@ class PolarisTracker:
         """
         self._guard.require("read_frame", RUNNING)
         try:
-            frame = self._guarded(self._run.read, timeout_s)
+            frame = self._run_guarded(self._tracking_run.read, timeout_s)
         except TemperatureHold:
             self._guard.enter(Lifecycle.HOLD)
             raise
@@ -237,7 +237,7 @@ class PolarisTracker:
         deadline_s = self._monotonic() + timeout_s
         before, cause = self._identity, self._guard.fault
         self._drop_link()
-        identity = self._open(deadline_s)
+        identity = self._open_unit(deadline_s)
         if before is not None and identity.serial != before.serial:
             self._drop_link()
             raise WrongUnit("a different unit from before", expected=before.serial, got=identity.serial)
@@ -245,7 +245,7 @@ class PolarisTracker:
             clear_bump(self._link)
             self._bump_reported = False
         try:
-            self._set_up()
+            self._set_up_unit()
         except SensorBumped:  # the operator acknowledged another fault: the next recovery clears this one
             self._bump_reported = True
             raise
@@ -270,11 +270,11 @@ class PolarisTracker:
         return self._open_link
 
     @property
-    def _run(self) -> Tracking:
+    def _tracking_run(self) -> Tracking:
         assert self._tracking is not None, "the lifecycle allows this call only when configured"
         return self._tracking
 
-    def _guarded(self, work: Callable[[], T], timeout_s: float) -> T:
+    def _run_guarded(self, work: Callable[[], T], timeout_s: float) -> T:
         """Run `work` within the time limit; latch the faults that only `recover` may clear."""
         self._link.deadline_s = self._monotonic() + timeout_s
         try:
@@ -283,7 +283,7 @@ class PolarisTracker:
             self._guard.latch(fault)
             raise
 
-    def _open(self, deadline_s: float) -> Identity:
+    def _open_unit(self, deadline_s: float) -> Identity:
         transport = self._open_transport(self._endpoint, max(0.1, deadline_s - self._monotonic()))
         if self._sink is not None:
             transport = RecordedTransport(transport, self._name, self._sink)
@@ -300,7 +300,7 @@ class PolarisTracker:
         self._open_link = link
         return identity
 
-    def _set_up(self) -> None:
+    def _set_up_unit(self) -> None:
         link = self._link
         self._notices[:] = [
             str(pair) for name, tool in self._definitions.items() for pair in find_alike({name: tool})
@@ -317,8 +317,8 @@ class PolarisTracker:
             self._notices.append(
                 "the unit does not report its volume: strays rely on its own out-of-volume bits"
             )
-        wanted = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
-        self._loaded = load_tools(link, wanted, self._notices.append)
+        chosen_tools = ((tool, self._definitions[tool.name]) for tool in self._options.tools)
+        self._loaded = load_tools(link, chosen_tools, self._notices.append)
         self._tracking = Tracking(link, self._loaded, self._volume, rate_hz, self._options, self._clock)
 
     def _release_unit(self, link: CommandLink) -> None:

@@ -20,7 +20,7 @@ from drivers.ndi_polaris.errors import LinkLost, NotAPolaris, PortUnavailable
 from drivers.ndi_polaris.transport import open_transport
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import PortUser, clients_of_tcp_port, permission_advice, users_of_serial_port
+from ronna_hw.host.port_users import PortUser, advise_on_permission, find_serial_port_users, find_tcp_clients
 from ronna_hw.wire.kuka_eki import STATE
 from ronna_hw.wire.polaris import COMM_BAUD_CODES, CR, DEFAULT_BAUD
 
@@ -81,7 +81,7 @@ class LineState:
     refusal: PortUnavailable | None = None  # if the line could not be opened
 
     @property
-    def answered(self) -> Attempt | None:
+    def answered_attempt(self) -> Attempt | None:
         """The attempt that got a reply, if any."""
         return next((attempt for attempt in self.attempts if attempt.outcome is Outcome.ANSWERED), None)
 
@@ -104,12 +104,12 @@ def check_line(endpoint: Endpoint) -> LineState:
     if endpoint.require("serial", "tcp").scheme == "serial":
         if not os.path.exists(endpoint.path):
             return LineState(endpoint, Opening.MISSING)
-        users = users_of_serial_port(endpoint.path)
+        users = find_serial_port_users(endpoint.path)
         if not os.access(endpoint.path, os.R_OK | os.W_OK):
             return LineState(endpoint, Opening.FORBIDDEN, users=users)
         if users:
             return LineState(endpoint, Opening.HELD, users=users)
-    elif users := clients_of_tcp_port(endpoint.host, endpoint.port):  # a second client may disturb theirs
+    elif users := find_tcp_clients(endpoint.host, endpoint.port):  # a second client may disturb theirs
         return LineState(endpoint, Opening.HELD, users=users)
     try:
         transport = open_transport(endpoint, OPEN_LIMIT_S)
@@ -137,8 +137,8 @@ def _try_rate(link: CommandLink, baud: int | None) -> Attempt:
     try:
         if baud is not None:
             link.transport.set_baud(baud)
-        elif (first := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
-            return Attempt(baud, Outcome.GARBAGE, first[-KEPT_BYTES:])
+        elif (greeting := link.transport.read(SPEAKS_FIRST_S)).startswith(b"<"):
+            return Attempt(baud, Outcome.GARBAGE, greeting[-KEPT_BYTES:])
         link.deadline_s = time.monotonic() + INQUIRY_LIMIT_S
         heard, reply = inquire(link)
     except PortUnavailable:
@@ -162,13 +162,13 @@ def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
     Unless the line was declared as a tracker's (`of_tracker`), it may also be a robot controller's.
     """
     well, seen, advice = _diagnose(line, of_tracker=of_tracker)
-    answered = line.answered
+    answered_attempt = line.answered_attempt
     document: dict[str, Any] = {
         "endpoint": str(line.endpoint),
         "well": well,
         "access": line.opening.value,
-        "answered_at_baud": answered.baud if answered else None,
-        "answer": answered.reply if answered else None,
+        "answered_at_baud": answered_attempt.baud if answered_attempt else None,
+        "answer": answered_attempt.reply if answered_attempt else None,
         "last_bytes": line.last_bytes.hex(" "),
         "attempts": [
             {"baud": attempt.baud, "outcome": attempt.outcome.value, "bytes": attempt.heard.hex(" ")}
@@ -184,33 +184,33 @@ def line_diagnostic(line: LineState, *, of_tracker: bool = True) -> Diagnostic:
 def _diagnose(line: LineState, *, of_tracker: bool) -> Finding:
     if line.opening is not Opening.OPENED:
         return _diagnose_refusal(line)
-    if (answered := line.answered) is not None:
-        return _diagnose_reply(answered)
+    if (answered_attempt := line.answered_attempt) is not None:
+        return _diagnose_reply(answered_attempt)
     if any(attempt.outcome is Outcome.LOST for attempt in line.attempts):
         return (
             False,
             "lost during the inquiry",
             "Was the adapter unplugged, or the program at the other end stopped?",
         )
-    noisy = [attempt for attempt in line.attempts if attempt.heard]
-    if not noisy:
+    noisy_attempts = [attempt for attempt in line.attempts if attempt.heard]
+    if not noisy_attempts:
         return _diagnose_silence(line)
-    if any(attempt.outcome is Outcome.ECHO for attempt in noisy):
+    if any(attempt.outcome is Outcome.ECHO for attempt in noisy_attempts):
         return (
             False,
-            f"echoes our commands {_rate_text(noisy[0])}",
+            f"echoes our commands {_rate_text(noisy_attempts[0])}",
             "A loop-back plug, or a terminal with its echo on: there is no unit.",
         )
-    if line.endpoint.scheme == "tcp" and EKI_STATE in noisy[-1].heard:
+    if line.endpoint.scheme == "tcp" and EKI_STATE in noisy_attempts[-1].heard:
         return (
             not of_tracker,
             f"a robot controller that sends its state over EKI{', not a tracker' if of_tracker else ''}",
             "To check it, enter it as eki_project of [robot.master] and run ronna-procedure doctor --config.",
         )
     seen = "; ".join(
-        f"garbage {_rate_text(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy[-2:]
+        f"garbage {_rate_text(attempt)}: bytes {attempt.heard.hex(' ')}" for attempt in noisy_attempts[-2:]
     )
-    if (text := _as_text(noisy[-1].heard)) is not None:
+    if (text := _decode_text(noisy_attempts[-1].heard)) is not None:
         advice = f"It sends text ({text!r}): another device or program is on this line."
     elif line.endpoint.scheme == "tcp":
         advice = "Another device or program is listening there: check address and port."
@@ -228,7 +228,7 @@ def _diagnose_refusal(line: LineState) -> Finding:
         advice = "Is the adapter plugged in? The ports that exist are listed above."
         return False, f"{endpoint.path} does not exist", advice
     if line.opening is Opening.FORBIDDEN:
-        return False, f"permission denied: {endpoint.path}", permission_advice(endpoint.path)
+        return False, f"permission denied: {endpoint.path}", advise_on_permission(endpoint.path)
     if line.users:
         users = " and ".join(str(user) for user in line.users)
         return (
@@ -286,7 +286,7 @@ def _rate_text(attempt: Attempt) -> str:
     return "over TCP" if attempt.baud is None else f"at {attempt.baud}"
 
 
-def _as_text(heard: bytes) -> str | None:
+def _decode_text(heard: bytes) -> str | None:
     """Decode the bytes as text if most of them are printable."""
     printable = sum(32 <= byte < 127 or byte in b"\r\n\t" for byte in heard)
     if len(heard) < LEAST_TEXT or printable < PRINTABLE_SHARE * len(heard):

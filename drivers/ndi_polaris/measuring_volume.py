@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import MalformedReply, UnitError
-from drivers.ndi_polaris.unit import parameter_or, whole_number
+from drivers.ndi_polaris.unit import parse_whole_number, read_parameter_or
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris as ndi
 
@@ -41,7 +41,7 @@ class MeasuringVolume:
         x, y, z = position_mm
         if not self.far_z_mm <= z <= self.near_z_mm:
             return False
-        half_x, half_y = self._halves_mm(z)
+        half_x, half_y = self._half_extents_mm(z)
         return abs(x) <= half_x and abs(y) <= half_y
 
     @property
@@ -49,13 +49,13 @@ class MeasuringVolume:
         """Sections where the faces bend, near to far: z, half x, half y; empty for unknown shapes."""
         if self.shape != PYRAMID_SHAPE:
             return ()
-        places = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
+        depths_mm = [self.near_z_mm, self.knee_z_mm, self.far_z_mm]
         if self.slope_x > 0.0:
-            places.append(self.knee_z_mm - (self.cap_x_mm - self.knee_half_x_mm) / self.slope_x)
-        inside = sorted({z for z in places if self.far_z_mm <= z <= self.near_z_mm}, reverse=True)
-        return tuple((z, *self._halves_mm(z)) for z in inside)
+            depths_mm.append(self.knee_z_mm - (self.cap_x_mm - self.knee_half_x_mm) / self.slope_x)
+        bends_mm = sorted({z for z in depths_mm if self.far_z_mm <= z <= self.near_z_mm}, reverse=True)
+        return tuple((z, *self._half_extents_mm(z)) for z in bends_mm)
 
-    def _halves_mm(self, z_mm: float) -> tuple[float, float]:
+    def _half_extents_mm(self, z_mm: float) -> tuple[float, float]:
         """Return half the extent along x and along y."""
         behind_knee_mm = self.knee_z_mm - z_mm
         slope_y = self.slope_y_behind if behind_knee_mm > 0 else self.slope_y_front
@@ -95,5 +95,5 @@ def choose_volume(link: CommandLink, wanted: int | None) -> MeasuringVolume | No
     if wanted is not None:
         index = wanted - 1
     else:
-        index = whole_number(parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "")) or 0
+        index = parse_whole_number(read_parameter_or(link, ndi.PARAMETER_SELECTED_VOLUME, "")) or 0
     return volumes[index] if 0 <= index < len(volumes) else None

@@ -91,19 +91,19 @@ class PolarisOptions(Strict):
 
     @field_validator("maximum_baud")
     @classmethod
-    def _is_a_rate_of_the_unit(cls, baud: int) -> int:
+    def _require_known_rate(cls, baud: int) -> int:
         if baud not in COMM_BAUD_CODES.values():
             rates = ", ".join(str(rate) for rate in sorted(COMM_BAUD_CODES.values()))
             raise ValueError(f"expected one of {rates}")
         return baud
 
     @model_validator(mode="after")
-    def _checks(self) -> Self:
+    def _require_consistent(self) -> Self:
         names = [tool.name for tool in self.tools]
-        if doubled := sorted({name for name in names if names.count(name) > 1}):
-            raise ValueError(f"duplicate tool name {', '.join(doubled)}")
-        if unknown := sorted(set(self.time_limits_s) - set(COMMAND_TIMEOUT_S)):
-            raise ValueError(f"time_limits_s: unknown command {', '.join(unknown)}")
+        if duplicates := sorted({name for name in names if names.count(name) > 1}):
+            raise ValueError(f"duplicate tool name {', '.join(duplicates)}")
+        if unknown_commands := sorted(set(self.time_limits_s) - set(COMMAND_TIMEOUT_S)):
+            raise ValueError(f"time_limits_s: unknown command {', '.join(unknown_commands)}")
         return self
 
     def definitions(self, folder: Path | None = None) -> dict[str, ToolDefinition]:

@@ -19,10 +19,10 @@ from ronna_hw.devices.probing import (
     Progress,
     Proposal,
     Search,
-    connect_and_leave,
-    documented_options,
+    connect_and_identify,
+    describe_options,
     endpoints_of,
-    leave_alone,
+    inspect_nothing,
 )
 from ronna_hw.endpoints import Endpoint
 from ronna_hw.errors import RonnaError
@@ -39,20 +39,20 @@ LINE_SHARE = 0.5  # of the whole probe; the rest is for connecting
 
 
 class PolarisProbe:
-    """Probe of this driver; `look_at` also serves bare endpoints, `find` a new theatre file."""
+    """Probe of this driver; `probe_endpoints` also serves bare endpoints, `find` a new theatre file."""
 
     endpoint_schemes = frozenset({"serial", "tcp"})
     table = "tracker"
 
     def __call__(
-        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
         lines = [each for each in endpoints_of(config) if each.scheme in self.endpoint_schemes]
         diagnostics = _diagnose_lines(lines, lambda share: progress(LINE_SHARE * share), of_tracker=True)
         advice = next((diagnostic.advice for diagnostic in diagnostics if not diagnostic.well), "")
-        return (*diagnostics, *connect_and_leave(name, config, PolarisTracker, advice, inspect))
+        return (*diagnostics, *connect_and_identify(name, config, PolarisTracker, advice, inspect))
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+    def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         return _diagnose_lines(endpoints, progress, of_tracker=False)
 
     def find(self, search: Search, progress: Progress) -> Sequence[Proposal]:
@@ -63,10 +63,10 @@ class PolarisProbe:
         found = []
         for number, line in enumerate(search.lines, start=1):
             state = check_line(line)
-            if state.answered is not None:
-                found.append(_proposal(line))
+            if state.answered_attempt is not None:
+                found.append(_make_proposal(line))
             elif state.opening is Opening.MISSING:
-                found.append(_missing(line))
+                found.append(_missing_proposal(line))
             progress(number / len(search.lines))
         return found
 
@@ -87,7 +87,7 @@ def _diagnose_lines(
     return diagnostics
 
 
-def _proposal(line: Endpoint) -> Proposal:
+def _make_proposal(line: Endpoint) -> Proposal:
     tracker = PolarisTracker("tracker", DeviceConfig(driver=DRIVER, endpoint=str(line)), HostClock())
     try:
         identity = tracker.connect(CONNECT_LIMIT_S)
@@ -105,7 +105,7 @@ def _proposal(line: Endpoint) -> Proposal:
     return Proposal(DRIVER, what, {ONLY: str(line)}, _options(chosen), TOOLS)
 
 
-def _missing(line: Endpoint) -> Proposal:
+def _missing_proposal(line: Endpoint) -> Proposal:
     from serial.tools import list_ports
 
     ports = ", ".join(sorted(str(port.device) for port in list_ports.comports()))
@@ -114,4 +114,4 @@ def _missing(line: Endpoint) -> Proposal:
 
 
 def _options(chosen: dict[str, Any]) -> tuple[Option, ...]:
-    return documented_options(PolarisOptions, {"tools": [FRAME], **chosen})
+    return describe_options(PolarisOptions, {"tools": [FRAME], **chosen})

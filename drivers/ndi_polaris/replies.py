@@ -74,19 +74,19 @@ def decode_bx(body: bytes, *, strays: bool = True) -> TrackingReply:
 
 
 def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
-    at = 1
+    offset = 1
     handles = []
     for _ in range(body[0]):
-        number, status = body[at], body[at + 1]
-        at += 2
+        number, status = body[offset], body[offset + 1]
+        offset += 2
         if status == HandleStatus.VALID:
-            q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, at)
-            at += _BX_POSE.size
+            q0, qx, qy, qz, tx, ty, tz, fit, port, frame = _BX_POSE.unpack_from(body, offset)
+            offset += _BX_POSE.size
             rotation, position = (q0, qx, qy, qz), (tx, ty, tz)
             handles.append(HandleReport(number, rotation, position, fit, port, frame))
         elif status == HandleStatus.MISSING:
-            port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, at)
-            at += _BX_STATUS_AND_FRAME.size
+            port, frame = _BX_STATUS_AND_FRAME.unpack_from(body, offset)
+            offset += _BX_STATUS_AND_FRAME.size
             handles.append(HandleReport(number, port_status=port, frame=frame))
         elif status == HandleStatus.DISABLED:
             handles.append(HandleReport(number))
@@ -95,27 +95,27 @@ def _decode_bx_body(body: bytes, with_strays: bool) -> TrackingReply:
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if with_strays:
-        positions, outside, at = _bx_strays(body, at)
-    (system,) = _BX_SYSTEM_STATUS.unpack_from(body, at)
-    if at + _BX_SYSTEM_STATUS.size != len(body):
+        positions, outside, offset = _unpack_bx_strays(body, offset)
+    (system,) = _BX_SYSTEM_STATUS.unpack_from(body, offset)
+    if offset + _BX_SYSTEM_STATUS.size != len(body):
         raise MalformedReply("a BX reply is too long", wire=body)
     return TrackingReply(tuple(handles), positions, outside, system)
 
 
-def _bx_strays(body: bytes, at: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
-    count = body[at]
+def _unpack_bx_strays(body: bytes, offset: int) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None, int]:
+    count = body[offset]
     if count > ndi.MAXIMUM_STRAYS:
         raise MalformedReply(f"BX announces {count} strays", limit=str(ndi.MAXIMUM_STRAYS), wire=body)
-    bits = int.from_bytes(body[at + 1 : at + 1 + (count + 7) // 8], "little")
+    bits = int.from_bytes(body[offset + 1 : offset + 1 + (count + 7) // 8], "little")
     outside = tuple(bool(bits >> k & 1) for k in range(count)) if bits else (False,) * count
-    at += 1 + (count + 7) // 8
+    offset += 1 + (count + 7) // 8
     # Units may omit positions outside the volume; the remaining length shows whether they did.
-    sent, odd = divmod(len(body) - _BX_SYSTEM_STATUS.size - at, _BX_POSITION.size)
-    if odd or sent not in (count, count - sum(outside)):
+    sent, remainder = divmod(len(body) - _BX_SYSTEM_STATUS.size - offset, _BX_POSITION.size)
+    if remainder or sent not in (count, count - sum(outside)):
         raise MalformedReply(f"BX announces {count} strays but sends {sent}", wire=body)
-    flat = struct.unpack_from(f"<{3 * sent}f", body, at)
+    flat = struct.unpack_from(f"<{3 * sent}f", body, offset)
     positions = tuple(zip(flat[0::3], flat[1::3], flat[2::3], strict=True))
-    return positions, outside if sent == count else None, at + sent * _BX_POSITION.size
+    return positions, outside if sent == count else None, offset + sent * _BX_POSITION.size
 
 
 def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
@@ -123,23 +123,23 @@ def decode_tx(text: str, *, strays: bool = True) -> TrackingReply:
 
     Raises NDI-006 when the text does not match the options.
     """
-    count = _hex2(text[:2], "number of handles", text)
+    count = _parse_hex2(text[:2], "number of handles", text)
     *records, tail = text[2:].split(ndi.LF)
     if len(records) != count:
-        raise _malformed(f"TX announces {count} handles but sends {len(records)}", text)
-    handles = tuple(_tx_handle(record, text) for record in records)
+        raise _malformed_error(f"TX announces {count} handles but sends {len(records)}", text)
+    handles = tuple(_parse_tx_handle(record, text) for record in records)
     positions: tuple[Vector3, ...] = ()
     outside: tuple[bool, ...] | None = ()
     if strays:
         block, tail = tail[: -ndi.TX_SYSTEM_STATUS_DIGITS], tail[-ndi.TX_SYSTEM_STATUS_DIGITS :]
-        positions, outside = _tx_strays(block, text)
+        positions, outside = _parse_tx_strays(block, text)
     if not _STATUS.fullmatch(tail):
-        raise _malformed("TX has no system status", text)
+        raise _malformed_error("TX has no system status", text)
     return TrackingReply(handles, positions, outside, int(tail, 16))
 
 
-def _tx_handle(record: str, text: str) -> HandleReport:
-    number, content = _hex2(record[:2], "handle", text), record[2:]
+def _parse_tx_handle(record: str, text: str) -> HandleReport:
+    number, content = _parse_hex2(record[:2], "handle", text), record[2:]
     if match := _VALID.fullmatch(content):
         q0, qx, qy, qz, tx, ty, tz, fit = (int(value) for value in match.groups()[:8])
         return HandleReport(
@@ -159,44 +159,45 @@ def _tx_handle(record: str, text: str) -> HandleReport:
         return HandleReport(number, port_status=int(match[1], 16), frame=int(match[2], 16))
     if _ABSENT.fullmatch(content):
         return HandleReport(number)
-    raise _malformed(f"unknown form of the TX record of handle {number:02X}", text)
+    raise _malformed_error(f"unknown form of the TX record of handle {number:02X}", text)
 
 
-def _tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
-    count = _hex2(block[:2], "number of strays", text)
+def _parse_tx_strays(block: str, text: str) -> tuple[tuple[Vector3, ...], tuple[bool, ...] | None]:
+    count = _parse_hex2(block[:2], "number of strays", text)
     if count > ndi.MAXIMUM_STRAYS:
-        raise _malformed(f"TX announces {count} strays", text)
+        raise _malformed_error(f"TX announces {count} strays", text)
     digits = (count + 3) // 4
     bits, rest = block[2 : 2 + digits], block[2 + digits :]
     if len(bits) != digits or not _HEX.fullmatch(bits):
-        raise _malformed("TX has no out-of-volume bits for its strays", text)
+        raise _malformed_error("TX has no out-of-volume bits for its strays", text)
     # One number, padded at the front: the first stray is the highest of the `count` low bits.
     number = int(bits, 16) if bits else 0
     outside = tuple(bool(number >> (count - 1 - k) & 1) for k in range(count))
-    sent, odd = divmod(len(rest), _STRAY_CHARACTERS)
-    if odd or sent not in (count, count - sum(outside)):
-        raise _malformed(f"TX announces {count} strays but sends {len(rest)} characters", text)
+    sent, remainder = divmod(len(rest), _STRAY_CHARACTERS)
+    if remainder or sent not in (count, count - sum(outside)):
+        raise _malformed_error(f"TX announces {count} strays but sends {len(rest)} characters", text)
     positions = tuple(
-        _tx_position(rest[k : k + _STRAY_CHARACTERS], text) for k in range(0, len(rest), _STRAY_CHARACTERS)
+        _parse_tx_position(rest[k : k + _STRAY_CHARACTERS], text)
+        for k in range(0, len(rest), _STRAY_CHARACTERS)
     )
     return positions, outside if sent == count else None
 
 
-def _tx_position(record: str, text: str) -> Vector3:
+def _parse_tx_position(record: str, text: str) -> Vector3:
     match = _STRAY.fullmatch(record)
     if not match:
-        raise _malformed("unknown form of a stray position in TX", text)
+        raise _malformed_error("unknown form of a stray position in TX", text)
     x, y, z = (int(value) / ndi.TX_POSITION_SCALE for value in match.groups())
     return x, y, z
 
 
-def _hex2(digits: str, what: str, text: str) -> int:
+def _parse_hex2(digits: str, what: str, text: str) -> int:
     if not _HEX2.fullmatch(digits):
-        raise _malformed(f"TX has no {what}", text)
+        raise _malformed_error(f"TX has no {what}", text)
     return int(digits, 16)
 
 
-def _malformed(what: str, text: str) -> MalformedReply:
+def _malformed_error(what: str, text: str) -> MalformedReply:
     return MalformedReply(what, wire=text.encode("ascii", "replace"))
 
 
@@ -208,7 +209,7 @@ def frame_number(reply: TrackingReply) -> int:
     return max(numbers)
 
 
-def assemble(
+def assemble_frame(
     reply: TrackingReply,
     tools: tuple[LoadedTool, ...],
     *,
@@ -221,34 +222,34 @@ def assemble(
     frame = frame_number(reply)
     reports = {report.handle: report for report in reply.handles}
     readings = []
-    seen = []
+    tracked_tools = []
     for tool in tools:
         if tool.name is None or tool.definition is None:
             continue
-        reading = _tool_reading(tool.name, reports.get(tool.handle), frame)
+        reading = _make_tool_reading(tool.name, reports.get(tool.handle), frame)
         readings.append(reading)
         if reading.rotation is not None:
-            seen.append((tool, reading))
+            tracked_tools.append((tool, reading))
     if repeated:
         validity = Validity.STALE
     else:
         validity = Validity.PARTIAL if reply.system_status & DOUBTFUL_STATUS else Validity.OK
-    strays = _strays(reply, seen, volume, stray_to_marker_mm) if reply.strays_mm else ()
+    strays = _make_stray_readings(reply, tracked_tools, volume, stray_to_marker_mm) if reply.strays_mm else ()
     return TrackerFrame(stamp, validity, tuple(readings), strays)
 
 
-def _tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolReading:
+def _make_tool_reading(name: str, report: HandleReport | None, frame: int) -> ToolReading:
     if report is None or report.rotation is None or report.position_mm is None:
         outside = report is not None and report.port_status & PortStatus.OUT_OF_VOLUME.value
         return ToolReading(name, Validity.OUT_OF_VOLUME if outside else Validity.MISSING, None, None, None)
-    rotation, error_mm = _normalised(report.rotation), report.fit_error_mm
+    rotation, error_mm = _normalise(report.rotation), report.fit_error_mm
     plausible = error_mm is not None and 0 <= error_mm <= FARTHEST_MM
     if rotation is None or not plausible or not _is_plausible_position(report.position_mm):
         return ToolReading(name, Validity.CORRUPT, None, None, None)
-    return ToolReading(name, _validity(report, frame), rotation, report.position_mm, error_mm)
+    return ToolReading(name, _report_validity(report, frame), rotation, report.position_mm, error_mm)
 
 
-def _validity(report: HandleReport, frame: int) -> Validity:
+def _report_validity(report: HandleReport, frame: int) -> Validity:
     if report.frame != frame:
         return Validity.STALE
     if not report.port_status & REMARKABLE_PORT_STATUS:
@@ -257,9 +258,9 @@ def _validity(report: HandleReport, frame: int) -> Validity:
     return Validity.OUT_OF_VOLUME if outside else Validity.PARTIAL
 
 
-def _strays(
+def _make_stray_readings(
     reply: TrackingReply,
-    seen: list[tuple[LoadedTool, ToolReading]],
+    tracked_tools: list[tuple[LoadedTool, ToolReading]],
     volume: MeasuringVolume | None,
     nearest_mm: float,
 ) -> tuple[StrayReading, ...]:
@@ -267,7 +268,7 @@ def _strays(
     for index, position in enumerate(reply.strays_mm):
         if not _is_plausible_position(position):
             continue  # a stray is only a position
-        if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in seen):
+        if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in tracked_tools):
             continue
         inside = volume.contains(position) if volume is not None else None
         if inside is None:  # unknown volume: rely on the unit's own bit
@@ -283,11 +284,11 @@ def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nea
     assert reading.position_mm is not None
     if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
         return False
-    placed = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
-    return any(math.dist(position, marker) < nearest_mm for marker in placed)
+    placed_mm = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
+    return any(math.dist(position, marker) < nearest_mm for marker in placed_mm)
 
 
-def _normalised(rotation: Quaternion) -> Quaternion | None:
+def _normalise(rotation: Quaternion) -> Quaternion | None:
     """Normalise a quaternion to scalar part >= 0; None if it is not a rotation."""
     q0, qx, qy, qz = rotation
     norm = math.sqrt(q0 * q0 + qx * qx + qy * qy + qz * qz)
@@ -308,14 +309,14 @@ def _to_tracker_mm(
     """Transform markers to tracker coordinates: v + 2 w (u x v) + 2 u x (u x v) + t for q = (w, u)."""
     w, ux, uy, uz = rotation
     tx, ty, tz = position_mm
-    placed = []
+    placed_mm = []
     for x, y, z in markers_mm:
         cx, cy, cz = uy * z - uz * y, uz * x - ux * z, ux * y - uy * x
-        placed.append(
+        placed_mm.append(
             (
                 x + 2 * (w * cx + uy * cz - uz * cy) + tx,
                 y + 2 * (w * cy + uz * cx - ux * cz) + ty,
                 z + 2 * (w * cz + ux * cy - uy * cx) + tz,
             )
         )
-    return placed
+    return placed_mm

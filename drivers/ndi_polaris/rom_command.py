@@ -14,7 +14,7 @@ from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder_of
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from drivers.ndi_polaris.tool_definition import ToolDefinition
@@ -53,12 +53,12 @@ def make(
     from drivers.ndi_polaris.tool_comparison import find_alike
     from drivers.ndi_polaris.tool_definition import decode_definition, definition_hash, encode_definition
     from drivers.ndi_polaris.tool_description import read_description
-    from ronna_hw.records import write_whole
+    from ronna_hw.records import write_atomically
 
     require_folder_of(out)
     block = encode_definition(read_description(description).definition())
     tool = decode_definition(block)
-    write_whole(out, block)
+    write_atomically(out, block)
     warnings = [str(pair) for pair in find_alike({tool.part_number: tool})]
     if tool.unique_geometry and warnings:
         warnings.append("the definition claims unique geometry; set unique_geometry = false")
@@ -69,7 +69,7 @@ def make(
                 "bytes": len(block),
                 "sha256": definition_hash(tool),
                 "warnings": warnings,
-                "tool": _json_of(tool),
+                "tool": _tool_document(tool),
             }
         )
     else:
@@ -92,23 +92,23 @@ def show(
 
     from drivers.ndi_polaris.tool_comparison import segment_lengths_mm
     from drivers.ndi_polaris.tool_definition import definition_hash
-    from drivers.ndi_polaris.tool_description import describe
+    from drivers.ndi_polaris.tool_description import describe_tool
 
     if as_toml and as_json:
         raise UsageMistake("--toml and --json are mutually exclusive", action="Give one of them.")
-    tool = _read(rom)
+    tool = _read_tool(rom)
     if as_toml:
         import tomli_w
 
-        sys.stdout.write(tomli_w.dumps(describe(tool)))
+        sys.stdout.write(tomli_w.dumps(describe_tool(tool)))
         return EXIT_DONE
     segments = segment_lengths_mm(tool.markers_mm)
     if as_json:
         lengths = [round(length, 3) for length in segments]
-        terminal.print_json({**_json_of(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
+        terminal.print_json({**_tool_document(tool), "segments_mm": lengths, "sha256": definition_hash(tool)})
         return EXIT_DONE
     per_marker = ("markers_mm", "normals", "faces")
-    content = {name: value for name, value in describe(tool).items() if name not in per_marker}
+    content = {name: value for name, value in describe_tool(tool).items() if name not in per_marker}
     content["segments_mm"] = ", ".join(f"{length:.2f}" for length in segments)
     content["sha256"] = definition_hash(tool)
     terminal.print_table(rom.name, ("property", "value"), list(content.items()))
@@ -145,7 +145,7 @@ def compare(
 
     from drivers.ndi_polaris.tool_comparison import compare_definitions, largest_segment_difference_mm
 
-    tools = _read(first), _read(second)
+    tools = _read_tool(first), _read_tool(second)
     differences = compare_definitions(*tools)
     shape_mm = largest_segment_difference_mm(*tools)
     if as_json:
@@ -165,7 +165,7 @@ def compare(
                 for d in differences
             ],
         )
-    summary = "no difference" if not differences else counted(len(differences), "difference")
+    summary = "no difference" if not differences else format_count(len(differences), "difference")
     shape = "" if shape_mm is None else f"; marker distances differ by at most {shape_mm:.3f} mm"
     terminal.tell(summary + shape)
     return EXIT_FAILED if differences else EXIT_DONE
@@ -185,15 +185,15 @@ def check(
     from dataclasses import asdict
     from itertools import combinations
 
-    from drivers.ndi_polaris.tool_comparison import SEGMENT_TOLERANCE_MM, find_alike, shared_triangle
+    from drivers.ndi_polaris.tool_comparison import SEGMENT_TOLERANCE_MM, find_alike, shares_triangle
 
     tolerance = SEGMENT_TOLERANCE_MM if tolerance_mm is None else tolerance_mm
-    tools = {_short_name(path, roms): _read(path) for path in roms}
+    tools = {_short_name(path, roms): _read_tool(path) for path in roms}
     if len(tools) < len(roms):
         raise UsageMistake("a definition was given twice", action="Give each definition once.")
     alike = find_alike(tools, tolerance)
     triangles = [
-        (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shared_triangle(first, second)
+        (a, b) for (a, first), (b, second) in combinations(tools.items(), 2) if shares_triangle(first, second)
     ]
     if as_json:
         terminal.print_json(
@@ -209,11 +209,13 @@ def check(
         for pair in alike:
             terminal.tell(str(pair))
         if not alike:
-            terminal.tell(f"{counted(len(tools), 'tool')}: all distances differ by at least {tolerance:g} mm")
+            terminal.tell(
+                f"{format_count(len(tools), 'tool')}: all distances differ by at least {tolerance:g} mm"
+            )
     return EXIT_FAILED if alike or triangles else EXIT_DONE
 
 
-def _read(path: Path) -> ToolDefinition:
+def _read_tool(path: Path) -> ToolDefinition:
     from drivers.ndi_polaris.shipped_tools import find_definition
     from drivers.ndi_polaris.tool_definition import read_definition
 
@@ -225,10 +227,10 @@ def _short_name(path: Path, others: list[Path]) -> str:
     return path.stem if sum(other.stem == path.stem for other in others) == 1 else str(path)
 
 
-def _json_of(tool: ToolDefinition) -> dict[str, Any]:
-    from drivers.ndi_polaris.tool_description import describe
+def _tool_document(tool: ToolDefinition) -> dict[str, Any]:
+    from drivers.ndi_polaris.tool_description import describe_tool
 
-    return {**describe(tool), "made_on": tool.made_on.isoformat()}
+    return {**describe_tool(tool), "made_on": tool.made_on.isoformat()}
 
 
 def main() -> None:

@@ -8,7 +8,7 @@ from __future__ import annotations
 from datetime import date
 from pathlib import Path
 
-from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition, planar_tool
+from drivers.ndi_polaris.tool_definition import ToolDefinition, encode_definition, make_planar_tool
 from ronna_hw import x_frame
 
 FOLDER = Path(__file__).parent / "definitions"
@@ -17,12 +17,12 @@ MANUFACTURER = "RONNA"
 ROBOT_FRAME_MARKERS_MM = ((0.0, 0.0, 0.0), (45.0, 60.0, 0.0), (-30.0, 85.0, 0.0), (-62.0, 30.0, 12.0))
 
 
-def shipped_definitions() -> dict[str, ToolDefinition]:
+def build_shipped_definitions() -> dict[str, ToolDefinition]:
     """Return the shipped definitions by file name; markers in mm, in the tool's own frame."""
-    robot_frame = planar_tool(
+    robot_frame = make_planar_tool(
         "RONNA-M", ROBOT_FRAME_MARKERS_MM, manufacturer=MANUFACTURER, made_on=date(2025, 1, 6)
     )
-    fiducials = planar_tool(
+    fiducials = make_planar_tool(
         x_frame.PART_NUMBER,
         x_frame.SPHERE_CENTRES_MM,
         x_frame.OUTWARD,
@@ -39,14 +39,14 @@ def find_definition(path: Path, folder: Path | None = None) -> Path:
     """
     found = path if folder is None else folder / path
     shipped = FOLDER / f"{path.stem}.rom"
-    bare = path.name == str(path) and path.suffix in ("", ".rom")
-    return shipped if bare and not found.exists() and shipped.exists() else found
+    is_bare = path.name == str(path) and path.suffix in ("", ".rom")
+    return shipped if is_bare and not found.exists() and shipped.exists() else found
 
 
 def main() -> None:
     """Write all shipped definitions."""
     FOLDER.mkdir(exist_ok=True)
-    for name, tool in shipped_definitions().items():
+    for name, tool in build_shipped_definitions().items():
         (FOLDER / name).write_bytes(encode_definition(tool))
 
 

@@ -44,13 +44,16 @@ def compare_definitions(first: ToolDefinition, second: ToolDefinition) -> tuple[
         if mine == theirs:
             continue
         if property_.name in PER_MARKER:
-            found += _marker_differences(property_.name, mine, theirs)
+            found += _find_marker_differences(property_.name, mine, theirs)
         else:
             found.append(Difference(property_.name, _format_value(mine), _format_value(theirs)))
-    return (*found, *_unexplained_differences(encode_definition(first), encode_definition(second), found))
+    return (
+        *found,
+        *_find_unexplained_differences(encode_definition(first), encode_definition(second), found),
+    )
 
 
-def _marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> list[Difference]:
+def _find_marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...]) -> list[Difference]:
     found = []
     if len(mine) != len(theirs):
         found.append(Difference(f"number of {name}", str(len(mine)), str(len(theirs))))
@@ -64,7 +67,7 @@ def _marker_differences(name: str, mine: tuple[Any, ...], theirs: tuple[Any, ...
     return found
 
 
-def _unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
+def _find_unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]) -> list[Difference]:
     """Find runs of differing bytes outside all fields, or inside a field whose value is the same."""
     named_fields = {difference.field.removeprefix("number of ").partition("[")[0] for difference in named}
     explained = set(range(layout.CHECKSUM_OFFSET, layout.CHECKSUM_OFFSET + CHECKSUM_BYTES))
@@ -74,13 +77,17 @@ def _unexplained_differences(mine: bytes, theirs: bytes, named: list[Difference]
                 explained.update(range(offset, offset + size))
     found = []
     start = None
-    for at in range(layout.ROM_BYTES + 1):
-        differs = at < layout.ROM_BYTES and mine[at] != theirs[at] and at not in explained
-        if differs and start is None:
-            start = at
-        elif not differs and start is not None:
-            where = f"byte {start}" if at == start + 1 else f"bytes {start} to {at - 1}"
-            found.append(Difference(where, mine[start:at].hex(" "), theirs[start:at].hex(" ")))
+    for position in range(layout.ROM_BYTES + 1):
+        is_different = (
+            position < layout.ROM_BYTES and mine[position] != theirs[position] and position not in explained
+        )
+        if is_different and start is None:
+            start = position
+        elif not is_different and start is not None:
+            span_text = f"byte {start}" if position == start + 1 else f"bytes {start} to {position - 1}"
+            found.append(
+                Difference(span_text, mine[start:position].hex(" "), theirs[start:position].hex(" "))
+            )
             start = None
     return found
 
@@ -143,14 +150,14 @@ def find_alike(
 def check_distinct(tools: Mapping[str, ToolDefinition]) -> None:
     """Raise NDI-012 when two of the named tools share a triangle of markers."""
     for (name, tool), (other_name, other) in itertools.combinations(tools.items(), 2):
-        if shared_triangle(tool, other):
+        if shares_triangle(tool, other):
             raise SameGeometry(
                 f"tools {name} and {other_name} share a triangle of markers",
                 limit=f"{TRIANGLE_TOLERANCE_MM} mm between distances",
             )
 
 
-def shared_triangle(
+def shares_triangle(
     first: ToolDefinition, second: ToolDefinition, tolerance_mm: float = TRIANGLE_TOLERANCE_MM
 ) -> bool:
     """Test whether three markers of one tool are congruent with three of the other."""

@@ -65,7 +65,7 @@ class ToolDefinition:
     origin: bytes = field(default_factory=blank_block, compare=False, repr=False)
 
 
-def planar_tool(
+def make_planar_tool(
     part_number: str,
     markers_mm: tuple[Vector3, ...],
     normal: Vector3 = (0.0, 0.0, 1.0),
@@ -118,7 +118,7 @@ def decode_definition(block: bytes, name: str = "definition") -> ToolDefinition:
     origin = bytes(block[: layout.ROM_BYTES])
     values = {property_.name: property_.read(origin) for property_ in FIELDS}
     tool = ToolDefinition(**values, origin=origin)
-    _check(tool, name)
+    _check_definition(tool, name)
     return tool
 
 
@@ -127,7 +127,7 @@ def encode_definition(tool: ToolDefinition) -> bytes:
 
     An unchanged definition yields exactly the bytes that were read.
     """
-    _check(tool)
+    _check_definition(tool)
     block = bytearray(tool.origin)
     for property_ in FIELDS:
         value = getattr(tool, property_.name)
@@ -142,28 +142,28 @@ def definition_hash(tool: ToolDefinition) -> str:
     return hashlib.sha256(encode_definition(tool)).hexdigest()
 
 
-def _check(tool: ToolDefinition, name: str = "") -> None:
-    where = name or tool.part_number
+def _check_definition(tool: ToolDefinition, name: str = "") -> None:
+    subject = name or tool.part_number
     count = len(tool.markers_mm)
     if not layout.ROM_MINIMUM_MARKERS <= count <= layout.ROM_MARKERS:
         raise BadToolFile(
-            f"{where} has {count} markers", limit=f"{layout.ROM_MINIMUM_MARKERS} to {layout.ROM_MARKERS}"
+            f"{subject} has {count} markers", limit=f"{layout.ROM_MINIMUM_MARKERS} to {layout.ROM_MARKERS}"
         )
     if len(tool.normals) != count or len(tool.faces) != count:
-        raise BadToolFile(f"{where} needs one normal and one face per marker")
+        raise BadToolFile(f"{subject} needs one normal and one face per marker")
     if not 1 <= len(tool.face_normals) <= layout.ROM_FACES or not all(
         1 <= face <= len(tool.face_normals) for face in tool.faces
     ):
-        raise BadToolFile(f"{where} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
+        raise BadToolFile(f"{subject} has a face number out of range", limit=f"1 to {layout.ROM_FACES}")
     if not layout.ROM_MINIMUM_MARKERS <= tool.minimum_markers <= count:
         raise BadToolFile(
-            f"{where} has a minimum of {tool.minimum_markers} of {count} markers", limit=f"3 to {count}"
+            f"{subject} has a minimum of {tool.minimum_markers} of {count} markers", limit=f"3 to {count}"
         )
     numbers = [value for vector in (*tool.markers_mm, *tool.normals, *tool.face_normals) for value in vector]
     if not all(math.isfinite(value) for value in (*numbers, tool.maximum_error_mm, *tool.minimum_spread_mm)):
-        raise BadToolFile(f"{where} contains numbers that are not finite")
+        raise BadToolFile(f"{subject} contains numbers that are not finite")
     if tool.maximum_error_mm <= 0 or not 0 <= tool.maximum_angle_deg <= LARGEST_ANGLE_DEG:
-        raise BadToolFile(f"{where} has an impossible maximum error or angle")
+        raise BadToolFile(f"{subject} has an impossible maximum error or angle")
 
 
 def checksum(block: bytes | bytearray) -> int:
@@ -181,7 +181,7 @@ class Field:
     write: Callable[[bytearray, Any], None]
 
 
-def _number(name: str, form: str, offset: int) -> Field:
+def _number_field(name: str, form: str, offset: int) -> Field:
     code = struct.Struct(form)
 
     def write(block: bytearray, value: Any) -> None:
@@ -193,7 +193,7 @@ def _number(name: str, form: str, offset: int) -> Field:
     return Field(name, ((offset, code.size),), lambda block: code.unpack_from(block, offset)[0], write)
 
 
-def _text(name: str, offset: int, size: int) -> Field:
+def _text_field(name: str, offset: int, size: int) -> Field:
     def read(block: bytes) -> str:
         return block[offset : offset + size].split(b"\0", 1)[0].decode("ascii", "replace").strip()
 
@@ -219,26 +219,28 @@ def _write_vectors(block: bytearray, offset: int, vectors: tuple[Vector3, ...]) 
         _F3.pack_into(block, offset + index * _F3.size, *vector)
 
 
-def _count(block: bytes | bytearray) -> int:
+def _read_count(block: bytes | bytearray) -> int:
     return block[layout.MARKER_COUNT_OFFSET]
 
 
 def _write_markers(block: bytearray, markers_mm: tuple[Vector3, ...]) -> None:
     count = len(markers_mm)
-    if count != _count(block):  # slots come into use or become free: clear the remains of a previous marker
+    if count != _read_count(
+        block
+    ):  # slots come into use or become free: clear the remains of a previous marker
         block[layout.MARKER_COUNT_OFFSET] = count
         for offset in (layout.MARKER_POSITIONS_OFFSET, layout.MARKER_NORMALS_OFFSET):
             block[offset : offset + _MARKER_VECTORS_BYTES] = bytes(_MARKER_VECTORS_BYTES)
         for slot in range(layout.ROM_MARKERS):
-            used = slot < count
-            block[layout.FIRING_SEQUENCE_OFFSET + slot] = slot if used else 0
+            is_used = slot < count
+            block[layout.FIRING_SEQUENCE_OFFSET + slot] = slot if is_used else 0
             block[layout.MARKER_FACES_OFFSET + slot] = 0
-            block[layout.MARKER_GROUPS_OFFSET + slot] = 1 if used else 0
+            block[layout.MARKER_GROUPS_OFFSET + slot] = 1 if is_used else 0
     _write_vectors(block, layout.MARKER_POSITIONS_OFFSET, markers_mm)
 
 
 def _read_faces(block: bytes) -> tuple[int, ...]:
-    return tuple(block[layout.MARKER_FACES_OFFSET : layout.MARKER_FACES_OFFSET + _count(block)])
+    return tuple(block[layout.MARKER_FACES_OFFSET : layout.MARKER_FACES_OFFSET + _read_count(block)])
 
 
 def _write_faces(block: bytearray, faces: tuple[int, ...]) -> None:
@@ -285,13 +287,13 @@ FIELDS: tuple[Field, ...] = (
     Field(
         "markers_mm",
         ((layout.MARKER_COUNT_OFFSET, 1), (layout.MARKER_POSITIONS_OFFSET, _MARKER_VECTORS_BYTES)),
-        lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _count(block)),
+        lambda block: _read_vectors(block, layout.MARKER_POSITIONS_OFFSET, _read_count(block)),
         _write_markers,
     ),
     Field(
         "normals",
         ((layout.MARKER_NORMALS_OFFSET, _MARKER_VECTORS_BYTES),),
-        lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _count(block)),
+        lambda block: _read_vectors(block, layout.MARKER_NORMALS_OFFSET, _read_count(block)),
         lambda block, value: _write_vectors(block, layout.MARKER_NORMALS_OFFSET, value),
     ),
     Field("faces", ((layout.MARKER_FACES_OFFSET, layout.ROM_MARKERS),), _read_faces, _write_faces),
@@ -301,11 +303,11 @@ FIELDS: tuple[Field, ...] = (
         _read_face_normals,
         lambda block, value: _write_vectors(block, layout.FACE_NORMALS_OFFSET, value),
     ),
-    _text("part_number", layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_BYTES),
-    _text("manufacturer", layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES),
-    _number("main_type", "<B", layout.MAIN_TYPE_OFFSET),
-    _number("subtype", "<B", layout.SUBTYPE_OFFSET),
-    _number("revision", "<H", layout.REVISION_OFFSET),
+    _text_field("part_number", layout.PART_NUMBER_OFFSET, layout.PART_NUMBER_BYTES),
+    _text_field("manufacturer", layout.MANUFACTURER_OFFSET, layout.MANUFACTURER_BYTES),
+    _number_field("main_type", "<B", layout.MAIN_TYPE_OFFSET),
+    _number_field("subtype", "<B", layout.SUBTYPE_OFFSET),
+    _number_field("revision", "<H", layout.REVISION_OFFSET),
     Field(
         "sequence",
         _SERIAL,
@@ -313,9 +315,9 @@ FIELDS: tuple[Field, ...] = (
         lambda block, value: _write_bits(block, layout.SERIAL_SEQUENCE_BITS, value),
     ),
     Field("made_on", _SERIAL, _read_date, _write_date),
-    _number("maximum_angle_deg", "<B", layout.MAXIMUM_ANGLE_OFFSET),
-    _number("minimum_markers", "<B", layout.MINIMUM_MARKER_COUNT_OFFSET),
-    _number("maximum_error_mm", "<f", layout.MAXIMUM_ERROR_OFFSET),
+    _number_field("maximum_angle_deg", "<B", layout.MAXIMUM_ANGLE_OFFSET),
+    _number_field("minimum_markers", "<B", layout.MINIMUM_MARKER_COUNT_OFFSET),
+    _number_field("maximum_error_mm", "<f", layout.MAXIMUM_ERROR_OFFSET),
     Field(
         "minimum_spread_mm",
         ((layout.MINIMUM_SPREAD_OFFSET, _F3.size),),
@@ -328,5 +330,5 @@ FIELDS: tuple[Field, ...] = (
         lambda block: bool(block[layout.FLAGS_OFFSET] & layout.FLAG_UNIQUE_GEOMETRY),
         _write_flag,
     ),
-    _number("marker_type", "<B", layout.MARKER_TYPE_OFFSET),
+    _number_field("marker_type", "<B", layout.MARKER_TYPE_OFFSET),
 )

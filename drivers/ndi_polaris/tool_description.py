@@ -22,7 +22,7 @@ from drivers.ndi_polaris.tool_definition import ToolDefinition, face_normal_of
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 from ronna_hw.vectors import Vector3
 from ronna_hw.wire import polaris_rom as layout
 
@@ -75,7 +75,7 @@ class ToolDescription(Strict):
     marker_type: str = "sphere"
 
     @model_validator(mode="after")
-    def _fits_together(self) -> Self:
+    def _require_consistent(self) -> Self:
         count = len(self.markers_mm)
         for name in ("normals", "faces"):
             if len(getattr(self, name)) not in (1, count):
@@ -97,7 +97,7 @@ class ToolDescription(Strict):
     def definition(self) -> ToolDefinition:
         """Convert to a definition; raises NDI-011 for content that a definition cannot express."""
         count = len(self.markers_mm)
-        normals = tuple(_unit(normal) for normal in self.normals)
+        normals = tuple(_normalise(normal) for normal in self.normals)
         normals = normals * count if len(normals) == 1 else normals
         faces = self.faces * count if len(self.faces) == 1 else self.faces
         main_type = MAIN_TYPES[self.main_type]
@@ -105,8 +105,8 @@ class ToolDescription(Strict):
         interpreted = {
             "normals": normals,
             "faces": faces,
-            "face_normals": tuple(_unit(normal) for normal in self.face_normals)
-            or tuple(_opposite(normals, faces, face) for face in range(1, max(faces) + 1)),
+            "face_normals": tuple(_normalise(normal) for normal in self.face_normals)
+            or tuple(_face_normal(normals, faces, face) for face in range(1, max(faces) + 1)),
             "main_type": main_type,
             "subtype": subtype,
             "marker_type": MARKER_TYPES[self.marker_type],
@@ -127,54 +127,54 @@ def read_description(path: Path) -> ToolDescription:
     except ValidationError as error:
         mistakes = describe_mistakes(error, ToolDescription)
         raise BadToolFile(
-            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes),
+            f"{path.name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes),
             action="Correct the description.",
         ) from error
 
 
-def describe(tool: ToolDefinition) -> dict[str, Any]:
+def describe_tool(tool: ToolDefinition) -> dict[str, Any]:
     """Describe a definition in the form from which `make` writes the same tool."""
     return {
         "part_number": tool.part_number,
         "manufacturer": tool.manufacturer,
-        "main_type": _name_of(tool.main_type, MAIN_TYPES),
+        "main_type": _type_name(tool.main_type, MAIN_TYPES),
         "subtype": tool.subtype,
         "revision": tool.revision,
         "made_on": tool.made_on,
         "sequence": tool.sequence,
-        "markers_mm": [_rounded(marker) for marker in tool.markers_mm],
-        "normals": [_rounded(normal) for normal in tool.normals],
+        "markers_mm": [_round_vector(marker) for marker in tool.markers_mm],
+        "normals": [_round_vector(normal) for normal in tool.normals],
         "faces": list(tool.faces),
-        "face_normals": [_rounded(normal) for normal in tool.face_normals],
+        "face_normals": [_round_vector(normal) for normal in tool.face_normals],
         "maximum_angle_deg": tool.maximum_angle_deg,
         "minimum_markers": tool.minimum_markers,
-        "maximum_error_mm": _single(tool.maximum_error_mm),
-        "minimum_spread_mm": _rounded(tool.minimum_spread_mm),
+        "maximum_error_mm": _round_single(tool.maximum_error_mm),
+        "minimum_spread_mm": _round_vector(tool.minimum_spread_mm),
         "unique_geometry": tool.unique_geometry,
-        "marker_type": _name_of(tool.marker_type, MARKER_TYPES),
+        "marker_type": _type_name(tool.marker_type, MARKER_TYPES),
     }
 
 
-def _name_of(code: int, names: dict[str, int]) -> str:
+def _type_name(code: int, names: dict[str, int]) -> str:
     return next((name for name, known in names.items() if known == code), f"code {code}")
 
 
-def _rounded(vector: Vector3) -> list[float]:
-    return [_single(value) for value in vector]
+def _round_vector(vector: Vector3) -> list[float]:
+    return [_round_single(value) for value in vector]
 
 
-def _single(value: float) -> float:
+def _round_single(value: float) -> float:
     """Round to the shortest number that is the same in single precision, as in files."""
     return float(f"{value:.7g}")
 
 
-def _unit(vector: Vector3) -> Vector3:
+def _normalise(vector: Vector3) -> Vector3:
     length = math.hypot(*vector)
     x, y, z = (value / length for value in vector)
     return x, y, z
 
 
-def _opposite(normals: tuple[Vector3, ...], faces: tuple[int, ...], face: int) -> Vector3:
+def _face_normal(normals: tuple[Vector3, ...], faces: tuple[int, ...], face: int) -> Vector3:
     members = [normal for normal, own in zip(normals, faces, strict=True) if own == face]
     x, y, z = (sum(values) for values in zip(*members, strict=True))
     if math.hypot(x, y, z) == 0:
@@ -182,4 +182,4 @@ def _opposite(normals: tuple[Vector3, ...], faces: tuple[int, ...], face: int) -
             f"the normals of face {face} cancel each other",
             action="Give these markers faces of their own, or give face_normals.",
         )
-    return face_normal_of(_unit((x, y, z)))
+    return face_normal_of(_normalise((x, y, z)))

@@ -58,12 +58,12 @@ def load_tools(
     """
     wanted = tuple(tools)
     try:
-        return _load(link, wanted, note)
+        return _load_all(link, wanted, note)
     except (BadReplyCrc, MalformedReply, NoReply):
-        return _load(link, wanted, note)
+        return _load_all(link, wanted, note)
 
 
-def _load(
+def _load_all(
     link: CommandLink,
     tools: tuple[tuple[ToolOption, ToolDefinition], ...],
     note: Callable[[str], None],

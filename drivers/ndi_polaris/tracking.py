@@ -12,9 +12,9 @@ from drivers.ndi_polaris.command_link import CommandLink
 from drivers.ndi_polaris.errors import HandleRefused, UnitError, UnitRestarted, WrongMode
 from drivers.ndi_polaris.measuring_volume import MeasuringVolume
 from drivers.ndi_polaris.options import PolarisOptions
-from drivers.ndi_polaris.replies import TrackingReply, assemble, decode_bx, decode_tx, frame_number
+from drivers.ndi_polaris.replies import TrackingReply, assemble_frame, decode_bx, decode_tx, frame_number
 from drivers.ndi_polaris.tool_loading import LoadedTool
-from drivers.ndi_polaris.unit import ALARMING_STATUS, alarm
+from drivers.ndi_polaris.unit import ALARMING_STATUS, find_alarm
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import Stamp, TrackerFrame
 from ronna_hw.wire import polaris as ndi
@@ -70,9 +70,9 @@ class Tracking:
             + ndi.MAXIMUM_STRAYS * BYTES_PER_STRAY
         )
         self.replies_s: tuple[float, ...] = ()
-        self._begin()
+        self._reset()
 
-    def _begin(self) -> None:
+    def _reset(self) -> None:
         self._sequence = 0
         self._last_count: int | None = None
         self.statistics = TrackingStatistics()
@@ -85,18 +85,21 @@ class Tracking:
         except WrongMode:  # already tracking: the reply to an earlier TSTART was lost
             stop_tracking(self._link)
             self._link.ask("TSTART", ndi.TSTART_RESET_FRAME_COUNTER, retry=False)
-        self._begin()
+        self._reset()
 
     def read(self) -> TrackerFrame:
         """Read the next frame; raises like `PolarisTracker.read_frame`."""
-        asked_s = self._clock.now_s()
+        requested_s = self._clock.now_s()
         retries = self._link.statistics.retries
-        reply, count = self._newest()
+        reply, count = self._request_newest()
         self.statistics.disturbed += self._link.statistics.retries - retries
         arrived_s = self._clock.now_s()
-        self.replies_s = (*self.replies_s[1 - REPLIES_KEPT :], min(self._link.waited_s, arrived_s - asked_s))
+        self.replies_s = (
+            *self.replies_s[1 - REPLIES_KEPT :],
+            min(self._link.waited_s, arrived_s - requested_s),
+        )
         if reply.system_status & ALARMING_STATUS:
-            problem = alarm(reply.system_status, self._link)
+            problem = find_alarm(reply.system_status, self._link)
             if problem is not None:
                 raise problem
         repeated = count == self._last_count
@@ -108,23 +111,23 @@ class Tracking:
         self._last_count = count
         self.statistics.frames += 1
         self._sequence += 1
-        return assemble(
+        return assemble_frame(
             reply,
             self._tools,
-            stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.note(count, arrived_s)),
+            stamp=Stamp(self._sequence, count, arrived_s, self.frame_clock.add_reply(count, arrived_s)),
             repeated=repeated,
             volume=self._volume,
             stray_to_marker_mm=self._options.stray_to_marker_mm,
         )
 
-    def _newest(self) -> tuple[TrackingReply, int]:
+    def _request_newest(self) -> tuple[TrackingReply, int]:
         """Request a reply and its frame count, again if it is older than the previous one."""
         for _ in range(2):
             reply = self._request()
             count = unwrap_frame_number(frame_number(reply), self._last_count)
             if self._last_count is None or count >= self._last_count:
                 return reply, count
-            self._link.distrust()  # a late copy of another reply
+            self._link.mark_unsettled()  # a late copy of another reply
         raise UnitRestarted("the frame number went backwards: another client has restarted tracking")
 
     def _request(self) -> TrackingReply:
@@ -161,20 +164,20 @@ class FrameClock:
     """
 
     def __init__(self) -> None:
-        self._begin()
+        self._reset()
 
-    def _begin(self) -> None:
-        self._kept: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
+    def _reset(self) -> None:
+        self._window_edges: deque[tuple[int, float]] = deque(maxlen=WINDOWS_KEPT)
         self._window = 0
         self._earliest: tuple[int, float] | None = None  # of the current window
         self._earliest_origin_s = math.inf
         self._origin_s: float | None = None
         self.period_s = NOMINAL_PERIOD_S  # of a frame, in theatre time
 
-    def note(self, count: int, arrived_s: float) -> float:
+    def add_reply(self, count: int, arrived_s: float) -> float:
         """Add a reply for frame `count`; return the fitted theatre time of that frame."""
         if self._origin_s is not None and arrived_s < self._origin_s + count * self.period_s - JUMP_S:
-            self._begin()
+            self._reset()
         window = count // WINDOW_FRAMES
         if window != self._window:
             self._window = window
@@ -189,13 +192,13 @@ class FrameClock:
     def _end_window(self) -> None:
         if self._earliest is None:
             return
-        self._kept.append(self._earliest)
+        self._window_edges.append(self._earliest)
         self._earliest, self._earliest_origin_s = None, math.inf
-        if len(self._kept) >= LEAST_WINDOWS:
-            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._kept, 2))
+        if len(self._window_edges) >= LEAST_WINDOWS:
+            slope_s = median((b[1] - a[1]) / (b[0] - a[0]) for a, b in combinations(self._window_edges, 2))
             drift = slope_s / NOMINAL_PERIOD_S - 1.0
             self.period_s = slope_s if abs(drift) <= LARGEST_DRIFT else NOMINAL_PERIOD_S
-        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._kept)
+        self._origin_s = min(arrived - count * self.period_s for count, arrived in self._window_edges)
 
 
 def unwrap_frame_number(number: int, last: int | None) -> int:

@@ -16,7 +16,7 @@ import serial
 from drivers.ndi_polaris.errors import LinkLost, PortUnavailable
 from ronna_hw.devices.capabilities import ByteSink, Direction
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import users_of_serial_port
+from ronna_hw.host.port_users import find_serial_port_users
 from ronna_hw.wire.polaris import DEFAULT_BAUD
 
 WRITE_LIMIT_S = 1.0  # a line that does not accept data for this long is dead
@@ -93,7 +93,7 @@ class _Descriptor:
         except BlockingIOError:
             sent = 0
         except OSError as error:
-            raise self._lost(error) from error
+            raise self._lost_error(error) from error
         if sent < len(data):
             self._write_slowly(data[sent:])
 
@@ -105,7 +105,7 @@ class _Descriptor:
         except BlockingIOError:
             return b""
         except OSError as error:
-            raise self._lost(error) from error
+            raise self._lost_error(error) from error
         if not data:
             raise LinkLost(f"{self._endpoint} was closed at the other end")
         return data
@@ -116,22 +116,22 @@ class _Descriptor:
         writable.register(self._descriptor, select.POLLOUT)
         until_s = time.monotonic() + WRITE_LIMIT_S
         while data:
-            left_s = until_s - time.monotonic()
-            if left_s <= 0 or not writable.poll(left_s * 1000):
+            remaining_s = until_s - time.monotonic()
+            if remaining_s <= 0 or not writable.poll(remaining_s * 1000):
                 raise LinkLost(f"{self._endpoint} does not accept data", limit=f"{WRITE_LIMIT_S} s")
             try:
                 data = data[os.write(self._descriptor, data) :]
             except BlockingIOError:
                 continue
             except OSError as error:
-                raise self._lost(error) from error
+                raise self._lost_error(error) from error
 
     def _forget(self) -> None:
         """Keep later calls from reaching a file that reuses the closed descriptor."""
         self._descriptor = CLOSED
 
-    def _lost(self, error: OSError) -> LinkLost:
-        return LinkLost(f"{self._endpoint} broke: {_reason(error)}")
+    def _lost_error(self, error: OSError) -> LinkLost:
+        return LinkLost(f"{self._endpoint} broke: {_error_reason(error)}")
 
 
 class SerialTransport(_Descriptor):
@@ -141,7 +141,7 @@ class SerialTransport(_Descriptor):
         try:
             self._port = serial.Serial(endpoint.path, DEFAULT_BAUD, timeout=0, exclusive=True)
         except (OSError, ValueError) as error:
-            raise _unavailable(endpoint, error) from error
+            raise _unavailable_error(endpoint, error) from error
         super().__init__(endpoint, self._port.fileno())
         # A USB adapter holds back the end of a reply for 16 ms, a whole frame, unless set to low latency.
         with contextlib.suppress(OSError, ValueError, NotImplementedError):
@@ -156,7 +156,7 @@ class SerialTransport(_Descriptor):
             self._port.baudrate = baud
         except (OSError, ValueError, termios.error) as error:
             raise PortUnavailable(
-                f"{self._endpoint} does not support {baud} baud: {_reason(error)}"
+                f"{self._endpoint} does not support {baud} baud: {_error_reason(error)}"
             ) from error
 
     def send_break(self) -> None:
@@ -165,7 +165,7 @@ class SerialTransport(_Descriptor):
             termios.tcflush(self._descriptor, termios.TCIOFLUSH)
             termios.tcsendbreak(self._descriptor, BREAK_MS)
         except (OSError, termios.error) as error:
-            raise LinkLost(f"cannot send a break on {self._endpoint}: {_reason(error)}") from error
+            raise LinkLost(f"cannot send a break on {self._endpoint}: {_error_reason(error)}") from error
 
     def close(self) -> None:
         if self._descriptor == CLOSED:
@@ -185,7 +185,7 @@ class TcpTransport(_Descriptor):
         try:
             self._socket = socket.create_connection((endpoint.host, endpoint.port), timeout_s)
         except OSError as error:
-            raise _unavailable(endpoint, error) from error
+            raise _unavailable_error(endpoint, error) from error
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
         super().__init__(endpoint, self._socket.fileno())
@@ -206,17 +206,19 @@ class TcpTransport(_Descriptor):
         self._forget()
 
 
-def _unavailable(endpoint: Endpoint, error: Exception) -> PortUnavailable:
+def _unavailable_error(endpoint: Endpoint, error: Exception) -> PortUnavailable:
     """Return the error with advice for its cause."""
-    number, reason = _number(error), _reason(error)
-    users = users_of_serial_port(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
-    by = f", {' and '.join(map(str, users))}" if users else ""
-    unavailable = PortUnavailable(f"cannot open {endpoint}: {reason}{by}", action=_ADVICE.get(number or 0))
+    number, reason = _error_number(error), _error_reason(error)
+    users = find_serial_port_users(endpoint.path) if number in (errno.EAGAIN, errno.EBUSY) else ()
+    holder_text = f", {' and '.join(map(str, users))}" if users else ""
+    unavailable = PortUnavailable(
+        f"cannot open {endpoint}: {reason}{holder_text}", action=_ADVICE.get(number or 0)
+    )
     unavailable.number, unavailable.reason = number, reason
     return unavailable
 
 
-def _number(error: Exception) -> int | None:
+def _error_number(error: Exception) -> int | None:
     """Return the errno of an error; for a file that is not a port, pyserial keeps it in the cause."""
     if isinstance(error, TimeoutError):
         return errno.ETIMEDOUT
@@ -226,8 +228,8 @@ def _number(error: Exception) -> int | None:
     return None
 
 
-def _reason(error: Exception) -> str:
-    number = _number(error)
+def _error_reason(error: Exception) -> str:
+    number = _error_number(error)
     if number is None:
         return str(getattr(error, "strerror", None) or error)
     return _REASONS.get(number) or os.strerror(number).lower()
@@ -247,12 +249,12 @@ class RecordedTransport:
 
     def write(self, data: bytes) -> None:
         self._transport.write(data)
-        self._sink.passed(self._link, Direction.SENT, data)
+        self._sink.on_bytes(self._link, Direction.SENT, data)
 
     def read(self, timeout_s: float) -> bytes:
         data = self._transport.read(timeout_s)
         if data:
-            self._sink.passed(self._link, Direction.RECEIVED, data)
+            self._sink.on_bytes(self._link, Direction.RECEIVED, data)
         return data
 
     def set_baud(self, baud: int) -> None:

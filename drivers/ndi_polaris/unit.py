@@ -54,19 +54,19 @@ _MODEL_ENDS_AT = " Control Firmware"
 
 def read_identity(link: CommandLink) -> Identity:
     """Read model, serial number and firmware by VER, GET and APIREV; raises NDI-003 for another device."""
-    text = _ask_or(link, "VER", "4") or _ask_or(link, "VER", "0")
+    text = _ask_or_empty(link, "VER", "4") or _ask_or_empty(link, "VER", "0")
     lines = text.split(ndi.LF)
     model = lines[0].split(_MODEL_ENDS_AT)[0].strip()
     if FAMILY.lower() not in model.lower():
         raise NotAPolaris("the device does not identify itself as a Polaris", got=model or "no model")
     pairs = (line.partition(":") for line in lines[1:] if ":" in line)
     fields = {name.strip().lower(): value.strip() for name, _, value in pairs}
-    firmware = parameter_or(link, ndi.PARAMETER_FIRMWARE, "")
+    firmware = read_parameter_or(link, ndi.PARAMETER_FIRMWARE, "")
     details = {
         "freeze tag": fields.get("freeze tag", ""),
         "characterization date": fields.get("characterization date", ""),
-        "api revision": _ask_or(link, "APIREV", ""),
-        "combined firmware": _ask_or(link, "VER", "5"),
+        "api revision": _ask_or_empty(link, "APIREV", ""),
+        "combined firmware": _ask_or_empty(link, "VER", "5"),
     }
     return Identity(
         vendor=VENDOR,
@@ -85,7 +85,7 @@ def check_identity(identity: Identity, model: str | None, serial: str | None) ->
         raise WrongUnit("wrong serial number", expected=serial, got=identity.serial or "none")
 
 
-def _ask_or(link: CommandLink, name: str, argument: str) -> str:
+def _ask_or_empty(link: CommandLink, name: str, argument: str) -> str:
     """Return the reply, or an empty text when the unit lacks the command or parameter."""
     try:
         return link.ask(name, argument, reply_bytes=VERSION_TEXT_BYTES)
@@ -95,15 +95,19 @@ def _ask_or(link: CommandLink, name: str, argument: str) -> str:
 
 def refuse_pending_alerts(link: CommandLink) -> None:
     """Raise NDI-020 or NDI-021 for an unread fault or bump from before this connection."""
-    value = parameter_or(link, ndi.PARAMETER_ALERTS, "0")
-    alerts = Alert(whole_number(value) or 0)
+    value = read_parameter_or(link, ndi.PARAMETER_ALERTS, "0")
+    alerts = Alert(parse_whole_number(value) or 0)
     if alerts & FAILURE_ALERTS:
-        raise HardwareFailure("the unit reports a hardware fault", got=_names(SystemStatus(0), alerts))
-    if Alert.BUMP in alerts or parameter_or(link, ndi.PARAMETER_BUMPED, "0") == "1":
-        raise SensorBumped("the unit was bumped before this connection", got=_names(SystemStatus(0), alerts))
+        raise HardwareFailure(
+            "the unit reports a hardware fault", got=_describe_status(SystemStatus(0), alerts)
+        )
+    if Alert.BUMP in alerts or read_parameter_or(link, ndi.PARAMETER_BUMPED, "0") == "1":
+        raise SensorBumped(
+            "the unit was bumped before this connection", got=_describe_status(SystemStatus(0), alerts)
+        )
 
 
-def alarm(bits: int, link: CommandLink) -> DeviceError | None:
+def find_alarm(bits: int, link: CommandLink) -> DeviceError | None:
     """Return the fault or hold indicated by the system status, or None.
 
     While diagnostics are pending the alerts are read, which also makes the unit send poses again.
@@ -111,12 +115,12 @@ def alarm(bits: int, link: CommandLink) -> DeviceError | None:
     status = SystemStatus(bits)
     alerts = read_new_alerts(link) if SystemStatus.DIAGNOSTICS_PENDING in status else Alert(0)
     if SystemStatus.HARDWARE_FAILURE in status or alerts & FAILURE_ALERTS:
-        return HardwareFailure("the unit reports a hardware fault", got=_names(status, alerts))
+        return HardwareFailure("the unit reports a hardware fault", got=_describe_status(status, alerts))
     if Alert.BUMP in alerts:
-        return SensorBumped("the unit was bumped", got=_names(status, alerts))
+        return SensorBumped("the unit was bumped", got=_describe_status(status, alerts))
     if SystemStatus.TEMPERATURE in status or alerts & TEMPERATURE_ALERTS:
         return TemperatureHold(
-            "the unit withholds poses: temperature out of range", got=_names(status, alerts)
+            "the unit withholds poses: temperature out of range", got=_describe_status(status, alerts)
         )
     return None
 
@@ -124,7 +128,7 @@ def alarm(bits: int, link: CommandLink) -> DeviceError | None:
 def read_new_alerts(link: CommandLink) -> Alert:
     """Read the alerts raised since the last reading; this clears the pending bit."""
     value = read_parameter(link, ndi.PARAMETER_NEW_ALERTS)
-    alerts = whole_number(value)
+    alerts = parse_whole_number(value)
     if alerts is None:
         raise MalformedReply("unknown format of the alerts", got=value)
     return Alert(alerts)
@@ -147,8 +151,8 @@ def set_illuminator_rate(link: CommandLink, rate_hz: int) -> int:
         except UnitError:
             continue
         return rate_hz
-    kept = whole_number(parameter_or(link, ndi.PARAMETER_ILLUMINATOR_RATE, ""))
-    return ndi.ILLUMINATOR_RATES_HZ.get(kept or 0, min(ndi.ILLUMINATOR_RATES_HZ.values()))
+    kept_code = parse_whole_number(read_parameter_or(link, ndi.PARAMETER_ILLUMINATOR_RATE, ""))
+    return ndi.ILLUMINATOR_RATES_HZ.get(kept_code or 0, min(ndi.ILLUMINATOR_RATES_HZ.values()))
 
 
 def read_time_limits(link: CommandLink) -> dict[str, float]:
@@ -161,7 +165,7 @@ def read_time_limits(link: CommandLink) -> dict[str, float]:
     for line in text.split(ndi.LF):
         parameter, _, value = line.partition("=")
         _, found, command = parameter.rpartition(ndi.PARAMETER_TIMEOUT_PREFIX)
-        limit_s = _seconds(value)
+        limit_s = _parse_seconds(value)
         if found and command in ndi.COMMAND_TIMEOUT_S and 0.0 < limit_s <= LONGEST_BELIEVED_S:
             limits_s[command] = limit_s
     return limits_s
@@ -171,19 +175,19 @@ def read_parameter(link: CommandLink, name: str) -> str:
     """Read one parameter; raises NDI-036 if the unit lacks it, NDI-006 for another one."""
     for _ in range(2):
         text = link.ask("GET", name, reply_bytes=PARAMETER_REPLY_BYTES)
-        answered, _, value = text.partition("=")
-        if answered.endswith(name):  # some firmware prefixes the name with the device
+        replied_name, _, value = text.partition("=")
+        if replied_name.endswith(name):  # some firmware prefixes the name with the device
             return value.strip()
-        link.distrust()  # a late copy of another reply
+        link.mark_unsettled()  # a late copy of another reply
     raise MalformedReply(f"GET {name} returned another parameter", wire=text.encode())
 
 
-def whole_number(value: str) -> int | None:
+def parse_whole_number(value: str) -> int | None:
     """Parse a parameter as a whole number of 32 bits; None if it is none."""
     return int(value) if value.isdecimal() and len(value) <= MOST_DIGITS else None
 
 
-def parameter_or(link: CommandLink, name: str, missing: str) -> str:
+def read_parameter_or(link: CommandLink, name: str, missing: str) -> str:
     """Read one parameter; return `missing` if the unit lacks it."""
     try:
         return read_parameter(link, name)
@@ -191,12 +195,12 @@ def parameter_or(link: CommandLink, name: str, missing: str) -> str:
         return missing
 
 
-def _names(status: SystemStatus, alerts: Alert) -> str:
+def _describe_status(status: SystemStatus, alerts: Alert) -> str:
     text = f"system status {status.value:04X}"
     return f"{text}, alerts {alerts.name or hex(alerts.value)}" if alerts else text
 
 
-def _seconds(text: str) -> float:
+def _parse_seconds(text: str) -> float:
     try:
         return float(text)
     except ValueError:

@@ -18,22 +18,22 @@ from scipy.special import chdtri
 
 from procedures.calibration.arm_model import BACKLASH, ArmLooks, ArmModel, LookArrays, arrays_of
 from procedures.calibration.errors import DoesNotFit, Unobservable
-from procedures.calibration.head_calibration import LIFE, moved_tip, new_identifier
+from procedures.calibration.head_calibration import LIFE, move_tip, new_identifier
 from procedures.calibration.head_model import pose_record
 from procedures.calibration.pose_set import (
-    centred_looks,
+    plan_centred_looks,
     require_consistent,
     require_count,
     require_spread,
     rms_mm,
 )
-from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.pose import Pose
 from ronna_hw.calibrated_arm.deviations import ArmDeviations
 from ronna_hw.calibration import ArmCalibration, StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.errors import LimitError
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -79,11 +79,11 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
     # A sphere that was only validated has no fitted position to compare with.
     usable = [one for one in observed.looks if one.sphere in identified]
     looks = arrays_of(usable)
-    kept = np.array([one.validation for one in usable], dtype=bool)
-    fit = identify(ArmModel(kinematics_named(observed.arm), before), looks.only(~kept))
-    validation = validate(fit, looks.only(kept))
+    held_out = np.array([one.validation for one in usable], dtype=bool)
+    fit = identify(ArmModel(find_kinematics(observed.arm), before), looks.only(~held_out))
+    validation = validate(fit, looks.only(held_out))
     after = fit.flange_from_tool
-    tip = None if observed.tool_tip is None else moved_tip(observed.tool_tip, before, after)
+    tip = None if observed.tool_tip is None else move_tip(observed.tool_tip, before, after)
     return ArmResult(
         fit=fit,
         validation=validation,
@@ -152,9 +152,9 @@ class ArmFit:
         size = self.model.size
         root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
         _, upper = np.linalg.qr(root.T)
-        found = np.zeros((len(root), len(root)))
-        found[:, : len(upper)] = upper.T
-        return found
+        lower = np.zeros((len(root), len(root)))
+        lower[:, : len(upper)] = upper.T
+        return lower
 
 
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
@@ -164,21 +164,21 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
     rotations = model.rotations(looks)
     require_spread(rotations, "the orientations of the measurements hardly vary")
     stereo = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1)
-    values = _start(model, looks)
+    values = _initial_values(model, looks)
     scatter, used = FIRST_SCATTER_MM, np.ones(count, dtype=bool)
     for _ in range(ROUNDS):
         whitening = whitening_of(stereo, scatter)
         slopes = model.slopes(values, looks)
         covariance, values = _step(model, looks, values, slopes, whitening, used)
         residuals = model.misses(values, looks)
-        scatter = _scatter(residuals, slopes @ covariance @ slopes.transpose(0, 2, 1), stereo, used)
+        scatter = _estimate_scatter(residuals, slopes @ covariance @ slopes.transpose(0, 2, 1), stereo, used)
         whitened = np.einsum("mij,mj->mi", whitening_of(stereo, scatter), residuals)
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
     if scatter > LARGEST_SCATTER_MM:
         raise DoesNotFit(
             "spheres seem to move between measurements",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
+            got=f"{format_against_limit(scatter, LARGEST_SCATTER_MM, 2)} mm",
         )
     require_consistent(used, MOST_OUTLIERS, "looks")
     return ArmFit(model, values, covariance, scatter, residuals, used)
@@ -189,11 +189,11 @@ def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
     return np.asarray(np.linalg.inv(np.linalg.cholesky(stereo_mm2 + scatter_mm**2 * np.eye(3))))
 
 
-def _start(model: ArmModel, looks: LookArrays) -> Array:
+def _initial_values(model: ArmModel, looks: LookArrays) -> Array:
     """Start from the nominal arm, with every sphere at the centroid of its measurements."""
     values = np.zeros(model.size + 3 * looks.spheres)
-    seen = model.misses(values, looks)
-    places = [np.median(seen[looks.sphere == number], axis=0) for number in range(looks.spheres)]
+    offsets_mm = model.misses(values, looks)
+    places = [np.median(offsets_mm[looks.sphere == number], axis=0) for number in range(looks.spheres)]
     values[model.size :] = np.ravel(places)
     return values
 
@@ -215,7 +215,7 @@ def _step(
     return covariance, values - covariance @ (rows.T @ misses + prior * values)
 
 
-def _scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
+def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
     """Random error of the arm per axis: the residuals in excess of image noise.
 
     `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the
@@ -247,21 +247,23 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
     _require_both_sides(fit)
     model, rotations = fit.model, fit.model.rotations(looks)
     misses, slopes = model.misses(fit.values, looks), model.slopes(fit.values, looks)
-    own = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
-    random = rotations @ looks.covariances_mm2 @ rotations.transpose(0, 2, 1) + fit.scatter_mm**2 * np.eye(3)
-    model_mm, around_mm = _size_mm(own), _around_spheres_mm(fit, looks)
+    fit_mm2 = slopes @ fit.covariance @ slopes.transpose(0, 2, 1)
+    random_mm2 = rotations @ looks.covariances_mm2 @ rotations.transpose(
+        0, 2, 1
+    ) + fit.scatter_mm**2 * np.eye(3)
+    model_mm, around_mm = _size_mm(fit_mm2), _around_spheres_mm(fit, looks)
     if around_mm > LARGEST_ERROR_MM:
         worst = np.argsort(fit.learnt)[::-1][:3]
         raise Unobservable(
             "the measurements do not determine enough of the arm: least of all "
             + ", ".join(model.names[number] for number in worst),
             limit=f"{LARGEST_ERROR_MM:g} mm in all orientations around the spheres",
-            got=f"{beyond(around_mm, LARGEST_ERROR_MM, 2)} mm",
+            got=f"{format_against_limit(around_mm, LARGEST_ERROR_MM, 2)} mm",
         )
-    whitened = np.einsum("mij,mj->mi", whitening_of(own + random, 0.0), misses)
+    whitened = np.einsum("mij,mj->mi", whitening_of(fit_mm2 + random_mm2, 0.0), misses)
     statistic, limit = float(np.sum(whitened**2)), float(chdtri(3 * count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
-        got, refused_from = side_by_side(statistic, limit, 0)
+        got, refused_from = format_distinct(statistic, limit, 0)
         raise DoesNotFit(
             "the identified arm does not agree with the measurements kept for validation",
             limit=f"chi-square {refused_from}",
@@ -269,9 +271,9 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
         )
     return ArmValidation(
         misses_mm=misses,
-        before_mm=_before(fit, looks),
+        before_mm=_nominal_error_mm(fit, looks),
         error_mm=rms_mm(misses),
-        predicted_mm=_size_mm(own + random),
+        predicted_mm=_size_mm(fit_mm2 + random_mm2),
         model_mm=model_mm,
     )
 
@@ -306,7 +308,7 @@ def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
     poses = [
         (number, look.pose @ fit.flange_from_tool.inverse())
         for number, place in enumerate(spheres_mm)
-        for look in centred_looks(reference, place, LOOKS_AROUND)
+        for look in plan_centred_looks(reference, place, LOOKS_AROUND)
     ]
     branch, joints, spheres = model.kinematics.branch_of(near), [], []
     for number, pose in poses:
@@ -329,14 +331,14 @@ def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
     return _size_mm(slopes @ fit.covariance @ slopes.transpose(0, 2, 1))
 
 
-def _before(fit: ArmFit, looks: LookArrays) -> float:
+def _nominal_error_mm(fit: ArmFit, looks: LookArrays) -> float:
     """Error of the nominal arm and head, relative to the centroid of each sphere's measurements."""
     nothing = np.zeros(len(fit.values))
-    seen = fit.model.misses(nothing, looks)
+    offsets_mm = fit.model.misses(nothing, looks)
     for number in np.unique(looks.sphere):
         here = looks.sphere == number
-        seen[here] -= seen[here].mean(axis=0)
-    return rms_mm(seen)
+        offsets_mm[here] -= offsets_mm[here].mean(axis=0)
+    return rms_mm(offsets_mm)
 
 
 def _size_mm(covariances_mm2: Array) -> float:

@@ -15,14 +15,14 @@ from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.calibration.errors import ArmChanged, NoArmRecord
 from procedures.calibration.pose_set import require_count
 from procedures.registration.target_prediction import SharedErrors
-from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.calibration import ArmCalibration
 from ronna_hw.config import ProcedureSettings
 from ronna_hw.frames import Frame
-from ronna_hw.text import side_by_side
+from ronna_hw.text import format_distinct
 
 Array = NDArray[np.float64]
 
@@ -48,7 +48,7 @@ class ArmCheck:
     def require(self) -> None:
         """Raise CAL-012 unless the measurements agree with the calibration."""
         if not self.passed:
-            error, limit = side_by_side(self.error_mm, self.expected_mm, 3)
+            error, limit = format_distinct(self.error_mm, self.expected_mm, 3)
             raise ArmChanged(
                 f"the measurements do not match calibration {self.calibration}",
                 limit=f"{limit} mm rms expected",
@@ -69,32 +69,36 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
     The spheres' positions need not be known.
     """
     record = require_record(observed.arm_record)
-    looks, kinematics = arrays_of(observed.looks), kinematics_named(observed.arm)
+    looks, kinematics = arrays_of(observed.looks), find_kinematics(observed.arm)
     count = len(looks.joints_rad)
     require_count(count, LEAST_VALIDATION, "too few measurements to check the arm")
     spheres = looks.spheres
     flange = flange_poses(kinematics.chain, ArmDeviations.of(record), looks.joints_rad, looks.flanks)
     tool = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    seen = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]
-    turned = flange[:, :3, :3] @ tool.rotation_matrix
-    own = turned @ looks.covariances_mm2 @ turned.transpose(0, 2, 1) + record.scatter_mm**2 * np.eye(3)
-    shared = _left_by_calibration(record, kinematics.chain, looks, seen).reshape(3 * count, -1)
+    measured_mm = np.einsum("mij,mj->mi", flange[:, :3, :3], tool.apply(looks.points_mm)) + flange[:, :3, 3]
+    orientations = flange[:, :3, :3] @ tool.rotation_matrix
+    random_mm2 = orientations @ looks.covariances_mm2 @ orientations.transpose(
+        0, 2, 1
+    ) + record.scatter_mm**2 * np.eye(3)
+    shared_mm = _record_displacements_mm(record, kinematics.chain, looks, measured_mm).reshape(3 * count, -1)
     # The part of the measurements beyond each sphere's mean does not depend on the spheres' positions.
     at_sphere = looks.sphere == np.arange(spheres)[:, None]
-    apart = np.kron(null_space(at_sphere), np.eye(3))
-    covariance = apart.T @ (block_diag(*own) + shared @ shared.T) @ apart
-    found = apart.T @ seen.ravel()
+    contrasts = np.kron(null_space(at_sphere), np.eye(3))
+    covariance = contrasts.T @ (block_diag(*random_mm2) + shared_mm @ shared_mm.T) @ contrasts
+    deviations_mm = contrasts.T @ measured_mm.ravel()
     return ArmCheck(
         calibration=record.identifier,
         looks=count,
-        error_mm=float(np.sqrt(found @ found / count)),
+        error_mm=float(np.sqrt(deviations_mm @ deviations_mm / count)),
         expected_mm=float(np.sqrt(np.trace(covariance) / count)),
-        statistic=float(found @ np.linalg.solve(covariance, found)),
-        limit=float(chdtri(len(found), FALSE_ALARM)) * (1.0 + MODEL_SHARE),
+        statistic=float(deviations_mm @ np.linalg.solve(covariance, deviations_mm)),
+        limit=float(chdtri(len(deviations_mm), FALSE_ALARM)) * (1.0 + MODEL_SHARE),
     )
 
 
-def _left_by_calibration(record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array) -> Array:
+def _record_displacements_mm(
+    record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array
+) -> Array:
     """Displacement (m, 3, k) of each measured place by the k independent errors that the record leaves.
 
     They are equal in all measurements: a link that is too long stays too long.

@@ -155,21 +155,21 @@ class ArmModel:
     def names(self) -> tuple[str, ...]:
         """Name of each element of the vector, without spheres."""
         axes = self.kinematics.axis_names
-        named = [f"link {axis} {way}" for axis in axes for way in ("x", "y", "z")]
-        named += [f"link {axis} turn {way}" for axis in axes for way in ("x", "y", "z")]
-        named += [f"{axis} offset" for axis in axes]
-        for what in ("sine", "cosine"):
-            named += [f"{axis} {what} {order}" for axis in axes for order in ("once", "twice")]
-        named += [f"{axis} sag" for axis in axes] + [f"{axis} {BACKLASH}" for axis in axes]
-        kept = [name for name, sigma in zip(named, self.prior, strict=True) if sigma > 0.0]
-        return (*kept, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
+        labels = [f"link {axis} {way}" for axis in axes for way in ("x", "y", "z")]
+        labels += [f"link {axis} turn {way}" for axis in axes for way in ("x", "y", "z")]
+        labels += [f"{axis} offset" for axis in axes]
+        for harmonic in ("sine", "cosine"):
+            labels += [f"{axis} {harmonic} {order}" for axis in axes for order in ("once", "twice")]
+        labels += [f"{axis} sag" for axis in axes] + [f"{axis} {BACKLASH}" for axis in axes]
+        free = [name for name, sigma in zip(labels, self.prior, strict=True) if sigma > 0.0]
+        return (*free, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
 
     def deviations(self, values: Array) -> ArmDeviations:
         """Deviations of the arm in a vector."""
         prior = self.prior
         row = np.zeros(len(prior))
         row[prior > 0.0] = values[: self.size - TOOL]
-        return ArmDeviations.of_flat(row * prior, self.joints)
+        return ArmDeviations.from_flat(row * prior, self.joints)
 
     def tool(self, values: Array) -> Transform:
         """Pose FLANGE <- TOOL in a vector."""
@@ -194,24 +194,24 @@ class ArmModel:
     def misses(self, values: Array, looks: LookArrays) -> Array:
         """Deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
         flange = self._flange(values, looks, self._levers(looks))
-        return self._missed(values, looks, flange, self._in_flange(values, looks))
+        return self._compute_misses(values, looks, flange, self._flange_points(values, looks))
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
         """Derivative (m, 3, n) of the misses by finite differences; they are nearly linear."""
         levers = self._levers(looks)
-        flange, in_flange = self._flange(values, looks, levers), self._in_flange(values, looks)
-        here = self._missed(values, looks, flange, in_flange)
+        flange, flange_points = self._flange(values, looks, levers), self._flange_points(values, looks)
+        here = self._compute_misses(values, looks, flange, flange_points)
         slopes = np.empty((*here.shape, len(values)))
         for column in range(len(values)):
-            moved = values.copy()
-            moved[column] += STEP
+            perturbed = values.copy()
+            perturbed[column] += STEP
             of_arm = column < self.size - TOOL
             of_tool = not of_arm and column < self.size
-            misses = self._missed(
-                moved,
+            misses = self._compute_misses(
+                perturbed,
                 looks,
-                self._flange(moved, looks, levers) if of_arm else flange,
-                self._in_flange(moved, looks) if of_tool else in_flange,
+                self._flange(perturbed, looks, levers) if of_arm else flange,
+                self._flange_points(perturbed, looks) if of_tool else flange_points,
             )
             slopes[:, :, column] = (misses - here) / STEP
         return slopes
@@ -224,13 +224,13 @@ class ArmModel:
         deviations = self.deviations(values)
         return flange_poses(self.kinematics.chain, deviations, looks.joints_rad, looks.flanks, levers)
 
-    def _in_flange(self, values: Array, looks: LookArrays) -> Array:
+    def _flange_points(self, values: Array, looks: LookArrays) -> Array:
         """Measured points (m, 3) mm in the flange frame."""
         return self.tool(values).apply(looks.points_mm)
 
-    def _missed(self, values: Array, looks: LookArrays, flange: Array, in_flange: Array) -> Array:
-        seen = np.einsum("mij,mj->mi", flange[:, :3, :3], in_flange) + flange[:, :3, 3]
-        return np.asarray(seen - values[self.size :].reshape(-1, 3)[looks.sphere])
+    def _compute_misses(self, values: Array, looks: LookArrays, flange: Array, flange_points: Array) -> Array:
+        places = np.einsum("mij,mj->mi", flange[:, :3, :3], flange_points) + flange[:, :3, 3]
+        return np.asarray(places - values[self.size :].reshape(-1, 3)[looks.sphere])
 
     def rotations(self, looks: LookArrays) -> Array:
         """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
@@ -251,13 +251,13 @@ def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray
     known = np.ones(len(values))
     known[model.size :] = SPHERE_SIGMA_MM**2
     covariance: Array = np.diag(known)
-    rest = np.ones(len(slopes), dtype=bool)
+    available = np.ones(len(slopes), dtype=bool)
     chosen = []
     for _ in range(min(count, len(slopes))):
         spread = slopes @ covariance @ slopes.transpose(0, 2, 1)
         gain = np.linalg.det(np.eye(3) + spread)
-        best = int(np.argmax(np.where(rest, gain, 0.0)))
-        rest[best] = False
+        best = int(np.argmax(np.where(available, gain, 0.0)))
+        available[best] = False
         chosen.append(best)
         through = covariance @ slopes[best].T
         covariance = covariance - through @ np.linalg.solve(np.eye(3) + spread[best], through.T)

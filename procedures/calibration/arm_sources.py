@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from procedures.registration.target_prediction import OwnErrors, SharedErrors
+from procedures.registration.target_prediction import IndependentErrors, SharedErrors
 from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.deviations import FLANK_SHARE, flange_rotations
 from ronna_hw.calibrated_arm.error_budget import (
@@ -43,7 +43,7 @@ def arm_sources(
     target: ArmPoses,
     sizes: ErrorSizes = UNCALIBRATED,
     servo_mm: float = SERVO_MM,
-) -> tuple[SharedErrors | OwnErrors, ...]:
+) -> tuple[SharedErrors | IndependentErrors, ...]:
     """List the error sources for one target and its `n` spheres.
 
     All arms that are not identified have one repeatability. `servo_mm` is 0 if the servo's residual is
@@ -51,55 +51,60 @@ def arm_sources(
     """
     joints = np.concatenate([spheres.joints_rad, target.joints_rad])
     points = np.concatenate([spheres.points_mm, target.points_mm])
-    moved, arm = displacements(chain, joints, points, sizes), sizes.identified
+    shifts, arm = displacements(chain, joints, points, sizes), sizes.identified
     if arm is not None:
-        sides = [np.zeros_like(at.joints_rad) if at.sides is None else at.sides for at in (spheres, target)]
+        sides = [
+            np.zeros_like(arm_poses.joints_rad) if arm_poses.sides is None else arm_poses.sides
+            for arm_poses in (spheres, target)
+        ]
         columns = by_deviation(chain, joints, points, np.concatenate(sides))
-        unknown = _backlash(moved.swings_mm * arm.backlash_rad, spheres.sides, target.sides, 0.0)
+        unknown = _backlash(shifts.swings_mm * arm.backlash_rad, spheres.sides, target.sides, 0.0)
         return (
-            _shared("arm and tool frame as identified", columns @ arm.remaining),
-            *([unknown] if isinstance(unknown, OwnErrors) else []),
-            _at_rest(len(spheres.joints_rad), servo_mm, arm.scatter_mm),
+            _shared_errors("arm and tool frame as identified", columns @ arm.remaining),
+            *([unknown] if isinstance(unknown, IndependentErrors) else []),
+            _repeatability_errors(len(spheres.joints_rad), servo_mm, arm.scatter_mm),
         )
     return (
-        _shared("links and joint offsets", moved.links_mm),
-        _shared("harmonics and sag", _sag_added(moved.joints_mm)),
-        _backlash(BACKLASH_RAD * moved.swings_mm, spheres.sides, target.sides, sizes.backlash),
-        _at_rest(len(spheres.joints_rad), servo_mm, REPEATABILITY_MM),
+        _shared_errors("links and joint offsets", shifts.links_mm),
+        _shared_errors("harmonics and sag", _sum_sag(shifts.joints_mm)),
+        _backlash(BACKLASH_RAD * shifts.swings_mm, spheres.sides, target.sides, sizes.backlash),
+        _repeatability_errors(len(spheres.joints_rad), servo_mm, REPEATABILITY_MM),
         # It turns with the flange; the same in all directions.
-        _shared("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
+        _shared_errors("tool frame", sizes.tool_mm * flange_rotations(chain, joints)),
     )
 
 
-def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> OwnErrors:
+def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> IndependentErrors:
     """Errors of the spheres in the CT, (n, 3, 3) mm2 in the robot frame."""
-    return OwnErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
+    return IndependentErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
-def _sag_added(joints_mm: Array) -> Array:
+def _sum_sag(joints_mm: Array) -> Array:
     """Add the sag of all joints up: weight bends them the same way, unlike independent errors."""
     harmonics, sag = np.split(joints_mm, [-len(SAGGING)], axis=2)
     return np.concatenate([harmonics, sag.sum(axis=2, keepdims=True)], axis=2)
 
 
-def _shared(source: str, columns_mm: Array) -> SharedErrors:
+def _shared_errors(source: str, columns_mm: Array) -> SharedErrors:
     return SharedErrors(source, columns_mm[:-1], columns_mm[-1])
 
 
 def _backlash(
-    whole: Array, at_spheres: Array | None, at_target: Array | None, left: float
-) -> SharedErrors | OwnErrors:
-    half = FLANK_SHARE * whole
+    full_mm: Array, at_spheres: Array | None, at_target: Array | None, remaining_share: float
+) -> SharedErrors | IndependentErrors:
+    half = FLANK_SHARE * full_mm
     if at_spheres is not None and at_target is not None:
-        return _shared("backlash", left * half * np.concatenate([at_spheres, at_target])[:, None, :])
+        return _shared_errors(
+            "backlash", remaining_share * half * np.concatenate([at_spheres, at_target])[:, None, :]
+        )
     own = half @ half.transpose(0, 2, 1)
-    own[:-1] *= 1.0 if at_spheres is None else left**2
-    own[-1] *= 1.0 if at_target is None else left**2
-    return OwnErrors("backlash", own[:-1], own[-1])
+    own[:-1] *= 1.0 if at_spheres is None else remaining_share**2
+    own[-1] *= 1.0 if at_target is None else remaining_share**2
+    return IndependentErrors("backlash", own[:-1], own[-1])
 
 
-def _at_rest(spheres: int, servo_mm: float, scatter_mm: float) -> OwnErrors:
+def _repeatability_errors(spheres: int, servo_mm: float, scatter_mm: float) -> IndependentErrors:
     at_target = np.eye(3) * scatter_mm**2
     at_sphere = at_target + np.eye(3) * servo_mm**2 / 3.0
     name = "servo and repeatability" if servo_mm else "repeatability"
-    return OwnErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)
+    return IndependentErrors(name, np.tile(at_sphere, (spheres, 1, 1)), at_target)

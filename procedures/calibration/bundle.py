@@ -31,7 +31,7 @@ from ronna_hw.arm.kinematics import Chain
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED_MM, error_columns
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.robust_scale import robust_sigma
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -42,7 +42,7 @@ HEAD = BALL + 2 * CAMERA_PARAMETERS
 # what a small field hardly reveals, and orientation errors that a bad arm would cause.
 TURN_SIGMA_RAD = 0.0035  # 0.2 degrees: a machined mount
 LENS_SIGMA = (0.01, 10.0, 10.0, 0.05)  # focal length (relative), principal point (px), k1
-KEPT = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: rotation and lens
+PRIOR_COLUMNS = (0, 1, 2, 6, 7, 8, 9)  # of a camera's parameters: rotation and lens
 ROUNDS = 6  # of re-estimating the arm's error, which converges in four
 STEPS = 20  # per round; the next round continues from there
 FIRST_ARM_ERROR_MM = 2.0  # while the tool frame is still the nominal one
@@ -108,37 +108,39 @@ def fit_bundle(
     in_robot = np.einsum("nij,nj->ni", looks.rotations, points) + looks.translations_mm
     values = np.zeros(HEAD)
     values[:BALL] = np.median(in_robot, axis=0)
-    found = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
-    arm_error = found.arm_error
+    estimate = _adjust(looks, cameras, values, FIRST_ARM_ERROR_MM)
+    arm_error = estimate.arm_error
     if arm_error > ARM_ERROR_LIMIT_MM:
         raise DoesNotFit(
             "the ball seems to move between measurements",
             limit=f"{ARM_ERROR_LIMIT_MM:g} mm per axis",
-            got=f"{beyond(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
+            got=f"{format_against_limit(arm_error, ARM_ERROR_LIMIT_MM, 2)} mm",
         )
     if arm is not None and arm_error > REPEATABILITY_MM:
-        columns = error_columns(arm, [one.joints_rad for one in observations], found.values[:BALL])
+        columns = error_columns(arm, [one.joints_rad for one in observations], estimate.values[:BALL])
         looks = replace(looks, arm_columns_mm=columns * min(1.0, arm_error / UNCALIBRATED_MM))
-        values = np.concatenate([found.values, np.zeros(columns.shape[2])])
-        found = _adjust(looks, cameras, values, arm_error)
-    _require_fit(found.used, found.gaps, looks)
-    normal = _normal_matrix(looks, cameras, found.values, found.arm_error, found.image_scale, found.used)
+        values = np.concatenate([estimate.values, np.zeros(columns.shape[2])])
+        estimate = _adjust(looks, cameras, values, arm_error)
+    _require_fit(estimate.used, estimate.gaps, looks)
+    normal = _normal_matrix(
+        looks, cameras, estimate.values, estimate.arm_error, estimate.image_scale, estimate.used
+    )
     return BundleFit(
-        cameras=_cameras(cameras, found.values),
-        ball_mm=found.values[:BALL].copy(),
+        cameras=_cameras(cameras, estimate.values),
+        ball_mm=estimate.values[:BALL].copy(),
         covariance=np.asarray(np.linalg.inv(normal)[:HEAD, :HEAD], dtype=float),
         arm_error_mm=arm_error,
-        arm_scatter_mm=found.arm_error,
-        image_sigma_px=found.image_scale
+        arm_scatter_mm=estimate.arm_error,
+        image_sigma_px=estimate.image_scale
         * float(np.sqrt(np.mean(np.einsum("nii->ni", looks.covariances_px2)))),
-        residuals_px=found.residuals,
-        shifts_mm=found.shifts,
-        used=found.used,
+        residuals_px=estimate.residuals,
+        shifts_mm=estimate.shifts,
+        used=estimate.used,
     )
 
 
 @dataclass(frozen=True)
-class _Found:
+class _Estimate:
     values: Array
     arm_error: float
     image_scale: float
@@ -148,7 +150,7 @@ class _Found:
     used: NDArray[np.bool_]
 
 
-def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Found:
+def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) -> _Estimate:
     """Alternate between adjusting all values and estimating the error sizes; outlying views are dropped."""
     image_scale = 1.0
     used = np.ones(len(looks.rotations), dtype=bool)
@@ -167,13 +169,13 @@ def _adjust(looks: _Looks, cameras: Cameras, values: Array, arm_error: float) ->
         )
         values = solution.x
         residuals = _residuals(looks, cameras, values)
-        shifts, gaps = _split(looks, cameras, values, residuals, arm_error, image_scale)
-        arm_error, image_scale = _sizes(shifts, gaps, used)
+        shifts, gaps = _split_residuals(looks, cameras, values, residuals, arm_error, image_scale)
+        arm_error, image_scale = _error_sizes(shifts, gaps, used)
         whitened = np.einsum(
             "nij,nj->ni", _whitening(looks, cameras, values, arm_error, image_scale), residuals
         )
         used = np.sum(whitened**2, axis=1) < OUTLIER_CHI2
-    return _Found(values, arm_error, image_scale, residuals, shifts, gaps, used)
+    return _Estimate(values, arm_error, image_scale, residuals, shifts, gaps, used)
 
 
 def _arrays(observations: Sequence[Observation]) -> _Looks:
@@ -194,33 +196,33 @@ def _arrays(observations: Sequence[Observation]) -> _Looks:
 
 def _cameras(start: Cameras, values: Array) -> Cameras:
     middle = BALL + CAMERA_PARAMETERS
-    return start[0].changed(values[BALL:middle]), start[1].changed(values[middle:HEAD])
+    return start[0].with_increments(values[BALL:middle]), start[1].with_increments(values[middle:HEAD])
 
 
-def _in_flange(looks: _Looks, values: Array) -> Array:
+def _flange_points(looks: _Looks, values: Array) -> Array:
     from_flange = values[:BALL] - looks.translations_mm - looks.arm_columns_mm @ values[HEAD:]
     return np.asarray(np.einsum("nji,nj->ni", looks.rotations, from_flange))
 
 
 def _residuals(looks: _Looks, start: Cameras, values: Array) -> Array:
-    points = _in_flange(looks, values)
-    seen = [
-        camera.seen(points, looks.semi_minors_px[:, side])
+    points = _flange_points(looks, values)
+    image_points = [
+        camera.image_points(points, looks.semi_minors_px[:, side])
         for side, camera in enumerate(_cameras(start, values))
     ]
-    return np.hstack([looks.centres_px[:, 0] - seen[0], looks.centres_px[:, 1] - seen[1]])
+    return np.hstack([looks.centres_px[:, 0] - image_points[0], looks.centres_px[:, 1] - image_points[1]])
 
 
-def _by_ball(looks: _Looks, start: Cameras, values: Array) -> Array:
+def _ball_slopes(looks: _Looks, start: Cameras, values: Array) -> Array:
     """Derivative (n, 4, 3) of the pixels with respect to the ball position in the robot frame."""
-    points = _in_flange(looks, values)
+    points = _flange_points(looks, values)
     slopes = np.concatenate([camera.slopes(points) for camera in _cameras(start, values)], axis=1)
     return np.asarray(np.einsum("nij,nkj->nik", slopes, looks.rotations))
 
 
 def _whitening(looks: _Looks, start: Cameras, values: Array, arm_error: float, image_scale: float) -> Array:
     """Matrices (n, 4, 4) that whiten the residuals of each view."""
-    slopes = _by_ball(looks, start, values)
+    slopes = _ball_slopes(looks, start, values)
     total = image_scale**2 * looks.covariances_px2 + arm_error**2 * slopes @ slopes.transpose(0, 2, 1)
     return np.asarray(np.linalg.inv(np.linalg.cholesky(total)))
 
@@ -246,7 +248,7 @@ class _Cost:
             slopes[:, column] = (self(values + step) - here) / DERIVATIVE_STEP
         errors = len(values) - HEAD
         if errors:
-            by_errors = _by_ball(self._looks, self._start, values) @ self._looks.arm_columns_mm
+            by_errors = _ball_slopes(self._looks, self._start, values) @ self._looks.arm_columns_mm
             whitened = (self._whitening @ by_errors)[self._used]
             slopes[: -len(_prior(values)), HEAD:] = whitened.reshape(-1, errors)
             slopes[-errors:, HEAD:] = np.eye(errors)
@@ -256,17 +258,17 @@ class _Cost:
 def _prior(values: Array) -> Array:
     sigmas = np.array([*3 * (TURN_SIGMA_RAD,), *LENS_SIGMA])
     cameras = values[BALL:HEAD].reshape(2, CAMERA_PARAMETERS)
-    return np.concatenate([(cameras[:, KEPT] / sigmas).ravel(), values[HEAD:]])
+    return np.concatenate([(cameras[:, PRIOR_COLUMNS] / sigmas).ravel(), values[HEAD:]])
 
 
-def _split(
+def _split_residuals(
     looks: _Looks, start: Cameras, values: Array, residuals: Array, arm_error: float, image_scale: float
 ) -> tuple[Array, Array]:
     """Split residuals into the arm's shifts (n, 3) mm and the part that no shift explains (n,), in sigmas.
 
     Four pixel coordinates and three unknowns leave one contradiction per view: the gap between the two rays.
     """
-    slopes = _by_ball(looks, start, values)
+    slopes = _ball_slopes(looks, start, values)
     weights = np.linalg.inv(image_scale**2 * looks.covariances_px2)
     normal = slopes.transpose(0, 2, 1) @ weights @ slopes + np.eye(3) / arm_error**2
     pull = slopes.transpose(0, 2, 1) @ weights @ residuals[:, :, None]
@@ -277,7 +279,7 @@ def _split(
     return shifts, np.einsum("ni,ni->n", null, residuals) / sigma
 
 
-def _sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
+def _error_sizes(shifts: Array, gaps: Array, used: NDArray[np.bool_]) -> tuple[float, float]:
     """Robust sizes of the arm's error per axis, and of the image error relative to its covariance."""
     count = int(used.sum())
     freedom = np.sqrt(max(0.3, 1.0 - HEAD / (4.0 * count)))
@@ -292,7 +294,7 @@ def _require_fit(used: NDArray[np.bool_], gaps: Array, looks: _Looks) -> None:
         raise DoesNotFit(
             "left and right images contradict each other",
             limit=f"{GAP_LIMIT_PX:g} px",
-            got=f"{beyond(gap_px, GAP_LIMIT_PX, 1)} px",
+            got=f"{format_against_limit(gap_px, GAP_LIMIT_PX, 1)} px",
         )
     require_consistent(used, MOST_OUTLIERS, "looks")
 

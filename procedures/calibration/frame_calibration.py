@@ -27,11 +27,11 @@ from procedures.calibration.head_model import pose_record
 from procedures.calibration.observations import Joints, Measurements
 from procedures.calibration.pose_set import (
     PlannedLook,
-    held_out_indices,
+    choose_held_out,
     order_by_orientation,
+    plan_poses_about,
     require_count,
     rms_mm,
-    turned_about,
 )
 from ronna_hw.calibrated_arm.error_budget import LINK_TRANSLATION_MM
 from ronna_hw.calibration import (
@@ -43,7 +43,7 @@ from ronna_hw.calibration import (
     TrackerFrameCalibration,
 )
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -99,7 +99,7 @@ class FrameLooks(Measurements):
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
     """Assign a purpose to each measurement, with those for validation spread evenly."""
     total = count + validation
-    held_out = held_out_indices(total, validation)
+    held_out = choose_held_out(total, validation)
     return tuple(Use.VALIDATION if number in held_out else Use.FIT for number in range(total))
 
 
@@ -140,12 +140,12 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
     """Compute a dated record from measurements. Raises CAL-002 to CAL-004, CAL-015 to CAL-017."""
     _require_at_rest([one for one in observed.looks if one.use is Use.RETURN])
     fit = solve(pairs_of([one for one in observed.looks if one.use is Use.FIT]))
-    kept = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
-    misses, predicted = _validate(fit, kept)
+    validation_pairs = pairs_of([one for one in observed.looks if one.use is Use.VALIDATION])
+    misses, predicted = _validate(fit, validation_pairs)
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    found = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
+    marker_pose = head.inverse() @ Transform.from_matrix(Frame.FLANGE, Frame.MARKER, fit.flange_from_marker)
     change_mm, change_rad = _change(
-        observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER), found
+        observed.start.tool_from_marker.transform(Frame.TOOL, Frame.MARKER), marker_pose
     )
     arm_error_mm = arm_share_mm(observed.arm_record)
     return FrameResult(
@@ -164,7 +164,7 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
             made_by=MADE_BY,
             stated_error_mm=float(np.hypot(fit.error_mm, arm_error_mm)),
             tool=observed.start.tool,
-            tool_from_marker=pose_record(found),
+            tool_from_marker=pose_record(marker_pose),
         ),
     )
 
@@ -194,22 +194,22 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
             raise TrackerMoved(
                 f"tracker, arm or frame moved between measurements {number} and {later} at the first pose",
                 limit=f"{MOVED_MM:g} mm and {np.degrees(MOVED_RAD):.1f} deg",
-                got=f"{beyond(moved_mm, MOVED_MM, 2)} mm and "
-                f"{beyond(math.degrees(moved_rad), math.degrees(MOVED_RAD), 2)} deg",
+                got=f"{format_against_limit(moved_mm, MOVED_MM, 2)} mm and "
+                f"{format_against_limit(math.degrees(moved_rad), math.degrees(MOVED_RAD), 2)} deg",
             )
 
 
-def _validate(fit: HandEye, kept: PosePairs) -> tuple[Array, tuple[float, float]]:
+def _validate(fit: HandEye, validation_pairs: PosePairs) -> tuple[Array, tuple[float, float]]:
     """Misses (m, 6) of held-out measurements, and their expected size. Raises CAL-002, CAL-004."""
-    require_count(kept.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
-    misses = misses_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
-    slopes = slopes_of(kept, fit.flange_from_marker, fit.robot_from_tracker)
+    require_count(validation_pairs.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
+    misses = misses_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
+    slopes = slopes_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
     random = np.diag([fit.scatter_mm**2] * 3 + [fit.scatter_rad**2] * 3)
     covariances = slopes @ fit.covariance @ slopes.transpose(0, 2, 1) + random
     statistic = float(np.einsum("mi,mi->", misses, np.linalg.solve(covariances, misses[..., None])[..., 0]))
-    limit = float(chdtri(6 * kept.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
+    limit = float(chdtri(6 * validation_pairs.count, ACCEPTED)) * (1.0 + MODEL_SHARE)
     if statistic > limit:
-        got, refused_from = side_by_side(statistic, limit, 0)
+        got, refused_from = format_distinct(statistic, limit, 0)
         raise DoesNotFit(
             "the frame does not agree with the poses kept for validation",
             limit=f"chi-square {refused_from}",
@@ -228,8 +228,8 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
         raise FarFromRecord(
             "the reference frame is not at its recorded pose",
             limit=f"{FAR_MM:g} mm and {np.degrees(FAR_RAD):.0f} deg",
-            got=f"{beyond(apart_mm, FAR_MM, 1)} mm and "
-            f"{beyond(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",
+            got=f"{format_against_limit(apart_mm, FAR_MM, 1)} mm and "
+            f"{format_against_limit(math.degrees(apart_rad), math.degrees(FAR_RAD), 1)} deg",
         )
     return apart_mm, apart_rad
 
@@ -238,7 +238,7 @@ def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -
     """List poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
     in_tool = tool_from_marker.translation_mm
     place = reference.apply(in_tool)
-    looks = turned_about(
+    looks = plan_poses_about(
         reference.rigid.rotation, place, count, tilt_rad=TILT_RAD, turn_rad=TURN_RAD, offset_mm=in_tool
     )
     return tuple(order_by_orientation(looks))

@@ -18,7 +18,7 @@ from scipy.special import chdtri
 
 from procedures.calibration.errors import DoesNotFit, FrameNotCarried
 from procedures.calibration.pose_set import require_consistent, require_count, require_spread
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -66,7 +66,7 @@ class HandEye:
 def solve(pairs: PosePairs) -> HandEye:
     """Find the frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
-    x, z = _start(pairs)
+    x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
     used = np.ones(pairs.count, dtype=bool)
     for _ in range(ROUNDS):
@@ -110,12 +110,13 @@ def _require_solvable(pairs: PosePairs) -> None:
     action = "Clear the line of sight between tracker and frame, then calibrate again."
     require_count(pairs.count, LEAST_LOOKS, "too few poses show the reference frame", action)
     flange, marker = pairs.robot_from_flange[:, :3, :3], pairs.tracker_from_marker[:, :3, :3]
-    apart = np.abs(_turns_rad(flange) - _turns_rad(marker))
+    apart = np.abs(_successive_angles_rad(flange) - _successive_angles_rad(marker))
     if np.median(apart) > TURNS_AGREE_RAD:
         raise FrameNotCarried(
             "the tool tracked as the reference frame does not rotate with the flange",
             limit=f"{np.degrees(TURNS_AGREE_RAD):g} deg from pose to pose",
-            got=f"{beyond(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)} deg",
+            got=format_against_limit(math.degrees(np.median(apart)), math.degrees(TURNS_AGREE_RAD), 1)
+            + " deg",
         )
     action = "Have the arm rotate the frame about axes in all directions, by at least 20 degrees."
     require_spread(flange, "the poses rotate the frame about nearly parallel axes, or hardly at all", action)
@@ -126,21 +127,21 @@ def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_])
         raise DoesNotFit(
             "no pose of the frame on the flange explains the data of arm and tracker",
             limit=f"{LARGEST_SCATTER_MM:g} mm and {np.degrees(LARGEST_SCATTER_RAD):.2f} deg per axis",
-            got=f"{beyond(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
-            f"{beyond(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
+            got=f"{format_against_limit(scatter_mm, LARGEST_SCATTER_MM, 2)} mm and "
+            f"{format_against_limit(math.degrees(scatter_rad), math.degrees(LARGEST_SCATTER_RAD), 2)} deg",
             action="Check that the frame, the mount and the tracker's stand are rigid and the "
             "arm variant is right.",
         )
     require_consistent(used, MOST_OUTLIERS, "poses")
 
 
-def _turns_rad(rotations: Array) -> Array:
+def _successive_angles_rad(rotations: Array) -> Array:
     """Angle (m - 1,) from each rotation to the next."""
     between = rotations[:-1].transpose(0, 2, 1) @ rotations[1:]
     return np.asarray(Rotation.from_matrix(between).magnitude())
 
 
-def _start(pairs: PosePairs) -> tuple[Array, Array]:
+def _solve_linear(pairs: PosePairs) -> tuple[Array, Array]:
     a, b = pairs.robot_from_flange, pairs.tracker_from_marker
     unit = np.eye(3)
     equations = [
@@ -150,9 +151,9 @@ def _start(pairs: PosePairs) -> tuple[Array, Array]:
     null = np.linalg.svd(np.vstack(equations))[2][-1]
     x, z = np.eye(4), np.eye(4)
     x[:3, :3], z[:3, :3] = (_rotation_along(half.reshape(3, 3)) for half in (null[:9], null[9:]))
-    left = np.concatenate([a[:, :3, :3], np.tile(-unit, (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
-    right = (np.einsum("ij,mj->mi", z[:3, :3], b[:, :3, 3]) - a[:, :3, 3]).ravel()
-    solution = np.linalg.lstsq(left, right, rcond=None)[0]
+    design = np.concatenate([a[:, :3, :3], np.tile(-unit, (pairs.count, 1, 1))], axis=2).reshape(-1, 6)
+    offsets = (np.einsum("ij,mj->mi", z[:3, :3], b[:, :3, 3]) - a[:, :3, 3]).ravel()
+    solution = np.linalg.lstsq(design, offsets, rcond=None)[0]
     x[:3, 3], z[:3, 3] = solution[:3], solution[3:]
     return x, z
 

@@ -25,9 +25,9 @@ from procedures.calibration.head_model import (
     intersect_rays,
     pose_record,
 )
-from procedures.calibration.observations import ObservationSet, stamp
+from procedures.calibration.observations import ObservationSet, identifier_suffix
 from procedures.calibration.pose_set import rms_mm
-from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -38,7 +38,7 @@ MADE_BY = "ronna-stereo calibrate"
 # Over the standard error of a tool centre: two calibrations of one head, each with an error of its own, are
 # within three standard deviations of each other.
 MOVED_OVER_ERROR = 3.0 * math.sqrt(2.0)
-KEPT_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
+ANCHOR_REACH_MM = 6.0  # of the points around the tool centre that keep their pixels
 
 
 @dataclass(frozen=True)
@@ -82,9 +82,9 @@ def calibrate_head(
     fit = fit_bundle(
         observed.observations,
         before,
-        arm=kinematics_named(observed.arm_variant).chain if arm_geometry else None,
+        arm=find_kinematics(observed.arm_variant).chain if arm_geometry else None,
     )
-    flange_from_tool, misfit = _kept_tool_frame(before, fit.cameras)
+    flange_from_tool, misfit = _fit_tool_frame(before, fit.cameras)
     left, right = fit.cameras
     head = StereoHeadCalibration(
         identifier=new_identifier("stereo-head", observed.created),
@@ -98,7 +98,7 @@ def calibrate_head(
     )
     tool_before = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     shift_mm = float(np.linalg.norm(flange_from_tool.translation_mm - tool_before.translation_mm))
-    covariance = _covariance(fit, lambda cameras: _seen_again(before, cameras)[0])
+    covariance = _covariance(fit, lambda cameras: _triangulate_anchors(before, cameras)[0])
     # A drawing is as far off as the whole mount; a calibration of the same kind only by its error.
     smallest_mm = MOVED_OVER_ERROR * _standard_error_mm(covariance) if before.made_by == MADE_BY else None
     moved = smallest_mm is not None and shift_mm > smallest_mm
@@ -106,7 +106,7 @@ def calibrate_head(
     return HeadResult(
         fit=fit,
         stereo_head=head,
-        tool_tip=tip if tip is None or moved else moved_tip(tip, tool_before, flange_from_tool),
+        tool_tip=tip if tip is None or moved else move_tip(tip, tool_before, flange_from_tool),
         tool_covariance_mm2=covariance,
         tool_shift_mm=shift_mm,
         frame_misfit_mm=misfit,
@@ -120,10 +120,10 @@ def _standard_error_mm(covariance_mm2: Array) -> float:
 
 def new_identifier(name: str, created: datetime) -> str:
     """Combine name and time."""
-    return name + stamp(created)
+    return name + identifier_suffix(created)
 
 
-def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
+def move_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
     """Move the tip with the tool frame of the head on the same mount, relative to which it is known.
 
     Its dates and stated error remain: the tip itself was not measured.
@@ -135,23 +135,23 @@ def moved_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> T
     )
 
 
-def _kept_points() -> Array:
+def _anchor_points() -> Array:
     """Tool centre, and the corners of a cube around it, (9, 3) mm in the tool frame."""
-    corners = np.array(np.meshgrid(*3 * ([-KEPT_REACH_MM, KEPT_REACH_MM],))).reshape(3, -1).T
+    corners = np.array(np.meshgrid(*3 * ([-ANCHOR_REACH_MM, ANCHOR_REACH_MM],))).reshape(3, -1).T
     return np.vstack([np.zeros(3), corners])
 
 
-def _seen_again(before: StereoHeadCalibration, cameras: Cameras) -> Array:
+def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Array:
     """Points of the flange frame at which these cameras see the pixels of the kept points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    points = tool.apply(_kept_points())
+    points = tool.apply(_anchor_points())
     left, right = cameras_of(before)
-    return intersect_rays(cameras, left.seen(points), right.seen(points))[0]
+    return intersect_rays(cameras, left.image_points(points), right.image_points(points))[0]
 
 
-def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
+def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
     """Find FLANGE <- TOOL that preserves the pixels around the tool centre, and the rms misfit, mm."""
-    tool, flange = _kept_points(), _seen_again(before, cameras)
+    tool, flange = _anchor_points(), _triangulate_anchors(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
     pose = Transform(
@@ -165,20 +165,25 @@ def _kept_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[T
 def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
     """Standard error of a point measured in the tool frame, rms over the kept points."""
 
-    def in_tool(cameras: Cameras) -> Array:
-        flange_from_tool, _ = _kept_tool_frame(before, cameras)
-        return np.ravel(flange_from_tool.rigid.inv().apply(_seen_again(before, cameras)))
+    def points_in_tool(cameras: Cameras) -> Array:
+        flange_from_tool, _ = _fit_tool_frame(before, cameras)
+        return np.ravel(flange_from_tool.rigid.inv().apply(_triangulate_anchors(before, cameras)))
 
-    return float(np.sqrt(np.trace(_covariance(fit, in_tool)) / len(_kept_points())))
+    return float(np.sqrt(np.trace(_covariance(fit, points_in_tool)) / len(_anchor_points())))
 
 
-def _covariance(fit: BundleFit, of: Callable[[Cameras], Array]) -> Array:
+def _covariance(fit: BundleFit, evaluate: Callable[[Cameras], Array]) -> Array:
     """Covariance (n, n) of n values that follow from the cameras."""
     middle = CAMERA_PARAMETERS
     slopes = []
     for step in DERIVATIVE_STEP * np.eye(2 * middle):
         ends = [
-            of((fit.cameras[0].changed(sign * step[:middle]), fit.cameras[1].changed(sign * step[middle:])))
+            evaluate(
+                (
+                    fit.cameras[0].with_increments(sign * step[:middle]),
+                    fit.cameras[1].with_increments(sign * step[middle:]),
+                )
+            )
             for sign in (1.0, -1.0)
         ]
         slopes.append((ends[0] - ends[1]) / (2.0 * DERIVATIVE_STEP))

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
-from procedures.relocalization.triangulation import distorted
+from procedures.relocalization.triangulation import distort
 from ronna_hw.calibration import CameraCalibration, PoseRecord, StereoHeadCalibration
 from ronna_hw.frames import Frame, Transform
 
@@ -34,7 +34,7 @@ class FlangeCamera:
     distortion: tuple[float, float, float, float, float]
 
     @classmethod
-    def of(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
+    def from_record(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
         """Build the camera from a record and the tool frame it refers to."""
         pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
         return cls(
@@ -45,7 +45,7 @@ class FlangeCamera:
             camera.distortion,
         )
 
-    def changed(self, increments: Array) -> FlangeCamera:
+    def with_increments(self, increments: Array) -> FlangeCamera:
         """Change the ten parameters by these increments."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
         k1, *others = self.distortion
@@ -58,7 +58,7 @@ class FlangeCamera:
             (k1 + float(increments[9]), k2, p1, p2, k3),
         )
 
-    def seen(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
+    def image_points(self, points_mm: Array, semi_minor_px: ArrayLike = 0.0) -> Array:
         """Project points (n, 3) of the flange frame to pixels (n, 2).
 
         Given the semi-minor axis b of a ball's outline, return the centre of that outline instead, which is
@@ -67,10 +67,10 @@ class FlangeCamera:
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         b = np.asarray(semi_minor_px, dtype=float) / np.sqrt(self.focal_px.prod())
         out = np.column_stack([x / z, y / z]) * np.reshape(1.0 + b * b, (-1, 1))
-        return distorted(out, self.distortion) * self.focal_px + self.principal_px
+        return distort(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Derivative (n, 2, 3) of `seen` by the point, without distortion: for weighting only."""
+        """Derivative (n, 2, 3) of `image_points` by the point, without distortion: for weighting only."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z
@@ -79,10 +79,10 @@ class FlangeCamera:
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
         """Centre of projection (3,) and unnormalised directions (n, 3) in the flange frame."""
-        seen = (pixels - self.principal_px) / self.focal_px
-        straight = seen
+        image_points = (pixels - self.principal_px) / self.focal_px
+        straight = image_points
         for _ in range(UNDISTORT_STEPS):
-            straight = straight + (seen - distorted(straight, self.distortion))
+            straight = straight + (image_points - distort(straight, self.distortion))
         directions = np.column_stack([straight, np.ones(len(straight))]) @ self.rotation
         return -self.rotation.T @ self.translation_mm, directions
 
@@ -111,7 +111,7 @@ Cameras = tuple[FlangeCamera, FlangeCamera]
 def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
     """Place left and right camera of a record on the flange."""
     tool = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
-    return FlangeCamera.of(calibration.left, tool), FlangeCamera.of(calibration.right, tool)
+    return FlangeCamera.from_record(calibration.left, tool), FlangeCamera.from_record(calibration.right, tool)
 
 
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:

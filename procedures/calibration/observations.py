@@ -18,7 +18,7 @@ from ronna_hw.calibration import Dated, PoseRecord, StereoHeadCalibration, Stric
 from ronna_hw.config import Calibrations
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 SAME = 1e-6  # in any unit: more than writing a number changes, far below the error of any calibration
 NOT_MEASURED = {"created", "expires", "made_by"}
@@ -54,44 +54,47 @@ def require_same_theatre(
         now = getattr(theatre, name)
         if now is None and then is None:
             continue
-        if _alike(_content(now), _content(then)):
+        if _is_alike(_record_content(now), _record_content(then)):
             continue
         if found is None:
-            may_be_found = now is not None and (
-                now.identifier.endswith(stamp(measured.created)) or now.identifier == _named(then)
+            is_result = now is not None and (
+                now.identifier.endswith(identifier_suffix(measured.created))
+                or now.identifier == _record_name(then)
             )
         else:
-            may_be_found = _alike(_content(now), _measured(found.get(name)))
-        if not may_be_found:
+            is_result = _is_alike(_record_content(now), _strip_metadata(found.get(name)))
+        if not is_result:
             raise OfAnotherTheatre(
                 f"the measurements were made with another [calibration.{name}] than the theatre file's",
-                expected=_named(now),
-                got=_named(then) if _named(then) != _named(now) else f"{_named(then)} with other numbers",
+                expected=_record_name(now),
+                got=_record_name(then)
+                if _record_name(then) != _record_name(now)
+                else f"{_record_name(then)} with other numbers",
             )
 
 
-def stamp(created: datetime) -> str:
+def identifier_suffix(created: datetime) -> str:
     """Return the end of the identifiers of records computed from measurements of this time."""
     return f"-{created:%Y%m%dT%H%M%S}"
 
 
-def _named(record: Dated | None) -> str:
+def _record_name(record: Dated | None) -> str:
     return "none" if record is None else record.identifier
 
 
-def _content(record: Dated | None) -> Any:
-    return None if record is None else _measured(record.model_dump())
+def _record_content(record: Dated | None) -> Any:
+    return None if record is None else _strip_metadata(record.model_dump())
 
 
-def _measured(plain: Any) -> Any:
+def _strip_metadata(plain: Any) -> Any:
     return {key: value for key, value in plain.items() if key not in NOT_MEASURED} if plain else None
 
 
-def _alike(one: Any, other: Any) -> bool:
+def _is_alike(one: Any, other: Any) -> bool:
     if isinstance(one, Mapping) and isinstance(other, Mapping):
-        return one.keys() == other.keys() and all(_alike(one[key], other[key]) for key in one)
+        return one.keys() == other.keys() and all(_is_alike(one[key], other[key]) for key in one)
     if isinstance(one, list | tuple) and isinstance(other, list | tuple):
-        return len(one) == len(other) and all(map(_alike, one, other))
+        return len(one) == len(other) and all(map(_is_alike, one, other))
     if isinstance(one, float) and isinstance(other, float):
         return math.isclose(one, other, rel_tol=0.0, abs_tol=SAME)
     return bool(one == other)
@@ -159,5 +162,5 @@ def read_strict(kind: type[S], path: Path) -> S:
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise BadObservations(
-            f"{path.name} has {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes[:5])}"
+            f"{path.name} has {format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes[:5])}"
         ) from error

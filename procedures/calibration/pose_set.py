@@ -16,7 +16,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.errors import DegeneratePoses, DoesNotFit, TooFewPoses
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -50,31 +50,31 @@ class PlannedLook:
     orientation: int | None = None
 
 
-def calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
+def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
     """Spread views of a ball (3,) in the robot frame around the orientation robot <- tool."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
-        orientation = _orientation(
+        orientation = _tilt_and_turn(
             reference, TILT_RAD * float(np.sqrt(tilt)), 2.0 * np.pi * azimuth, TURN_RAD * (2.0 * turn - 1.0)
         )
         offset = np.array(FIELD_MM) * (2.0 * np.array(field) - 1.0)
-        looks.append(_look(orientation, np.asarray(ball_mm, dtype=float), offset))
+        looks.append(_build_look(orientation, np.asarray(ball_mm, dtype=float), offset))
     return tuple(order_by_orientation(looks))
 
 
-def centred_looks(
+def plan_centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
     """List views from number `first` on with the sphere at the tool centre; lens and field do not matter
     there.
     """
-    return turned_about(
+    return plan_poses_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
     )
 
 
-def turned_about(
+def plan_poses_about(
     reference: Rotation,
     point_mm: ArrayLike,
     count: int,
@@ -92,8 +92,8 @@ def turned_about(
     share = (0.5 + np.outer(first + np.arange(count), _STEPS[:3])) % 1.0
     point, offset = np.asarray(point_mm, dtype=float), np.asarray(offset_mm, dtype=float)
     return tuple(
-        _look(
-            _orientation(
+        _build_look(
+            _tilt_and_turn(
                 reference,
                 tilt_rad * float(np.sqrt(tilt)),
                 2.0 * np.pi * azimuth,
@@ -106,14 +106,14 @@ def turned_about(
     )
 
 
-def check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
+def self_check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
     """List one orientation of the self-check, and alternatives if it is not reachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
     return tuple(
-        _look(
-            _orientation(reference, tilt_share * CHECK_TILT_RAD, azimuth, turn_share * turn),
+        _build_look(
+            _tilt_and_turn(reference, tilt_share * CHECK_TILT_RAD, azimuth, turn_share * turn),
             ball,
             np.zeros(3),
             number,
@@ -127,18 +127,20 @@ def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
-    alike = np.einsum("nij,mij->nm", rotations, rotations)  # trace of the relative rotation: larger is nearer
-    order, rest = [0], set(range(1, len(looks)))
-    while rest:
-        nearest = max(rest, key=lambda number: float(alike[order[-1], number]))
-        rest.remove(nearest)
+    similarity = np.einsum(
+        "nij,mij->nm", rotations, rotations
+    )  # trace of the relative rotation: larger is nearer
+    order, unvisited = [0], set(range(1, len(looks)))
+    while unvisited:
+        nearest = max(unvisited, key=lambda number: float(similarity[order[-1], number]))
+        unvisited.remove(nearest)
         order.append(nearest)
     return [looks[number] for number in order]
 
 
-def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
+def move_look(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
     """Move a view to a ball at another position."""
-    return _look(
+    return _build_look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),
         np.array(look.ball_in_tool_mm),
@@ -146,12 +148,14 @@ def moved_to(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
     )
 
 
-def _orientation(reference: Rotation, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> Rotation:
+def _tilt_and_turn(reference: Rotation, tilt_rad: float, azimuth_rad: float, turn_rad: float) -> Rotation:
     tilt = Rotation.from_rotvec(tilt_rad * np.array([np.cos(azimuth_rad), np.sin(azimuth_rad), 0.0]))
     return reference * tilt * Rotation.from_rotvec([0.0, 0.0, turn_rad])
 
 
-def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int | None = None) -> PlannedLook:
+def _build_look(
+    orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int | None = None
+) -> PlannedLook:
     pose = Transform(
         Frame.ROBOT,
         Frame.TOOL,
@@ -161,7 +165,7 @@ def _look(orientation: Rotation, ball_mm: Array, offset_mm: Array, number: int |
     return PlannedLook(pose, (x, y, z), number)
 
 
-def held_out_indices(count: int, validation: int) -> tuple[int, ...]:
+def choose_held_out(count: int, validation: int) -> tuple[int, ...]:
     """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
@@ -183,7 +187,7 @@ def require_spread(rotations: NDArray[np.float64], what: str, action: str | None
         raise DegeneratePoses(
             what,
             limit=f"{LEAST_SPREAD_DEG:g} deg rms about every axis",
-            got=f"{beyond(math.degrees(math.asin(spread)), LEAST_SPREAD_DEG, 1)} deg",
+            got=f"{format_against_limit(math.degrees(math.asin(spread)), LEAST_SPREAD_DEG, 1)} deg",
             action=action,
         )
 
@@ -194,12 +198,12 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
         raise DoesNotFit(
             f"too many {what} disagree with the others",
             limit=f"{most_outliers:.0%}",
-            got=f"{beyond(100 * outliers, 100 * most_outliers, 0)}%",
+            got=f"{format_against_limit(100 * outliers, 100 * most_outliers, 0)}%",
         )
 
 
 def orientation_spread(rotations: NDArray[np.float64]) -> float:
     """Rms variation of rotations (n, 3, 3) in the direction that varies least; 0 about a single axis."""
-    apart = rotations - rotations.mean(axis=0)
-    scatter = np.einsum("nki,nkj->ij", apart, apart) / len(rotations)
+    deviations = rotations - rotations.mean(axis=0)
+    scatter = np.einsum("nki,nkj->ij", deviations, deviations) / len(rotations)
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))

@@ -30,7 +30,7 @@ from procedures.calibration.head_model import cameras_of, intersect_rays
 from procedures.calibration.observations import Observation
 from ronna_hw.calibration import StereoHeadCalibration, Strict
 from ronna_hw.frames import Frame
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -125,7 +125,7 @@ class CheckResult:
         if not bad:
             return
         moved = float(np.linalg.norm(self.shift.value))
-        got, limit = side_by_side(bad[0].statistic, bad[0].limit, 1)
+        got, limit = format_distinct(bad[0].statistic, bad[0].limit, 1)
         raise HeadMoved(
             "the stereo head has changed since its calibration "
             f"({', '.join(sign.name for sign in bad)}); the ball appears shifted by "
@@ -136,7 +136,7 @@ class CheckResult:
 
 
 @dataclass(frozen=True)
-class _Seen:
+class _RunMeans:
     """Means per orientation: ball in the tool frame (m, 3), gap (m,), size (m,), rotation, visits (m,)."""
 
     points_mm: Array
@@ -154,7 +154,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     """Evaluate the views of a check. Raises CAL-008 for other poses, CAL-007 if they scatter too much."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
-    then, now = (_seen(run, head, numbers) for run in (baseline.looks, looks))
+    then, now = (_average_run(run, head, numbers) for run in (baseline.looks, looks))
     freedom = then.freedom + now.freedom
     arm = (then.arm_variance_mm2 * then.freedom + now.arm_variance_mm2 * now.freedom) / freedom
     arm = max(arm, ARM_FLOOR_MM**2)
@@ -164,19 +164,19 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     )
     normal = np.einsum("n,nij,nik->jk", weights, design, design)
     covariance = np.linalg.inv(normal)
-    found = covariance @ np.einsum("n,nij,ni->j", weights, design, now.points_mm - then.points_mm)
-    shift, shift_covariance = found[3:], covariance[3:, 3:]
+    solution = covariance @ np.einsum("n,nij,ni->j", weights, design, now.points_mm - then.points_mm)
+    shift, shift_covariance = solution[3:], covariance[3:, 3:]
     worst = float(np.sqrt(np.linalg.eigvalsh(shift_covariance)[-1]))
     if SENSITIVITY * worst > TWIST_SHIFT_MM:
         raise CheckUncertain(
             "the check could not detect a camera rotated by 0.01 degrees",
             limit=f"{1000 * TWIST_SHIFT_MM / SENSITIVITY:.0f} um",
-            got=f"{beyond(1000 * worst, 1000 * TWIST_SHIFT_MM / SENSITIVITY, 0)} um",
+            got=f"{format_against_limit(1000 * worst, 1000 * TWIST_SHIFT_MM / SENSITIVITY, 0)} um",
         )
     share = float(np.sum(1.0 / then.visits + 1.0 / now.visits)) / len(numbers) ** 2
     gap_variance = 0.5 * (then.gap_variance_mm2 + now.gap_variance_mm2) * share + GAP_FLOOR_MM**2
     size_variance = 0.5 * (then.size_variance + now.size_variance) * share + SIZE_FLOOR**2
-    x, y, z = found[:3].tolist()
+    x, y, z = solution[:3].tolist()
     return CheckResult(
         shift=Sign(
             "shift of the ball",
@@ -186,10 +186,10 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
             float(shift @ np.linalg.solve(shift_covariance, shift)),
             float(chdtri(3, FALSE_ALARM)),
         ),
-        gap=_scalar(
+        gap=_scalar_sign(
             "gap of the lines of sight", "mm", float(np.mean(now.gaps_mm - then.gaps_mm)), gap_variance
         ),
-        size=_scalar(
+        size=_scalar_sign(
             "size of the ball", "of its size", float(np.mean(now.sizes - then.sizes)), size_variance
         ),
         ball_moved_mm=(x, y, z),
@@ -198,7 +198,7 @@ def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> C
     )
 
 
-def _scalar(name: str, unit: str, value: float, variance: float) -> Sign:
+def _scalar_sign(name: str, unit: str, value: float, variance: float) -> Sign:
     return Sign(
         name,
         unit,
@@ -216,12 +216,13 @@ def _require_same_poses(looks: Sequence[Observation], baseline: Baseline) -> Non
     for look in looks:
         if look.orientation is None or look.orientation not in poses:
             raise NotTheBaseline(f"the baseline has no orientation {look.orientation}")
-        apart = float(np.abs(np.array(look.joints_rad) - poses[look.orientation]).max())
-        if apart > SAME_POSE_RAD:
+        difference_rad = float(np.abs(np.array(look.joints_rad) - poses[look.orientation]).max())
+        if difference_rad > SAME_POSE_RAD:
             raise NotTheBaseline(
                 f"orientation {look.orientation + 1} was viewed from a different pose than in the baseline",
                 limit=f"{np.degrees(SAME_POSE_RAD):.2f} deg in every joint",
-                got=f"{beyond(math.degrees(apart), math.degrees(SAME_POSE_RAD), 2)} deg",
+                got=format_against_limit(math.degrees(difference_rad), math.degrees(SAME_POSE_RAD), 2)
+                + " deg",
             )
 
 
@@ -235,7 +236,9 @@ def _require_views(looks: Sequence[Observation], orientations: Sequence[int], na
             )
 
 
-def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequence[int]) -> _Seen:
+def _average_run(
+    run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequence[int]
+) -> _RunMeans:
     cameras = cameras_of(head)
     tool = head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     centres = np.array([[_centre(look, side) for side in (0, 1)] for look in run])
@@ -257,7 +260,7 @@ def _seen(run: Sequence[Observation], head: StereoHeadCalibration, numbers: Sequ
         return total / (freedom * columns.shape[1])
 
     rotations = np.array([(run[group[0]].flange_pose @ tool).rotation_matrix for group in groups])
-    return _Seen(
+    return _RunMeans(
         points_mm=np.array([points[group].mean(axis=0) for group in groups]),
         gaps_mm=np.array([gaps[group].mean() for group in groups]),
         sizes=np.array([sizes[group].mean() for group in groups]),

@@ -46,7 +46,7 @@ from ronna_hw.calibration import (
     ToolTipCalibration,
 )
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -58,7 +58,7 @@ LARGEST_SCATTER_MM = 0.08  # per axis: good arms and stands show 0.02 to 0.03
 LEAST_SCATTER_MM = 0.003  # nothing repeats better
 LARGEST_GAP_MM = 0.08  # between ball and divot; a smaller gap adds to the tip's error: the stand must be good
 MOST_OPEN_MM = 0.2  # no larger gap goes unnoticed; good readings at the step's poses leave 0.07 to 0.17
-SURE = 3.0  # standard errors, if pivoting leaves more than that undetermined
+GAP_SIGMAS = 3.0  # standard errors, if pivoting leaves more than that undetermined
 LARGEST_PIVOT_SCATTER_MM = 0.05  # per axis: good ones show up to 0.035; a larger one would excuse any gap
 
 MADE_BY = "ronna-procedure calibrate tool-tip"
@@ -123,10 +123,10 @@ class TipResult:
 def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
     """Compute a dated record from readings. Raises CAL-002 to CAL-005, CAL-017 to CAL-019."""
     _require_plausible(observed)
-    kept = set(observed.validation)
-    fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in kept]))
+    held_out = set(observed.validation)
+    fit = fit_tip(pairs_of(observed, [one for one in observed.readings if one.look not in held_out]))
     misses, predicted_mm = _validate(
-        fit, pairs_of(observed, [one for one in observed.readings if one.look in kept])
+        fit, pairs_of(observed, [one for one in observed.readings if one.look in held_out])
     )
     head = observed.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     before = observed.start.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
@@ -135,7 +135,7 @@ def calibrate_tip(observed: TipLooks, *, life: timedelta = LIFE) -> TipResult:
         raise FarFromRecord(
             "the tip is not at its recorded position",
             limit=f"{FAR_MM:g} mm",
-            got=f"{beyond(change_mm, FAR_MM, 1)} mm",
+            got=f"{format_against_limit(change_mm, FAR_MM, 1)} mm",
         )
     # A divot shows where the tip is, not where the guide points: direction and its error are kept.
     found = Transform(
@@ -183,17 +183,17 @@ def _require_plausible(observed: TipLooks) -> None:
         require_plausible(one.dials_mm)
 
 
-def _validate(fit: TipFit, kept: TipPairs) -> tuple[Array, float]:
+def _validate(fit: TipFit, held_out: TipPairs) -> tuple[Array, float]:
     """Misses (m, 3) of held-out readings, and their expected rms."""
-    require_count(kept.count, LEAST_VALIDATION, "too few readings to validate the tip")
-    misses = tips_of(kept) - fit.tip_mm
+    require_count(held_out.count, LEAST_VALIDATION, "too few readings to validate the tip")
+    misses = tips_of(held_out) - fit.tip_mm
     variance = fit.scatter_mm**2 + float(np.trace(fit.covariance_mm2)) / 3.0
     found_mm = rms_mm(misses)
     # The scatter is estimated from few readings: the limit includes its own error (Fisher's F).
-    ratio = float(fdtri(3 * kept.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
+    ratio = float(fdtri(3 * held_out.count, 3 * (len(fit.misses_mm) - 1), 1.0 - ACCEPTED))
     limit_mm = float(np.sqrt(3.0 * variance * ratio * (1.0 + MODEL_SHARE)))
     if found_mm > limit_mm:
-        rms, limit = side_by_side(found_mm, limit_mm, 3)
+        rms, limit = format_distinct(found_mm, limit_mm, 3)
         raise DoesNotFit(
             "the tip does not agree with the readings kept for validation",
             limit=f"{limit} mm rms",
@@ -220,15 +220,15 @@ class TipFit:
     @property
     def hidden_gap_mm(self) -> float:
         """Standard deviation of a gap hidden in the tip: no accepted gap exceeds three of these."""
-        return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / SURE)
+        return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / GAP_SIGMAS)
 
 
 def fit_tip(pairs: TipPairs) -> TipFit:
     """Fit the tip to readings in the divot. Raises CAL-002 to CAL-004, CAL-019."""
     _require_usable(pairs)
-    seen = tips_of(pairs)
-    tip = seen.mean(axis=0)
-    misses = seen - tip
+    tips = tips_of(pairs)
+    tip = tips.mean(axis=0)
+    misses = tips - tip
     scatter = max(
         float(np.sqrt(np.sum(misses**2) / (3 * (pairs.count - 1)))),
         LEAST_SCATTER_MM,
@@ -237,32 +237,32 @@ def fit_tip(pairs: TipPairs) -> TipFit:
         raise DoesNotFit(
             "the readings do not agree on one tip position",
             limit=f"{LARGEST_SCATTER_MM:g} mm per axis",
-            got=f"{beyond(scatter, LARGEST_SCATTER_MM, 2)} mm",
+            got=f"{format_against_limit(scatter, LARGEST_SCATTER_MM, 2)} mm",
             action="Check that stand, guide and dials are rigid and that x, y and z are not "
             "mixed up; then repeat.",
         )
-    gap, gap_error, pivot_scatter = _pivoted_gap(pairs)
+    gap, gap_error, pivot_scatter = _fit_gap(pairs)
     if pivot_scatter > LARGEST_PIVOT_SCATTER_MM:
         raise DoesNotFit(
             "pivoting cannot show whether the divot is where the ball was: the readings scatter too much",
             limit=f"{LARGEST_PIVOT_SCATTER_MM:g} mm per axis",
-            got=f"{beyond(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
+            got=f"{format_against_limit(pivot_scatter, LARGEST_PIVOT_SCATTER_MM, 3)} mm",
             action="Check that stand, guide and dials are rigid; then repeat.",
         )
-    if SURE * gap_error > MOST_OPEN_MM:
+    if GAP_SIGMAS * gap_error > MOST_OPEN_MM:
         raise DoesNotFit(
             "pivoting cannot show whether the divot is where the ball was: too few "
             "orientations, or too similar",
             limit=f"an uncertainty of {MOST_OPEN_MM:g} mm",
-            got=f"{beyond(SURE * gap_error, MOST_OPEN_MM, 2)} mm",
+            got=f"{format_against_limit(GAP_SIGMAS * gap_error, MOST_OPEN_MM, 2)} mm",
             action="Tilt the guide farther to all sides, or read more orientations; then repeat.",
         )
-    limit = max(LARGEST_GAP_MM, SURE * gap_error)
+    limit = max(LARGEST_GAP_MM, GAP_SIGMAS * gap_error)
     if np.linalg.norm(gap) > limit:
         raise BallAndDivotApart(
             "according to the pivoting, the divot is not where the ball was",
             limit=f"{limit:.2f} mm",
-            got=f"{beyond(float(np.linalg.norm(gap)), limit, 2)} mm",
+            got=f"{format_against_limit(float(np.linalg.norm(gap)), limit, 2)} mm",
         )
     covariance = scatter**2 / pairs.count * np.eye(3)
     return TipFit(tip, covariance, scatter, misses, gap, gap_error)
@@ -312,16 +312,16 @@ def _require_usable(pairs: TipPairs) -> None:
     action = "Tilt the guide by 20 degrees or more to all sides of the divot."
     require_spread(pairs.at_divot[:, :3, :3], "the tip was pivoted over too narrow a cone", action)
     between = pairs.at_ball[:, :3, :3].transpose(0, 2, 1) @ pairs.at_divot[:, :3, :3]
-    turned = float(Rotation.from_matrix(between).magnitude().max())
-    if turned > SAME_ORIENTATION_RAD:
+    angle_rad = float(Rotation.from_matrix(between).magnitude().max())
+    if angle_rad > SAME_ORIENTATION_RAD:
         raise DoesNotFit(
             "head and tip were not moved there in the same orientation",
             limit=f"{np.degrees(SAME_ORIENTATION_RAD):g} deg",
-            got=f"{beyond(math.degrees(turned), math.degrees(SAME_ORIENTATION_RAD), 1)} deg",
+            got=f"{format_against_limit(math.degrees(angle_rad), math.degrees(SAME_ORIENTATION_RAD), 1)} deg",
         )
 
 
-def _pivoted_gap(pairs: TipPairs) -> tuple[Array, float, float]:
+def _fit_gap(pairs: TipPairs) -> tuple[Array, float, float]:
     """Offset of the divot from the ball, its 3-D standard error, and the scatter per reading and axis.
 
     Solves `offsets = R tip - gap` for both unknowns.

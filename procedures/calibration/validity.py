@@ -35,10 +35,10 @@ def require_valid(
     """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
 
     `options` select this theatre for those commands; the records in `starts` may have expired. Raises CAL-020
-    and CAL-021 like `require_together`.
+    and CAL-021 like `require_consistent_arm`.
     """
     if "arm" not in starts:
-        require_together(calibrations, options)
+        require_consistent_arm(calibrations, options)
     expired: dict[str, CalibrationExpired] = {}
     for name, record in calibrations.records.items():
         try:
@@ -66,7 +66,7 @@ def require_valid(
     )
 
 
-def require_together(calibrations: Calibrations, options: str = "") -> None:
+def require_consistent_arm(calibrations: Calibrations, options: str = "") -> None:
     """Raise CAL-020 or CAL-021 for an arm that was not calibrated with this head and tip.
 
     An arm calibration also determines the head's place and moves the tip with it; both keep their dates. A
@@ -82,19 +82,19 @@ def require_together(calibrations: Calibrations, options: str = "") -> None:
             got=f"{arm.created:%Y-%m-%d %H:%M %Z}",
             action=f"Run {MADE_BY_COMMAND['arm']} {options}".rstrip() + "; no motion until then.",
         )
-    found: tuple[tuple[str, StereoHeadCalibration | ToolTipCalibration, Numbers3 | None], ...] = (
+    placed_records: tuple[tuple[str, StereoHeadCalibration | ToolTipCalibration, Numbers3 | None], ...] = (
         ("stereo_head", head, arm.stereo_head_mm),
         ("tool_tip", calibrations.tool_tip, arm.tool_tip_mm),
     )
-    for name, record, place_mm in found:
+    for name, record, place_mm in placed_records:
         if place_mm is None or record.created > arm.created:  # a tip that was calibrated later
             continue
-        away_mm = math.dist(place_mm, record.flange_from_tool.translation_mm)
-        if away_mm > SAME_PLACE_MM:
+        distance_mm = math.dist(place_mm, record.flange_from_tool.translation_mm)
+        if distance_mm > SAME_PLACE_MM:
             raise OfAnotherTheatre(
                 f"calibration {arm.identifier} does not belong to this [calibration.{name}]",
                 expected="the record that was written with it",
-                got=f"{record.identifier}, {away_mm:.3f} mm from there on the flange",
+                got=f"{record.identifier}, {distance_mm:.3f} mm from there on the flange",
                 action="Copy the whole calibration.toml of the arm's calibration into the theatre file, or "
                 f"run {MADE_BY_COMMAND['arm']} {options}".rstrip()
                 + "; no motion until then.",

@@ -16,7 +16,7 @@ from procedures.cli.postoperative import postoperative
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_folder_of
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 if TYPE_CHECKING:
     from procedures.imaging import Candidate, Localization, Marker
@@ -126,7 +126,7 @@ def localize(
     if pick is not None and method is not Method.COMBINED:
         raise UsageMistake("--pick works with the combined method only; omit --method")
     picks_mm = None if pick is None else imaging.read_picks(pick)
-    layout_mm = None if layout is None else _layout_mm(layout)
+    layout_mm = None if layout is None else _read_layout_mm(layout)
     refused: MarkerCountWrong | None = None
     with terminal.progress_bar("reading and localizing") as advance:
         volume = imaging.read_series(series_dir, progress=lambda share: advance(READING_SHARE * share))
@@ -154,15 +154,15 @@ def localize(
     for sentence in volume.warnings:
         terminal.tell(f"warning: {sentence}")
     if refused is not None:
-        likely = imaging.likeliest_first(refused.candidates)
+        ranked = imaging.likeliest_first(refused.candidates)
         if show_candidates and as_json:
-            terminal.print_json({"candidates": _list_candidates(likely)})
+            terminal.print_json({"candidates": _list_candidates(ranked)})
         elif show_candidates:
-            _print_candidates(likely)
+            _print_candidates(ranked)
         if pictures is not None:
-            from procedures.imaging.pictures import candidate_pictures
+            from procedures.imaging.pictures import draw_candidates
 
-            _write_pictures(pictures, "candidate", candidate_pictures(volume, likely[:PICTURED_CANDIDATES]))
+            _write_pictures(pictures, "candidate", draw_candidates(volume, ranked[:PICTURED_CANDIDATES]))
         raise refused
     for sentence in result.warnings:
         terminal.tell(f"warning: {sentence}")
@@ -176,9 +176,9 @@ def localize(
         found = find_layout(layout_mm, result.centres_mm)
         result = replace(result, markers=tuple(result.markers[place] for place in found.order))
     if pictures is not None:
-        from procedures.imaging.pictures import marker_pictures
+        from procedures.imaging.pictures import draw_markers
 
-        _write_pictures(pictures, "marker", marker_pictures(volume, result))
+        _write_pictures(pictures, "marker", draw_markers(volume, result))
     write_spheres(result, write or (), patient)
     candidates = imaging.likeliest_first(result.candidates) if show_candidates else None
     if as_json:
@@ -220,7 +220,7 @@ def view(
     import procedures.imaging as imaging
     from procedures.imaging.ct_page import ct_page
     from procedures.imaging.errors import MarkerCountWrong
-    from ronna_hw.records import write_whole
+    from ronna_hw.records import write_atomically
 
     require_folder_of(out)
     with terminal.progress_bar("reading and localizing") as advance:
@@ -231,16 +231,16 @@ def view(
             markers, candidates = result.markers, result.candidates
         except MarkerCountWrong as error:
             candidates = error.candidates
-        likely = imaging.likeliest_first(candidates)
-        doubtful = sum(one.doubtful for one in likely)
-        rejected = len(likely) - len(markers) - doubtful
-        outcome = f"{counted(len(markers), 'marker')} found, {doubtful} doubtful, {rejected} rejected."
-        page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, likely, outcome)
-    write_whole(out, page.encode())
+        ranked = imaging.likeliest_first(candidates)
+        doubtful = sum(one.doubtful for one in ranked)
+        rejected = len(ranked) - len(markers) - doubtful
+        outcome = f"{format_count(len(markers), 'marker')} found, {doubtful} doubtful, {rejected} rejected."
+        page = ct_page(volume, f"CT series {series_dir.resolve().name}", markers, ranked, outcome)
+    write_atomically(out, page.encode())
     terminal.tell(f"{outcome} Page {out}")
 
 
-def _layout_mm(layout: str) -> Any:
+def _read_layout_mm(layout: str) -> Any:
     """Spheres of the layout (k, 3) mm, in its own frame. Raises CT-018, for fewer than three too."""
     from procedures.imaging import read_picks
     from procedures.imaging.errors import PicksUnreadable
@@ -277,7 +277,7 @@ def _print_markers(result: Localization) -> None:
         sizes = (f"{marker.radius_mm:.2f}", f"{marker.quality:.2f}")
         rows.append([str(number), *(f"{value:.3f}" for value in lengths_mm), *sizes, " ".join(marker.flags)])
     terminal.print_table(
-        f"{counted(len(rows), 'marker')}, LPS in mm",
+        f"{format_count(len(rows), 'marker')}, LPS in mm",
         ["#", "L mm", "P mm", "S mm", "sigma mm", "agree mm", "radius mm", "quality", "flags"],
         rows,
     )
@@ -291,7 +291,7 @@ def _print_candidates(candidates: Sequence[Candidate]) -> None:
         odds = f"{one.odds:.2f}"
         rows.append([*(f"{value:z.1f}" for value in one.centre_mm), share, radius, odds, one.reason])
     terminal.print_table(
-        f"{counted(len(rows), 'candidate')}, LPS in mm",
+        f"{format_count(len(rows), 'candidate')}, LPS in mm",
         ["L mm", "P mm", "S mm", "surface", "radius mm", "odds", "outcome"],
         rows,
     )

@@ -15,8 +15,8 @@ from procedures.cli.planning_inputs import (
     PlanArgument,
     PlannedSeriesOption,
     SixNumbers,
+    load_theatre_arm,
     read_ct,
-    theatre_of,
 )
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import UsageMistake
@@ -87,11 +87,11 @@ def place(
             f"--strategy {strategy} chooses by the errors at one known cart position",
             action="Map with --strategy ocs: where that works, best can choose it.",
         )
-    theatre = theatre_of(config, robot_from_ct, home, strategy)
+    theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
     assert theatre is not None
-    from procedures.planning.cart_map import judging, map_places, propose_place
+    from procedures.planning.cart_map import map_places, open_judge, propose_place
     from procedures.planning.cart_place import CartCase
-    from procedures.planning.guide import held_trajectories
+    from procedures.planning.guide import place_guides
     from procedures.planning.plan_check import check_plan
     from procedures.planning.plan_file import read_plan
 
@@ -100,31 +100,31 @@ def place(
     check_plan(plan, volume, fiducials_mm=fiducials_mm, bore=theatre.bore).require()
     assert fiducials_mm is not None
     marks = tuple(fiducials_mm)
-    setting = theatre.in_its_scene(volume, plan.fiducials, marks)
-    tracker = None if robot_from_tracker is None else _tracker_at(robot_from_tracker)
-    trajectories = held_trajectories(plan, theatre.bore)
+    setting = theatre.with_scene(volume, plan.fiducials, marks)
+    tracker = None if robot_from_tracker is None else _tracker_pose(robot_from_tracker)
+    trajectories = place_guides(plan, theatre.bore)
     case = CartCase(setting, trajectories, marks, theatre.sight, tracker, theatre.stereo_from_marker)
-    with terminal.progress_bar("mapping cart positions") as advance, judging(case) as judge:
-        found = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
+    with terminal.progress_bar("mapping cart positions") as advance, open_judge(case) as judge:
+        proposal = propose_place(map_places(within, judge, advance, math.radians(turned)), judge)
     payload = {
         "series_instance_uid": plan.series_instance_uid,
         "assumed_robot_from_ct": list(robot_from_ct),
         "strategy": strategy,
         "sight": "judged" if tracker is not None else "not judged",
-        **found.as_payload(),
+        **proposal.as_payload(),
         "elapsed_s": round(time.perf_counter() - began_s, 3),
     }
     if out is not None:
-        _write(out, payload, found, case)
+        _write_files(out, payload, proposal, case)
     if tracker is None:
         terminal.tell("sight not judged: without --robot-from-tracker markers or arm may be out of its sight")
     if as_json:
         terminal.print_json(payload)
         return
-    _print(found)
+    _print_proposal(proposal)
 
 
-def _tracker_at(numbers: SixNumbers) -> Transform:
+def _tracker_pose(numbers: SixNumbers) -> Transform:
     from ronna_hw.arm.pose import Pose
     from ronna_hw.frames import Frame, Transform
 
@@ -134,25 +134,25 @@ def _tracker_at(numbers: SixNumbers) -> Transform:
     )
 
 
-def _write(out: Path, payload: dict[str, Any], found: PlaceProposal, case: CartCase) -> None:
-    from procedures.planning.cart_map import place_picture
-    from ronna_hw.records import write_whole
+def _write_files(out: Path, payload: dict[str, Any], proposal: PlaceProposal, case: CartCase) -> None:
+    from procedures.planning.cart_map import draw_place
+    from ronna_hw.records import write_atomically
 
     try:
         out.mkdir(parents=True, exist_ok=True)
-        write_whole(out / "place.json", json.dumps(payload, indent=1).encode())
-        write_whole(out / "place.svg", place_picture(found, case))
+        write_atomically(out / "place.json", json.dumps(payload, indent=1).encode())
+        write_atomically(out / "place.svg", draw_place(proposal, case))
     except OSError as error:
         raise UsageMistake(
             f"cannot write into {out}: {error.strerror}", action="Name another folder."
         ) from error
 
 
-def _print(found: PlaceProposal) -> None:
-    places, best = found.places, found.best
+def _print_proposal(proposal: PlaceProposal) -> None:
+    places, best = proposal.places, proposal.best
     at_assumed = "the assumed position works"
-    if not found.assumed.serves:
-        at_assumed = f"the assumed position does not work: {found.assumed.pose}: {found.assumed.reason}"
+    if not proposal.assumed.serves:
+        at_assumed = f"the assumed position does not work: {proposal.assumed.pose}: {proposal.assumed.reason}"
     terminal.tell(f"{at_assumed}; {places.allowed.mean():.0%} of the map works")
     terminal.print_table(
         "push the cart from the assumed position by",
@@ -162,8 +162,8 @@ def _print(found: PlaceProposal) -> None:
                 f"{best.x_mm:+.0f}",
                 f"{best.y_mm:+.0f}",
                 f"{math.degrees(best.turn_rad):+g}",
-                f"{found.free_mm:.0f}",
-                f"-{found.turns_deg[0]:g} to +{found.turns_deg[1]:g}",
+                f"{proposal.free_mm:.0f}",
+                f"-{proposal.turns_deg[0]:g} to +{proposal.turns_deg[1]:g}",
             ]
         ],
     )

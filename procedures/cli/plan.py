@@ -23,11 +23,11 @@ from procedures.cli.planning_inputs import (
     SceneOption,
     SpacingOption,
     StrategyOption,
+    load_theatre_arm,
     read_ct,
     read_volume,
     require_one_head,
     require_theatre_options,
-    theatre_of,
 )
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.errors import PathProblem
@@ -93,8 +93,8 @@ def check(
     or a path is blocked, 130 interrupted. All problems are reported at once.
     """
     began_s = time.perf_counter()
-    theatre = theatre_of(config, robot_from_ct, home, strategy)
-    from procedures.planning.head_in_ct import head_shape
+    theatre = load_theatre_arm(config, robot_from_ct, home, strategy)
+    from procedures.planning.head_in_ct import fit_head
     from procedures.planning.plan_check import check_plan
     from procedures.planning.plan_file import read_plan
 
@@ -105,11 +105,11 @@ def check(
         volume,
         fiducials_mm=fiducials_mm,
         to_fiducials=markers,
-        arm=theatre.in_its_scene(volume, planned.fiducials, tuple(fiducials_mm or ())) if theatre else None,
+        arm=theatre.with_scene(volume, planned.fiducials, tuple(fiducials_mm or ())) if theatre else None,
         sight=theatre.sight if theatre else None,
         bore=theatre.bore if theatre else None,
     )
-    head = head_shape(volume) if result.passed else None
+    head = fit_head(volume) if result.passed else None
     unjudged = () if theatre else (STOP_NOT_JUDGED,)
     result = replace(result, warnings=(*result.warnings, *uncounted, *unjudged), head=head)
     for sentence in (*volume.warnings, *result.warnings):
@@ -150,29 +150,32 @@ def template(
     `template_mm`; `ronna-sim scene --template` puts the markers on a simulated head.
     """
     from procedures.cli.planning_inputs import print_markers
-    from procedures.planning.marker_sites import head_of_scene, propose_template, write_template
+    from procedures.planning.marker_sites import propose_template, read_scene_head, write_template
 
     require_one_head(series_dir, scene)
     require_new(out)
     if scene is not None:
-        found = propose_template(head_of_scene(scene), markers, margin_mm, seed=seed)
+        proposed = propose_template(read_scene_head(scene), markers, margin_mm, seed=seed)
     else:
-        from procedures.planning.head_in_ct import head_shape
+        from procedures.planning.head_in_ct import fit_head
 
         assert series_dir is not None
         volume = read_volume(series_dir)
-        found = propose_template(head_shape(volume), markers, margin_mm, volume=volume, seed=seed)
-    write_template(out, found)
+        proposed = propose_template(fit_head(volume), markers, margin_mm, volume=volume, seed=seed)
+    write_template(out, proposed)
     if as_json:
         terminal.print_json(
-            {**found.model_dump(mode="json", by_alias=True), "least_difference_mm": found.least_difference_mm}
+            {
+                **proposed.model_dump(mode="json", by_alias=True),
+                "least_difference_mm": proposed.least_difference_mm,
+            }
         )
         return
-    distances = ", ".join(f"{value:.1f}" for value in found.distances_mm)
+    distances = ", ".join(f"{value:.1f}" for value in proposed.distances_mm)
     print_markers(
         f"{out}: {markers} markers; their distances, {distances} mm, differ by at least "
-        f"{found.least_difference_mm:.1f} mm",
-        found.markers,
+        f"{proposed.least_difference_mm:.1f} mm",
+        proposed.markers,
     )
 
 
@@ -201,9 +204,9 @@ def marker_places(
     On free skin between forehead and vertex, clear of the trajectories. For comparison, the error with
     markers placed at random over the same skin is shown.
     """
-    from procedures.cli.planning_inputs import propose
+    from procedures.cli.planning_inputs import propose_marker_places
 
-    propose(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
+    propose_marker_places(plan_file, out, series_dir, scene, markers, error_mm, seed, as_json=as_json)
 
 
 def _print_trajectories(result: PlanCheck, head: HeadEllipsoid, bore: GuideBore | None) -> None:
@@ -245,11 +248,11 @@ def _print_distances(result: PlanCheck) -> None:
 
 
 def _print_motions(result: PlanCheck) -> None:
-    turned = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
-    about = f"; rotated about the axis: {', '.join(turned)}" if turned else ""
+    rotations = [f"{name} by {math.degrees(turn):+.0f} deg" for name, turn in result.turns_rad if turn]
+    rotation_note = f"; rotated about the axis: {', '.join(rotations)}" if rotations else ""
     duration_s = sum(motion.preview.duration_s for motion in result.motions)
     terminal.print_table(
-        f"motions of the arm, {duration_s:.0f} s in total{about}",
+        f"motions of the arm, {duration_s:.0f} s in total{rotation_note}",
         ["from", "to", "kind", "s", "smallest distance mm", "head mm", "singularity", "A1..A6 deg"],
         [_motion_row(motion) for motion in result.motions],
     )
@@ -282,14 +285,14 @@ def new(
 
     Exit codes: 0 written, 1 the series is unusable, 2 usage, 3 no spheres, 130 interrupted.
     """
-    from procedures.planning.plan_file import new_plan
-    from ronna_hw.records import write_whole
+    from procedures.planning.plan_file import compose_plan
+    from ronna_hw.records import write_atomically
 
     require_new(out)
     volume, centres_mm, _ = read_ct(series_dir, needs_markers=True)
     assert centres_mm is not None, "it has raised"
-    text = new_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
-    write_whole(out, text.encode(), exclusive=True)
+    text = compose_plan(volume.series_instance_uid, volume.patient_position, centres_mm, series_dir.name)
+    write_atomically(out, text.encode(), exclusive=True)
     terminal.say(f"{out}: {len(centres_mm)} spheres; add the trajectories")
     case = series_dir.resolve().parent
     if series_dir.resolve().name == CT_FOLDER and out.resolve() != case / PLAN_FILE:

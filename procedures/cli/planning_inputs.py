@@ -15,8 +15,8 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
 from ronna_hw.errors import RonnaError
 from ronna_hw.marker_template import TemplateMarker
-from ronna_hw.plausible import in_degrees
-from ronna_hw.records import write_whole
+from ronna_hw.plausible import are_degrees
+from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging import Volume
@@ -57,7 +57,7 @@ SceneOption = Annotated[
 SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of the positions tried.")]
 
 
-def theatre_of(
+def load_theatre_arm(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> TheatreArm | None:
     """Return the arm of a theatre file with the head at the given pose; None if no option asks for it."""
@@ -65,18 +65,18 @@ def theatre_of(
     if config is None or robot_from_ct is None:
         return None
     from procedures.planning.theatre_arm import theatre_arm
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
-    return theatre_arm(config, robot_from_ct, home_deg, strategy_named(strategy))
+    return theatre_arm(config, robot_from_ct, home_deg, find_strategy(strategy))
 
 
 def require_theatre_options(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> None:
     """Raise CLI-001 and STR-002 for conflicting or invalid options."""
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
-    strategy_named(strategy)
+    find_strategy(strategy)
     if config is None and strategy != DEFAULT_STRATEGY:
         raise UsageMistake(
             f"--strategy {strategy} needs --config and --robot-from-ct: it orients an arm's stereo head"
@@ -90,13 +90,13 @@ def require_theatre_options(
             raise UsageMistake(
                 f"{option} needs finite numbers", got=" ".join(f"{value:g}" for value in numbers)
             )
-    if 0.0 < (away := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
+    if 0.0 < (gap_mm := math.hypot(*robot_from_ct[:3])) < NEAREST_CT_MM:
         raise UsageMistake(
-            f"--robot-from-ct: X Y Z puts the origin of the CT {away:.3g} mm from the centre of the base",
+            f"--robot-from-ct: X Y Z puts the origin of the CT {gap_mm:.3g} mm from the centre of the base",
             expected=f"at least {NEAREST_CT_MM:g} mm",
             action="Give millimetres, not metres.",
         )
-    if home_deg is not None and not in_degrees(home_deg):
+    if home_deg is not None and not are_degrees(home_deg):
         raise UsageMistake(
             "--home: all angles are within 2 pi",
             got=" ".join(f"{value:g}" for value in home_deg),
@@ -138,7 +138,7 @@ def read_ct(
     return volume, [marker.centre_mm for marker in found.markers], found.warnings
 
 
-def propose(
+def propose_marker_places(
     plan_file: Path,
     out: Path,
     series_dir: Path | None,
@@ -155,8 +155,8 @@ def propose(
     """
     import tomli_w
 
-    from procedures.planning.head_in_ct import head_shape
-    from procedures.planning.marker_sites import head_of_scene, propose_markers
+    from procedures.planning.head_in_ct import fit_head
+    from procedures.planning.marker_sites import propose_markers, read_scene_head
     from procedures.planning.plan_file import read_plan
     from procedures.reporting.pictures import marker_picture
 
@@ -167,7 +167,7 @@ def propose(
     trajectories = [one.trajectory for one in plan.trajectories]
     volume: Volume | None = None
     if scene is not None:
-        head = head_of_scene(scene, plan)
+        head = read_scene_head(scene, plan)
     else:
         assert series_dir is not None
         volume = read_volume(series_dir)
@@ -177,10 +177,10 @@ def propose(
                 expected=plan.series_instance_uid,
                 got=volume.series_instance_uid,
             )
-        head = head_shape(volume)
+        head = fit_head(volume)
     found = propose_markers(head, trajectories, markers, error_mm, volume=volume, seed=seed)
-    write_whole(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
-    write_whole(picture, marker_picture(found, head, trajectories))
+    write_atomically(out, tomli_w.dumps(found.model_dump(mode="json", by_alias=True)).encode())
+    write_atomically(picture, marker_picture(found, head, trajectories))
     if as_json:
         terminal.print_json({**found.model_dump(mode="json", by_alias=True), "picture": str(picture)})
         return

@@ -47,8 +47,8 @@ def postoperative(
     """
     import procedures.imaging as imaging
     from procedures.planning.plan_file import read_plan
-    from procedures.postoperative.comparison import compare
-    from procedures.postoperative.summary import summary_of
+    from procedures.postoperative.comparison import compare_with_plan
+    from procedures.postoperative.summary import summarize_comparison
 
     plan = read_plan(plan_file)
     known = [one.id for one in plan.trajectories]
@@ -57,40 +57,40 @@ def postoperative(
             raise UsageMistake(f"the plan has no trajectory {name}", expected=", ".join(known))
     if run is not None:
         _require_same_plan(run, plan)
-    warnings = _same_patient(pre_dir, post_dir)
+    warnings = _check_same_patient(pre_dir, post_dir)
     with terminal.progress_bar("reading and comparing") as advance:
         pre = imaging.read_series(pre_dir, progress=lambda share: advance(READING_SHARE * share))
         post = imaging.read_series(post_dir, progress=lambda share: advance(READING_SHARE * (1.0 + share)))
-        proof = compare(plan, pre, post, only or ())
-    found = summary_of(proof, plan, pre, post, warnings)
+        proof = compare_with_plan(plan, pre, post, only or ())
+    found = summarize_comparison(proof, plan, pre, post, warnings)
     for sentence in found.warnings:
         terminal.tell(f"warning: {sentence}")
     if out is not None or run is not None:
-        from procedures.postoperative.summary import trajectory_picture
+        from procedures.postoperative.summary import draw_trajectory
         from procedures.reporting.files import PostoperativeResult
 
         pose = proof.registration.post_from_pre
         after = PostoperativeResult(
-            found, {one.id: trajectory_picture(post, one, pose) for one in found.trajectories}
+            found, {one.id: draw_trajectory(post, one, pose) for one in found.trajectories}
         )
         if out is not None:
-            _write(out, after, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
+            _write_files(out, after, (pre.frame_of_reference_uid, post.frame_of_reference_uid))
         if run is not None:
-            from procedures.runs.finishing import make_report
+            from procedures.runs.finishing import rebuild_report
 
-            terminal.tell(f"report {make_report(run, after=after)}")
+            terminal.tell(f"report {rebuild_report(run, after=after)}")
     if as_json:
         terminal.print_json(found.model_dump(mode="json", by_alias=True))
         return
-    _print(found)
+    _print_check(found)
 
 
-def _same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
+def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
     """Return a warning if an identifier is missing; raises POST-005 if they differ."""
-    from procedures.imaging.dicom.slice_headers import patient_identifier
+    from procedures.imaging.dicom.slice_headers import read_patient_identifier
     from procedures.postoperative.errors import OtherPatient
 
-    before, after = patient_identifier(pre_dir), patient_identifier(post_dir)
+    before, after = read_patient_identifier(pre_dir), read_patient_identifier(post_dir)
     if before and after and before != after:  # messages never name patients
         raise OtherPatient("the two CTs have different patient identifiers")
     if before and after:
@@ -116,7 +116,7 @@ def _require_same_plan(run: Path, plan: Plan) -> None:
         )
 
 
-def _write(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> None:
+def _write_files(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> None:
     from procedures.exchange.dicom_objects import write_postoperative
     from procedures.exchange.errors import NotWritable
     from procedures.reporting.files import store_check
@@ -132,8 +132,8 @@ def _write(out: Path, after: PostoperativeResult, frames: tuple[str, str]) -> No
         )
 
 
-def _print(found: PostoperativeCheck) -> None:
-    def text(value: float | None) -> str:
+def _print_check(found: PostoperativeCheck) -> None:
+    def format_mm(value: float | None) -> str:
         return "-" if value is None else f"{value:.2f}"
 
     terminal.print_table(
@@ -143,11 +143,11 @@ def _print(found: PostoperativeCheck) -> None:
             [
                 one.id,
                 one.kind.value,
-                text(one.entry_error_mm),
-                text(one.target_error_mm),
-                text(one.lateral_mm),
+                format_mm(one.entry_error_mm),
+                format_mm(one.target_error_mm),
+                format_mm(one.lateral_mm),
                 "-" if one.depth_error_mm is None else f"{one.depth_error_mm:+.2f}",
-                text(one.angle_deg),
+                format_mm(one.angle_deg),
             ]
             for one in found.trajectories
         ],

@@ -48,7 +48,7 @@ def step_command(case: CaseOptions, console: ConsoleOptions) -> None:
 def steps_command(as_json: JsonOption = False) -> None:
     """List the steps of the procedure, what each one needs and what it may ask."""
     from procedures.engine.order import Scope
-    from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
+    from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
     from ronna_hw.command_line.terminal import print_json, print_table
 
     if as_json:
@@ -61,7 +61,7 @@ def steps_command(as_json: JsonOption = False) -> None:
                 "moves": step.moves,
                 "asks": [
                     {"topic": one.topic, "answers": list(one.answers), "if": one.condition}
-                    for one in planned_questions(step)
+                    for one in list_questions(step)
                 ],
             }
             for step in CLINICAL_STEPS
@@ -78,7 +78,7 @@ def steps_command(as_json: JsonOption = False) -> None:
                 "" if step.scope is Scope.CASE else "yes",
                 "yes" if step.moves else "",
                 ", ".join(step.needs),
-                ", ".join(dict.fromkeys(one.topic for one in planned_questions(step))),
+                ", ".join(dict.fromkeys(one.topic for one in list_questions(step))),
             )
             for step in CLINICAL_STEPS
         ],
@@ -88,10 +88,10 @@ def steps_command(as_json: JsonOption = False) -> None:
 @app.command("graph")
 def graph_command() -> None:
     """Print the state chart of the procedure as mermaid text."""
-    from procedures.engine.machine import mermaid
+    from procedures.engine.machine import state_chart_mermaid
     from procedures.steps.catalogue import CLINICAL_STEPS
 
-    sys.stdout.write(mermaid(CLINICAL_STEPS))
+    sys.stdout.write(state_chart_mermaid(CLINICAL_STEPS))
 
 
 @app.command("doctor")

@@ -17,7 +17,7 @@ from typing import Generic, TypeVar, cast
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
-from ronna_hw.records import BadRecord, Record, file_sha256, has_file, read_record, write_record
+from ronna_hw.records import BadRecord, Record, file_sha256, is_stored, read_record, write_record
 
 R = TypeVar("R", bound=StepResult)
 
@@ -34,7 +34,7 @@ class StepKey:
 
 
 @dataclass(frozen=True)
-class LeftOut:
+class Exclusion:
     """A trajectory that a result leaves out of the case."""
 
     trajectory: str
@@ -67,8 +67,8 @@ class Case:
         self._doubts: dict[str, str] = {}  # identifier of a record -> the fault that came after it
         (folder / RECORDS_FOLDER).mkdir(parents=True, exist_ok=True)
         # Also of records that the journal does not name: an identifier is never used twice.
-        taken = (re.match(r"\d+", path.name) for path in (folder / RECORDS_FOLDER).iterdir())
-        self._written = max((int(found[0]) for found in taken if found), default=0)
+        number_matches = (re.match(r"\d+", path.name) for path in (folder / RECORDS_FOLDER).iterdir())
+        self._written = max((int(found[0]) for found in number_matches if found), default=0)
 
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
         """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.
@@ -91,7 +91,7 @@ class Case:
         write_record(record, self.folder / RECORDS_FOLDER)
         return Stored(record, result)
 
-    def superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
+    def records_superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
         """Return the records that a new result of that step supersedes: its former result and descendants.
 
         Results of `finished` trajectories are never superseded.
@@ -99,13 +99,13 @@ class Case:
         former = self._standing.get(key)
         if former is None:
             return ()
-        reached = {former.record.identifier}
+        superseded_identifiers = {former.record.identifier}
         # A result may descend through one that is no longer valid; a parent has the lower number.
         for record in self.records:
-            if not reached.isdisjoint(record.parents):
-                reached.add(record.identifier)
+            if not superseded_identifiers.isdisjoint(record.parents):
+                superseded_identifiers.add(record.identifier)
         standing = (stored.record for stored in self._standing.values())
-        gone = (record for record in standing if record.identifier in reached)
+        gone = (record for record in standing if record.identifier in superseded_identifiers)
         return tuple(record for record in gone if record.trajectory not in finished)
 
     @property
@@ -121,13 +121,13 @@ class Case:
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Accept a result in place of those that it supersedes; see `superseded_by`."""
+        """Accept a result in place of those that it supersedes; see `records_superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 
     def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
-        """Void the result of that step and its descendants; see `superseded_by`."""
-        gone = self.superseded_by(key, finished)
+        """Void the result of that step and its descendants; see `records_superseded_by`."""
+        gone = self.records_superseded_by(key, finished)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
 
@@ -141,8 +141,10 @@ class Case:
 
     def was_superseded(self, key: StepKey) -> bool:
         """Whether that step had results, none of which is valid."""
-        had = any(one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded)
-        return had and not self.stands(key)
+        had_result = any(
+            one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded
+        )
+        return had_result and not self.stands(key)
 
     def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
         """Return the valid result of that model, of a trajectory or of none."""
@@ -158,7 +160,7 @@ class Case:
             where = f" for {trajectory}" if trajectory else ""
             raise StepRefused(f"there is no {model.kind}{where} yet")
         path = self.folder / RECORDS_FOLDER / f"{stored.record.identifier}.json"
-        if has_file(path, stored.file_sha256):
+        if is_stored(path, stored.file_sha256):
             return stored
         if read_record(path).sha256 != stored.record.sha256:  # it raises if the file is damaged
             raise BadRecord(f"{path.name} is not the record that this run wrote")
@@ -188,17 +190,17 @@ class Case:
             self._doubts.pop(name, None)
 
     @property
-    def left_out(self) -> tuple[LeftOut, ...]:
+    def left_out(self) -> tuple[Exclusion, ...]:
         """Trajectories that the valid results leave out."""
         return tuple(
-            LeftOut(trajectory, reason, key)
+            Exclusion(trajectory, reason, key)
             for key, stored in self._standing.items()
             for trajectory, reason in stored.result.leaves_out().items()
         )
 
     def exclusions_before(self, key: StepKey) -> dict[str, str]:
         """Return the trajectories that stay left out, and why, whatever a new result of that step says."""
-        gone = {(record.kind, record.trajectory) for record in self.superseded_by(key)}
+        gone = {(record.kind, record.trajectory) for record in self.records_superseded_by(key)}
         return {
             one.trajectory: one.reason
             for one in self.left_out

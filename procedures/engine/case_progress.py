@@ -22,7 +22,7 @@ class CaseProgress:
         """Return why the trajectory of a step was left out before it; None if it was not."""
         return self.order.exclusions_at(key, self.case.left_out).get(key.trajectory or "")
 
-    def settled(self, key: StepKey) -> bool:
+    def is_settled(self, key: StepKey) -> bool:
         """Whether a step's result is valid, or its trajectory is left out, or was finished before a move."""
         if self.case.stands(key) or self.left_out(key) is not None:
             return True
@@ -30,7 +30,7 @@ class CaseProgress:
 
     def remains(self, name: str) -> bool:
         """Whether a step of that name is still to be done."""
-        return any(str(key) == name and not self.settled(key) for key in self.order.sequence)
+        return any(str(key) == name and not self.is_settled(key) for key in self.order.sequence)
 
     @property
     def _all_finished_before(self) -> bool:
@@ -40,7 +40,7 @@ class CaseProgress:
     @property
     def over(self) -> bool:
         """Whether no step remains; the arm may still be where it was stopped."""
-        return self._all_finished_before or all(map(self.settled, self.order.sequence))
+        return self._all_finished_before or all(map(self.is_settled, self.order.sequence))
 
     @property
     def continuation(self) -> StepKey | None:
@@ -57,9 +57,9 @@ class CaseProgress:
         if self.over:
             return None
         latest, only = self.latest, self.continuation
-        if latest is not None and only is not None and self.case.stands(latest) and not self.settled(only):
+        if latest is not None and only is not None and self.case.stands(latest) and not self.is_settled(only):
             return only
-        key = next(key for key in self.order.sequence if not self.settled(key))
+        key = next(key for key in self.order.sequence if not self.is_settled(key))
         while self.order.spec(key).continues:
             before = self.order.before(key)[-1]
             if before == latest:
@@ -73,7 +73,7 @@ class CaseProgress:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
             return ("the work at every target is done: use home to park the arm",)
-        return self.order.unmet(key, self.latest, self.settled)
+        return self.order.unmet(key, self.latest, self.is_settled)
 
     def why_not_up_to(self, key: StepKey) -> str:
         """Why the case cannot be run up to a step; empty if it can."""
@@ -81,7 +81,7 @@ class CaseProgress:
             return f"{key} is already done"
         if (reason := self.left_out(key)) is not None:
             return f"{key.trajectory} was left out: {reason}"
-        return f"{key.trajectory} is finished" if self.settled(key) else ""
+        return f"{key.trajectory} is finished" if self.is_settled(key) else ""
 
     def status(self, key: StepKey) -> str:
         """Return `done`, `left out`, `finished` (its target is), `next`, `superseded`, or nothing."""
@@ -89,7 +89,7 @@ class CaseProgress:
             return "done"
         if self.left_out(key) is not None:
             return "left out"
-        if self.settled(key):
+        if self.is_settled(key):
             return "finished"
         if key == self.upcoming:
             return "next"
@@ -115,31 +115,31 @@ class CaseProgress:
         doubts = {key: self.case.doubt_at(key) for key in self.order.checks_of_tool}
         return {key: fault for key, fault in doubts.items() if fault is not None}
 
-    def superseded_by(self, key: StepKey) -> tuple[Record, ...]:
+    def records_superseded_by(self, key: StepKey) -> tuple[Record, ...]:
         """Return the records that a new result of that step supersedes; of finished targets only its own."""
-        return self.case.superseded_by(key, self._outlasting_again(key))
+        return self.case.records_superseded_by(key, self._other_lasting_trajectories(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
         """Accept a new result in place of what it supersedes."""
-        self.case.accept(key, stored, self._outlasting_again(key))
+        self.case.accept(key, stored, self._other_lasting_trajectories(key))
 
     def records_voided_by(self, key: StepKey) -> tuple[Record, ...]:
         """Return the records that fall with that step's result; none of finished targets."""
-        return self.case.superseded_by(key, self._outlasting(key))
+        return self.case.records_superseded_by(key, self._lasting_trajectories(key))
 
     def void(self, key: StepKey) -> None:
         """Void that step's result, and the records that fall with it."""
-        self.case.void(key, self._outlasting(key))
+        self.case.void(key, self._lasting_trajectories(key))
 
-    def _outlasting(self, key: StepKey) -> tuple[str, ...]:
+    def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
         """Return trajectories whose results stay: a later move does not undo finished work.
 
         Another CT or plan does.
         """
         return () if self.order.spec(key).phase is Phase.PREOPERATIVE else self.finished
 
-    def _outlasting_again(self, key: StepKey) -> tuple[str, ...]:
-        return tuple(name for name in self._outlasting(key) if name != key.trajectory)
+    def _other_lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
+        return tuple(name for name in self._lasting_trajectories(key) if name != key.trajectory)
 
 
 def unusable_inputs(case: Case, spec: StepSpec[StepResult], key: StepKey) -> tuple[str, ...]:

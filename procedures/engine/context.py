@@ -20,8 +20,8 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Evidence, Question, ReadBack, Task, Topic
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.manifest import PICTURES_FOLDER, input_hashes
-from ronna_hw.records import Record, write_whole
+from ronna_hw.evidence.manifest import PICTURES_FOLDER, hash_inputs
+from ronna_hw.records import Record, write_atomically
 
 if TYPE_CHECKING:
     from procedures.workcell import Workcell
@@ -134,12 +134,12 @@ class StepContext:
         first = folder / name
         numbered = (first.with_stem(f"{first.stem}-{number}") for number in count(2))
         path = next(path for path in chain((first,), numbered) if not path.exists())
-        write_whole(path, png, exclusive=True)
+        write_atomically(path, png, exclusive=True)
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
     def note_inputs(self, *files: Path) -> None:
         """Note files that the result is made from: `verify` finds an exchanged one."""
-        self._inputs.update(input_hashes(self._case.folder, files))
+        self._inputs.update(hash_inputs(self._case.folder, files))
 
     @property
     def inputs(self) -> dict[str, str]:
@@ -218,13 +218,13 @@ class StepContext:
         if self.choose(question) != YES:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
-    def have_done(self, task: Task) -> tuple[float, ...]:
+    def perform_task(self, task: Task) -> tuple[float, ...]:
         """Assign a task to the room's staff and record the readings; raises PRO-002 without them."""
-        return self._questions.have_done(task)
+        return self._questions.perform_task(task)
 
-    def have_instrument_out(self) -> None:
+    def request_instrument_removal(self) -> None:
         """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
-        self._questions.have_instrument_out()
+        self._questions.request_instrument_removal()
 
     def choose(self, question: Question) -> str:
         """Ask the operator a question and record the answer."""

@@ -30,37 +30,37 @@ EARLIER = "a message from before this connection"
 _log = logger(part="engine")
 
 
-def in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
+def devices_in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
     """Return the role of each device in fault, and how it was last seen."""
-    seen = ((role, device.observe()) for role, device in devices.items())
-    return ((role, known) for role, known in seen if known.state is Lifecycle.FAULT)
+    observed = ((role, device.observe()) for role, device in devices.items())
+    return ((role, known) for role, known in observed if known.state is Lifecycle.FAULT)
 
 
-def describe_fault(role: str, seen: LastKnown[object]) -> str:
+def describe_fault(role: str, observed: LastKnown[object]) -> str:
     """Describe a device in fault by its present state, with advice.
 
     Its cause is reported even if it is in order again, so that nobody searches for it in vain.
     """
-    if seen.fault is None:
-        return summarize_fault(role, seen)
-    facts = _facts(seen.fault, seen.says)
+    if observed.fault is None:
+        return summarize_fault(role, observed)
+    facts = _facts(observed.fault, observed.says)
     first = [fact.advice for fact in facts if not fact.ready and fact.name != MESSAGES]
-    way_on = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
-    return f"{summarize_fault(role, seen)}. {way_on}"
+    next_action = " ".join((*first, f"Then {ACKNOWLEDGE}")) if first else f"To continue, {ACKNOWLEDGE}"
+    return f"{summarize_fault(role, observed)}. {next_action}"
 
 
-def summarize_fault(role: str, seen: LastKnown[object]) -> str:
+def summarize_fault(role: str, observed: LastKnown[object]) -> str:
     """Describe a device in fault without advice."""
-    if seen.fault is None:
+    if observed.fault is None:
         return f"the {role} is in fault"
-    facts = _facts(seen.fault, seen.says)
-    now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or seen.fault.summary
-    return f"the {role} is in fault ({seen.fault.code}), {now}"
+    facts = _facts(observed.fault, observed.says)
+    now = "; ".join(f"{fact.name}: {fact.found}" for fact in facts) or observed.fault.summary
+    return f"the {role} is in fault ({observed.fault.code}), {now}"
 
 
-def _cause_of(seen: LastKnown[object]) -> str:
+def _cause_of(observed: LastKnown[object]) -> str:
     """Return the fault without advice, for records that outlast it."""
-    return UNKNOWN if seen.fault is None else f"{seen.fault.code}: {seen.fault.summary}"
+    return UNKNOWN if observed.fault is None else f"{observed.fault.code}: {observed.fault.summary}"
 
 
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
@@ -68,7 +68,7 @@ def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
     return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
 
 
-def acknowledged(
+def recover_faults(
     devices: Mapping[str, DeviceView], recover: Callable[[str], None]
 ) -> Iterator[tuple[str, str]]:
     """Recover each device that is in fault, or still holds a message of an earlier connection.
@@ -76,17 +76,17 @@ def acknowledged(
     Yields its role and the acknowledged fault. Raises the errors of `recover`, which is called with the role.
     """
     for role, device in devices.items():
-        seen = device.observe()
-        if seen.state is Lifecycle.FAULT:
+        observed = device.observe()
+        if observed.state is Lifecycle.FAULT:
             recover(role)
-            yield role, _cause_of(seen)
-        elif seen.state is Lifecycle.CONNECTED:
+            yield role, _cause_of(observed)
+        elif observed.state is Lifecycle.CONNECTED:
             try:
                 recover(role)
             except WrongState:  # it holds none
                 continue
-            said = [fact.found for fact in seen.says if fact.name == MESSAGES and not fact.ready]
-            yield role, f"{EARLIER} ({'; '.join(said)})" if said else EARLIER
+            messages = [fact.found for fact in observed.says if fact.name == MESSAGES and not fact.ready]
+            yield role, f"{EARLIER} ({'; '.join(messages)})" if messages else EARLIER
 
 
 class DeviceFaults:
@@ -111,21 +111,27 @@ class DeviceFaults:
     @property
     def now(self) -> dict[str, str]:
         """Devices in fault, by role, with the fault."""
-        return {role: _cause_of(seen) for role, seen in in_fault(self._workcell.devices)}
+        return {role: _cause_of(observed) for role, observed in devices_in_fault(self._workcell.devices)}
 
     @property
-    def described(self) -> dict[str, str]:
+    def descriptions(self) -> dict[str, str]:
         """Devices in fault, by role, in words for a person: present state and advice."""
-        return {role: describe_fault(role, seen) for role, seen in in_fault(self._workcell.devices)}
+        return {
+            role: describe_fault(role, observed)
+            for role, observed in devices_in_fault(self._workcell.devices)
+        }
 
     @property
-    def in_short(self) -> dict[str, str]:
+    def summaries(self) -> dict[str, str]:
         """Devices in fault, by role, without advice."""
-        return {role: summarize_fault(role, seen) for role, seen in in_fault(self._workcell.devices)}
+        return {
+            role: summarize_fault(role, observed)
+            for role, observed in devices_in_fault(self._workcell.devices)
+        }
 
     def require_arm_moves(self) -> None:
         """Raise PRO-001 for an arm in fault, with its present state."""
-        if (fault := self.described.get(ARM)) is not None:
+        if (fault := self.descriptions.get(ARM)) is not None:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
@@ -136,7 +142,7 @@ class DeviceFaults:
         require_person(by)
         workcell, done = self._workcell, dict[str, str]()
         self.doubt_results()
-        for role, fault in acknowledged(workcell.devices, lambda role: workcell.recover(role, by)):
+        for role, fault in recover_faults(workcell.devices, lambda role: workcell.recover(role, by)):
             # First: the device is recovered even if this cannot be written.
             self._acknowledged.append((fault.partition(": ")[0], by))
             if role == ARM:
@@ -147,7 +153,7 @@ class DeviceFaults:
         return done
 
     @contextmanager
-    def none_acknowledged(self) -> Iterator[None]:
+    def require_no_acknowledgement(self) -> Iterator[None]:
         """Require the step to begin again if faults were acknowledged during the block.
 
         Raises PRO-001 at its end: only at its beginning does a step ask which results are kept and which tool
@@ -172,9 +178,9 @@ class DeviceFaults:
             return problem
         for code, by in reversed(self._acknowledged[before:]):
             if code and (code == problem.code or f"is in fault ({code})" in problem.what):
-                over = copy(problem)
-                over.what = f"was: {problem.what.rstrip('.')}; acknowledged by {by}"
-                return over
+                settled_problem = copy(problem)
+                settled_problem.what = f"was: {problem.what.rstrip('.')}; acknowledged by {by}"
+                return settled_problem
         return problem
 
     def doubt_results(self) -> None:

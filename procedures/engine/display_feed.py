@@ -72,16 +72,16 @@ def publish_order(engine: Engine) -> None:
 
 def publish_waiting(engine: Engine) -> None:
     """Publish what comes next, and why it may not begin."""
-    key, name = engine.upcoming, comes_next(engine)
+    key, name = engine.upcoming, upcoming_name(engine)
     if key is not None:
         unmet = engine.why_refused(key)
     else:
-        fault = engine.faults.described.get(ARM) if name == HOME else None
+        fault = engine.faults.descriptions.get(ARM) if name == HOME else None
         unmet = () if fault is None else (fault,)
     engine.events.publish(Waiting(upcoming=name, unmet=unmet))
 
 
-def comes_next(engine: Engine) -> str | None:
+def upcoming_name(engine: Engine) -> str | None:
     """Return the upcoming step, or the way home if only that remains; None when the case is over."""
     if (key := engine.upcoming) is not None:
         return str(key)
@@ -90,10 +90,10 @@ def comes_next(engine: Engine) -> str | None:
 
 def camera_views(head: StereoHeadCalibration) -> tuple[CameraView, ...]:
     """Return centre and corners of each camera's picture, mm in the tool frame, without distortion."""
-    return (_view("left", head.left), _view("right", head.right))
+    return (_camera_view("left", head.left), _camera_view("right", head.right))
 
 
-def _view(name: str, camera: CameraCalibration) -> CameraView:
+def _camera_view(name: str, camera: CameraCalibration) -> CameraView:
     tool_from_camera = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse()
     centre = tool_from_camera.translation_mm
     depth_mm = BEYOND * float(np.linalg.norm(centre))
@@ -120,14 +120,14 @@ class BodyView:
     def at(self, pose: Pose) -> Pose:
         """Return the pose with the place of each moving body, and of the tool if it has cameras."""
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
-        places = tuple(_rounded(*segment) for segment in PlacedBodies(bodies, joints_rad))
+        places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
         if self._cameras and self._workcell.tool is MountedTool.STEREO_HEAD:  # not while that is unchecked
             flange = self._workcell.flange_pose(joints_rad)
             tool = flange @ self._workcell.flange_from(MountedTool.STEREO_HEAD)
             x, y, z = tool.translation_mm.tolist()
             rows = (round(value, ROTATION_DECIMALS) for value in tool.rotation_matrix.ravel().tolist())
-            changes |= {"tool_mm": _rounded((x, y, z)), "tool_rows": tuple(rows)}
+            changes |= {"tool_mm": _round_points((x, y, z)), "tool_rows": tuple(rows)}
         return pose.model_copy(update=changes)
 
     def publish(self, events: EventStream, *, last: bool = False) -> None:
@@ -140,12 +140,12 @@ class BodyView:
             event = _as_event(self._published)
             events.publish(event.model_copy(update={"cameras": self._cameras}))
         self._looks += 1
-        streamed, self._streamed = self._streamed, self._workcell.streaming
+        was_streaming, self._streamed = self._streamed, self._workcell.streaming
         if self._streamed:
-            due = last or self._looks % LINK_EVERY == 0
+            is_due = last or self._looks % LINK_EVERY == 0
         else:
-            due = streamed  # its last cycles
-        if due:
+            is_due = was_streaming  # its last cycles
+        if is_due:
             self._publish_link(events)
 
     def _current(self) -> Bodies:
@@ -184,7 +184,7 @@ def _as_event(bodies: Bodies) -> BodiesEvent:
             Body(
                 name=name,
                 radius_mm=capsule.radius_mm,
-                ends_mm=_rounded(capsule.start_mm, capsule.end_mm),
+                ends_mm=_round_points(capsule.start_mm, capsule.end_mm),
                 is_head=is_head,
             )
             for name, capsule, is_head in zip(names, bodies.fixed, heads, strict=True)
@@ -195,7 +195,7 @@ def _as_event(bodies: Bodies) -> BodiesEvent:
     )
 
 
-def _rounded(*points: tuple[float, float, float]) -> tuple[float, ...]:
+def _round_points(*points: tuple[float, float, float]) -> tuple[float, ...]:
     return tuple(round(value, DECIMALS) for point in points for value in point)
 
 
@@ -226,7 +226,7 @@ class DeviceWatch:
         self._bounded: set[str] = set()  # trackers whose volume was published
         self._last_problem = ""  # the latest failure to look
         self._ending = threading.Event()
-        self._thread = threading.Thread(target=self._look_on, name="device watch", daemon=True)
+        self._thread = threading.Thread(target=self._look_repeatedly, name="device watch", daemon=True)
 
     def look(self, *, last: bool = False) -> None:
         """Publish all changes of every device."""
@@ -276,7 +276,7 @@ class DeviceWatch:
         self._thread.join()
         self._look(last=True)
 
-    def _look_on(self) -> None:
+    def _look_repeatedly(self) -> None:
         while not self._ending.wait(self._period_s):
             self._look()
 
@@ -287,10 +287,10 @@ class DeviceWatch:
         except Exception as problem:
             if str(problem) != self._last_problem:
                 self._last_problem = str(problem)
-                self._events.publish(_fault(problem))
+                self._events.publish(_fault_event(problem))
 
 
-def _fault(problem: Exception) -> Fault:
+def _fault_event(problem: Exception) -> Fault:
     if isinstance(problem, RonnaError):
         return Fault(code=problem.code, what=str(problem), advice=problem.advice)
     return Fault(code=type(problem).__name__, what=f"the devices cannot be observed: {problem}")

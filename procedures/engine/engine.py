@@ -68,7 +68,7 @@ class Engine:
         self.checkpoint = Checkpoint(self.ask, self._resting, setting.clock)
         self.faults = DeviceFaults(self.course, setting.workcell, journal, setting.clock, self._recheck_tool)
         self._journal = journal
-        self._logged = order.without_names
+        self._redact = order.without_names
         self._on_ending = on_ending
         self._before_result = before_result
         self.recorders = list(recorders)
@@ -93,7 +93,7 @@ class Engine:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
             return ("the findings after the restart have not been accepted",)
-        if faults := self.faults.described:
+        if faults := self.faults.descriptions:
             return tuple(faults.values())
         if unmet := self.course.why_not_now(key):
             return unmet
@@ -107,7 +107,7 @@ class Engine:
         if unmet := self.why_refused(key):
             self._write(Entry.REFUSED, step=str(key), unmet=list(unmet))
             self.events.publish(Refusal(step=str(key), unmet=unmet))
-            _log.warning("step refused", step=self._logged(str(key)), unmet=self._logged("; ".join(unmet)))
+            _log.warning("step refused", step=self._redact(str(key)), unmet=self._redact("; ".join(unmet)))
             raise StepRefused(f"{key} cannot start: {'; '.join(unmet)}")
         spec = self.order.spec(key)
         self.machine.begin(key.name)
@@ -116,7 +116,7 @@ class Engine:
         try:
             self._write(Entry.INTENT, step=str(key), moves=spec.moves)
             self.events.publish(StepState(step=str(key), state="begun"))
-            _log.info("step begins", step=self._logged(str(key)))
+            _log.info("step begins", step=self._redact(str(key)))
             self.setting.room.announce(str(key))
             self.checkpoint.here(f"before {key}")
             context = self.context(key)
@@ -131,7 +131,7 @@ class Engine:
             with suppress(JournalNotWritable):  # an interruption takes precedence
                 self._write(Entry.INTERRUPTED, step=str(key))
             self.events.publish(StepState(step=str(key), state="interrupted"))
-            _log.warning("step interrupted", step=self._logged(str(key)))
+            _log.warning("step interrupted", step=self._redact(str(key)))
             raise
         except Exception as problem:
             self._fail(key, problem)
@@ -141,7 +141,7 @@ class Engine:
         self.course.latest = key
         for trajectory, reason in stored.result.leaves_out().items():
             self.find(f"{trajectory} was left out: {reason}")
-        _log.info("step done", step=self._logged(str(key)), summary=self._logged(outcome.summary))
+        _log.info("step done", step=self._redact(str(key)), summary=self._redact(outcome.summary))
         self.events.publish(
             StepState(step=str(key), state="done", summary=outcome.summary, record=stored.record.identifier)
         )
@@ -152,8 +152,8 @@ class Engine:
     @property
     def over(self) -> bool:
         """Whether nothing remains: no step, nor the way home of an arm that was led to targets."""
-        led = self.order.leads_to_targets
-        return self.course.over and not (led and (self.instrument_in or self.setting.workcell.place.is_out))
+        leads = self.order.leads_to_targets
+        return self.course.over and not (leads and (self.instrument_in or self.setting.workcell.place.is_out))
 
     def _finish_if_over(self) -> None:
         if self.over and not self.machine.ended:
@@ -169,7 +169,7 @@ class Engine:
                 if not self.goes_on(problem):
                     raise
                 key = last or key  # an order ends here: it did not mean the steps that follow now
-            if key == last or (last is not None and self.course.settled(last)):
+            if key == last or (last is not None and self.course.is_settled(last)):
                 return
 
     # While a step runs
@@ -200,14 +200,14 @@ class Engine:
             more["targets"] = list(targets)
         self._write(Entry.FINDING, text=text, **more)
         self.events.publish(Advisory(text=text))
-        _log.warning("finding", text=self._logged(text))
+        _log.warning("finding", text=self._redact(text))
 
     def void(self, key: StepKey, reason: RonnaError) -> None:
         """Void a valid result and its descendants, except those of finished trajectories."""
         gone = [record.identifier for record in self.course.records_voided_by(key)]
         self._write(Entry.VOIDED, step=str(key), supersedes=gone, code=reason.code, what=str(reason))
         self.course.void(key)
-        self._tell_gone(key, gone, reason.summary)
+        self._publish_superseded(key, gone, reason.summary)
 
     def doubt_tool(self, found: str) -> None:
         """Put the tool check in doubt: a tool other than the checked one was found.
@@ -231,11 +231,11 @@ class Engine:
         self.faults.require_arm_moves()
         self._write(Entry.HOME, instrument_in=self.instrument_in)
         try:
-            self.questions.have_instrument_out()
+            self.questions.request_instrument_removal()
             workcell.compare_place()
             if not workcell.place.is_home:
-                if (on := workcell.place.axis) is not None:
-                    workcell.retreat(on.trajectory)
+                if (axis_place := workcell.place.axis) is not None:
+                    workcell.retreat(axis_place.trajectory)
                 workcell.park()
         except BaseException as ended:  # also an interruption: the arm comes to rest
             if isinstance(ended, KeyboardInterrupt):
@@ -265,7 +265,7 @@ class Engine:
 
         Before that its result still serves the work at the target, and the way out.
         """
-        in_use = self.setting.workcell.place.on_axis or self.instrument_in
+        in_use = self.setting.workcell.place.is_on_axis or self.instrument_in
         if in_use or self.machine.state == RECOVERY or self.machine.ended:
             return
         for key, fault in self.course.checks_in_doubt.items():
@@ -286,7 +286,7 @@ class Engine:
         self._write(Entry.INTERRUPTED)
         _log.warning("case aborted")
 
-    def seated(self, session: str, name: str, since_s: float | None) -> None:
+    def record_seat(self, session: str, name: str, since_s: float | None) -> None:
         """Record who operates from a console, and since when; an empty name frees the seat."""
         self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
@@ -307,7 +307,7 @@ class Engine:
     def _resting(self, state: str, reason: str) -> Iterator[None]:
         """Rest the case while it is paused or suspended, also on the way home of one that has ended."""
         try:
-            with self.machine.resting(state), self.faults.none_acknowledged():
+            with self.machine.resting(state), self.faults.require_no_acknowledgement():
                 self._write(Entry.RESTED, state=state, reason=reason)
                 self.events.publish(CaseState(state=state, reason=reason))
                 yield
@@ -345,7 +345,7 @@ class Engine:
                 got=type(outcome.result).__name__,
             )
         stored = self.case.store(key, outcome.result, context.read)
-        gone = [record.identifier for record in self.course.superseded_by(key)]
+        gone = [record.identifier for record in self.course.records_superseded_by(key)]
         more: dict[str, JournalValue] = {"supersedes": gone} if gone else {}
         files = {"pictures": context.pictures, "inputs": context.inputs}
         more |= {name: hashes for name, hashes in files.items() if hashes}
@@ -358,10 +358,10 @@ class Engine:
             **more,
         )
         self.course.accept(key, stored)
-        self._tell_gone(key, gone)
+        self._publish_superseded(key, gone)
         return stored
 
-    def _tell_gone(self, key: StepKey, gone: Sequence[str], reason: str = "") -> None:
+    def _publish_superseded(self, key: StepKey, gone: Sequence[str], reason: str = "") -> None:
         for identifier in gone:
             self.events.publish(
                 StepState(step=str(key), state="superseded", summary=reason, record=identifier)
@@ -371,7 +371,7 @@ class Engine:
         self.setting.workcell.stop()
         self.machine.hold()
         code = problem.code if isinstance(problem, RonnaError) else type(problem).__name__
-        _log.error("step failed", step=self._logged(str(key)), error=code)  # its words are in the journal
+        _log.error("step failed", step=self._redact(str(key)), error=code)  # its words are in the journal
         advice = problem.advice if isinstance(problem, RonnaError) else ""
         self.events.publish(Fault(code=code, what=str(problem), advice=advice))
         self.events.publish(StepState(step=str(key), state="failed", summary=str(problem)))
@@ -380,21 +380,21 @@ class Engine:
             self.faults.doubt_results()
             if isinstance(problem, WrongTool):
                 self.faults.doubt_tool(problem.summary)
-        kept = self._write_attachments(problem) if isinstance(problem, RonnaError) else []
-        files: dict[str, JournalValue] = {"files": kept} if kept else {}
+        written_files = self._write_attachments(problem) if isinstance(problem, RonnaError) else []
+        files: dict[str, JournalValue] = {"files": written_files} if written_files else {}
         with suppress(JournalNotWritable):
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _write_attachments(self, problem: RonnaError) -> list[JournalValue]:
         """Write the attachments of an error; return the names of files that the disk accepted."""
-        kept: list[JournalValue] = []
+        written_files: list[JournalValue] = []
         for name, text in sorted(problem.attachments.items()):
             try:
                 (self.case.folder / name).write_text(text, encoding="utf-8")
-                kept.append(name)
+                written_files.append(name)
             except OSError as error:  # such as a full disk: the error itself must be reported all the same
                 _log.error("attachment not written", file=name, error=type(error).__name__)
-        return kept
+        return written_files
 
     def _write(self, entry: Entry, **data: JournalValue) -> None:
         self._journal.write(entry, self.setting.clock.now_s(), **data)

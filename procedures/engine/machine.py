@@ -72,15 +72,15 @@ class ProcedureMachine:
 
     def begin(self, step: str) -> None:
         """Enter a step's state."""
-        self._go(f"begin_{step}")
+        self._trigger_event(f"begin_{step}")
 
     def accept(self) -> None:
         """Leave recovery: the operator accepted the findings after a restart."""
-        self._go("case_accept")
+        self._trigger_event("case_accept")
 
     def hold(self) -> None:
         """Hold the case after a step failed or was left."""
-        self._go("case_hold")
+        self._trigger_event("case_hold")
 
     @contextmanager
     def resting(self, state: str) -> Iterator[None]:
@@ -93,21 +93,21 @@ class ProcedureMachine:
         if before == RECOVERY or self.ended:
             yield
             return
-        self._go(f"rest_{state}")
+        self._trigger_event(f"rest_{state}")
         try:
             yield
         finally:
-            self._go(f"back_to_{before}")
+            self._trigger_event(f"back_to_{before}")
 
     def finish(self) -> None:
         """End the case: the last step is done and every result is valid."""
-        self._go("case_finish")
+        self._trigger_event("case_finish")
 
     def abort(self) -> None:
         """End the case on the operator's order."""
-        self._go("case_abort")
+        self._trigger_event("case_abort")
 
-    def _go(self, event: str) -> None:
+    def _trigger_event(self, event: str) -> None:
         cast("_Triggered", self).trigger(event)
 
 
@@ -131,7 +131,7 @@ def state_of(step: StepSpec[StepResult]) -> str:
     return f"{step.phase}{SEPARATOR}{step.name}"
 
 
-def mermaid(steps: Steps) -> str:
+def state_chart_mermaid(steps: Steps) -> str:
     """Return the state chart as mermaid text: the way through a case, and every transition.
 
     An arrow from or to a phase is one from or to each of its steps.
@@ -167,8 +167,8 @@ def _fold_phases(states: Sequence[str], steps: Steps) -> list[str]:
     """Return names in the chart; a phase stands for its steps if all are there."""
     names = list(states)
     for phase, inside in _phases(steps).items():
-        whole = inside.keys() <= set(states)
-        names = [phase if whole and one in inside else inside.get(one, one) for one in names]
+        is_whole = inside.keys() <= set(states)
+        names = [phase if is_whole and one in inside else inside.get(one, one) for one in names]
     return list(dict.fromkeys(names))
 
 

@@ -10,7 +10,7 @@ from enum import StrEnum
 from itertools import groupby
 from typing import Generic, TypeVar
 
-from procedures.engine.case import LeftOut, StepKey
+from procedures.engine.case import Exclusion, StepKey
 from procedures.engine.context import StepContext
 from procedures.engine.errors import UnknownStep
 from procedures.journal.results import StepResult
@@ -55,7 +55,7 @@ class StepSpec(Generic[R_co]):
     mounted tool: after a restart, a fault of the arm, or another number at the controller's inputs someone
     may have had that tool in their hands, so the step is run again before the tool is used. `preconditions`
     are checked besides, and say in plain words what is unmet. `asks` are the questions of its course, in
-    order; those of its branches are in their table: see `planned_questions`.
+    order; those of its branches are in their table: see `list_questions`.
     """
 
     result: type[R_co]
@@ -106,10 +106,10 @@ class CaseOrder:
         names = {str(key): key for key in self.sequence}
         if name in names:
             return names[name]
-        near = [one for one in names if one.partition(":")[0] == name]  # it lacks only the trajectory
-        near = near or get_close_matches(name, names, n=MOST_NEAR)
-        if near:
-            raise UnknownStep(f"there is no step {name!r}", action=f"Did you mean {' or '.join(near)}?")
+        candidates = [one for one in names if one.partition(":")[0] == name]  # it lacks only the trajectory
+        candidates = candidates or get_close_matches(name, names, n=MOST_NEAR)
+        if candidates:
+            raise UnknownStep(f"there is no step {name!r}", action=f"Did you mean {' or '.join(candidates)}?")
         raise UnknownStep(f"there is no step {name!r}", expected=", ".join(names))
 
     @property
@@ -139,7 +139,7 @@ class CaseOrder:
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
-    def exclusions_at(self, key: StepKey, decisions: Iterable[LeftOut]) -> dict[str, str]:
+    def exclusions_at(self, key: StepKey, decisions: Iterable[Exclusion]) -> dict[str, str]:
         """Return the trajectories that were left out before that step, and why."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
@@ -176,14 +176,14 @@ def order_of(
 ) -> CaseOrder:
     """Derive the order of a case: trajectories are worked on one at a time."""
 
-    def each(step: StepSpec[StepResult]) -> bool:
+    def is_repeated(step: StepSpec[StepResult]) -> bool:
         return step.scope is Scope.TRAJECTORY or (
             step.scope is Scope.LOCALIZATION and localizes_per_trajectory
         )
 
     sequence: list[StepKey] = []
     # Localizing and targeting are blocks of their own even where they are neighbours.
-    for (repeated, _), block in groupby(steps, key=lambda step: (each(step), step.scope)):
+    for (repeated, _), block in groupby(steps, key=lambda step: (is_repeated(step), step.scope)):
         names = [step.name for step in block]
         places: Sequence[str | None] = trajectories if repeated else (None,)
         sequence += [StepKey(name, place) for place in places for name in names]

@@ -79,7 +79,7 @@ class Questions:
             Entry.MISREAD, self._setting.clock.now_s(), topic=question.name, subject=question.subject
         )
 
-    def have_done(self, task: Task) -> tuple[float, ...]:
+    def perform_task(self, task: Task) -> tuple[float, ...]:
         """Assign a task and return its readings; raises PRO-002 if they are missing or no numbers."""
         began_s = self._setting.clock.now_s()
         readings = self._setting.room.work(task)
@@ -99,18 +99,20 @@ class Questions:
             began_s=began_s,
         )
         if len(readings) != len(task.reads):
-            given = f"{len(readings)} of {len(task.reads)}" if readings else "no"
-            raise NotConfirmed(f"{given} readings were given: {task.subject}", expected=", ".join(task.reads))
+            count_text = f"{len(readings)} of {len(task.reads)}" if readings else "no"
+            raise NotConfirmed(
+                f"{count_text} readings were given: {task.subject}", expected=", ".join(task.reads)
+            )
         return readings
 
-    def have_instrument_out(self) -> None:
+    def request_instrument_removal(self) -> None:
         """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
         instrument = self._setting.workcell.instrument
         if (place := instrument.inside) is None:
             return
         trajectory = None if place in (IN_GAUGE, IN_DIVOT) else place
-        self.have_done(Task(OUT, taking_out(place), trajectory))
-        done = f"the {_instrument_at(place)} is out of {place} and out of the guide"
+        self.perform_task(Task(OUT, removal_words(place), trajectory))
+        done = f"the {_instrument_name(place)} is out of {place} and out of the guide"
         if place == IN_DIVOT:
             done = f"{place} is lowered, and hands are clear of it and of the guide"
         question = Question(
@@ -124,17 +126,17 @@ class Questions:
         if self.ask(question).word != IS_OUT:
             raise NotConfirmed(
                 f"an instrument is still in {place}: nothing moves",
-                action=f"By hand, {taking_out(place)}; then repeat the step or send the arm home.",
+                action=f"By hand, {removal_words(place)}; then repeat the step or send the arm home.",
             )
         instrument.record_removal()
 
 
-def taking_out(place: str) -> str:
+def removal_words(place: str) -> str:
     """Describe the manual work before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
-    return f"remove the {_instrument_at(place)} from {place} and from the guide"
+    return f"remove the {_instrument_name(place)} from {place} and from the guide"
 
 
-def _instrument_at(place: str) -> str:
+def _instrument_name(place: str) -> str:
     return "mandrel" if place == IN_GAUGE else "instrument"

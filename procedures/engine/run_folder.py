@@ -16,9 +16,14 @@ from procedures.journal.errors import JournalNotWritable
 from procedures.journal.journal import Entry, Journal, JournalValue, Line
 from procedures.journal.results import StepResult
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain
-from ronna_hw.evidence.manifest import Manifest, hashes_at_closing, hashes_outside, keep_earlier_hashes
+from ronna_hw.evidence.manifest import (
+    Manifest,
+    hash_files_at_closing,
+    hash_outside_files,
+    keep_earlier_hashes,
+)
 from ronna_hw.logs import logger
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.records import BadRecord, OtherVersion, Record
@@ -73,7 +78,7 @@ class RunFolder:
 
 def read_run(folder: Path) -> RunFolder:
     """Read a run; raises PRO-033 if it was changed."""
-    return run_of(inspected(folder).require_unchanged())
+    return run_of(inspect_run(folder).require_unchanged())
 
 
 def run_of(found: Inspection) -> RunFolder:
@@ -81,7 +86,7 @@ def run_of(found: Inspection) -> RunFolder:
     return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
 
 
-def typed(record: Record, model: type[R]) -> R:
+def parse_record(record: Record, model: type[R]) -> R:
     """Parse a record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
     if record.version != model.version:
         raise OtherVersion(
@@ -115,7 +120,9 @@ def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
 
 
 def _results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], ...]:
-    return tuple(Stored(record, typed(record, model)) for record in records if record.kind == model.kind)
+    return tuple(
+        Stored(record, parse_record(record, model)) for record in records if record.kind == model.kind
+    )
 
 
 class Recorder(Protocol):
@@ -148,15 +155,17 @@ def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, Journal
     """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
-        expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).not_vouched_for
-        hashes = keep_earlier_hashes(hashes_at_closing(folder) | hashes_outside(folder, inputs), expected)
+        expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).unvouched_files
+        hashes = keep_earlier_hashes(
+            hash_files_at_closing(folder) | hash_outside_files(folder, inputs), expected
+        )
     except (OSError, RonnaError) as error:  # closing must go on; verify says that the files are not named
         _log.error("files not hashed", error=str(error))
         return {}
-    inputs_there = {name: sha256 for name, sha256 in hashes.items() if Path(name).is_absolute()}
-    files = {name: sha256 for name, sha256 in hashes.items() if name not in inputs_there}
+    outside_inputs = {name: sha256 for name, sha256 in hashes.items() if Path(name).is_absolute()}
+    files = {name: sha256 for name, sha256 in hashes.items() if name not in outside_inputs}
     found: dict[str, JournalValue] = {"files": files}
-    return found | ({"inputs": inputs_there} if inputs_there else {})
+    return found | ({"inputs": outside_inputs} if outside_inputs else {})
 
 
 def lineage_text(run: RunFolder) -> str:
@@ -166,18 +175,18 @@ def lineage_text(run: RunFolder) -> str:
     """
     parents_of = {record.identifier: tuple(record.parents) for record in run.records}
     used = {name for parents in parents_of.values() for name in parents}
-    drawn: set[str] = set()
+    drawn_names: set[str] = set()
     lines: list[str] = []
     waiting = [(name, 0) for name in parents_of if name not in used]
     while waiting:
         name, depth = waiting.pop()
         parents = parents_of.get(name)
-        again = bool(parents) and name in drawn
-        if parents is not None and not again:
-            drawn.add(name)
+        is_repeated = bool(parents) and name in drawn_names
+        if parents is not None and not is_repeated:
+            drawn_names.add(name)
             waiting += [(parent, depth + 1) for parent in reversed(parents)]
         mark = " (not in this run)" if parents is None else f" ({SUPERSEDED})" * (name in run.superseded)
-        lines.append(f"{'  ' * depth}{name}{mark}{' ...' if again else ''}")
+        lines.append(f"{'  ' * depth}{name}{mark}{' ...' if is_repeated else ''}")
     return "\n".join(lines) + "\n"
 
 

@@ -59,7 +59,7 @@ class ClinicalInput:
         return self.plan.with_name("place.json")
 
 
-def this_second() -> datetime:
+def now_to_second() -> datetime:
     """Return the present time as records are dated."""
     return datetime.now(UTC).replace(microsecond=0)
 
@@ -79,4 +79,4 @@ class CaseSetting:
     arm_not_home: str | None = None  # where another run left the arm, and how to bring it home
     today: Callable[[], datetime] = lambda: datetime.now(UTC)  # for the expiry of calibrations
     starts: frozenset[str] = frozenset()  # calibrations that may have expired: another one starts from them
-    began: datetime = field(default_factory=this_second)  # date of a calibration's observations
+    began: datetime = field(default_factory=now_to_second)  # date of a calibration's observations

@@ -68,7 +68,7 @@ FILLED_ATTRIBUTES = (
 )
 
 
-def named_spheres(markers: Iterable[M]) -> dict[str, M]:
+def name_spheres(markers: Iterable[M]) -> dict[str, M]:
     """Name the spheres of a localization M1, M2, ... in their order."""
     return {f"M{number}": marker for number, marker in enumerate(markers, 1)}
 
@@ -83,11 +83,11 @@ def label_of(trajectory: str, number: int) -> str:
     return trajectory if PLAIN_LABEL.fullmatch(trajectory) else f"trajectory{number}"
 
 
-def require_allowed(made: Dataset) -> Dataset:
+def require_allowed(dicom_object: Dataset) -> Dataset:
     """Return the object; raises EXC-004 for an attribute that is not listed, or must be empty and is not."""
-    for element in made.iterall():
+    for element in dicom_object.iterall():
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue
         if element.keyword not in FILLED_ATTRIBUTES:
             raise FieldNotAllowed(f"{element.keyword or element.tag} must not leave the run folder")
-    return made
+    return dicom_object

@@ -27,12 +27,12 @@ from pydicom.uid import (
 )
 from scipy.spatial.transform import RigidTransform
 
-from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, named_spheres, require_allowed
+from procedures.exchange.allowed_fields import ALWAYS_EMPTY, label_of, name_spheres, require_allowed
 from procedures.exchange.errors import NotWritable
 from procedures.imaging.markers import Marker
 from procedures.postoperative.summary import PostoperativeCheck
 from ronna_hw.frames import Transform
-from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.records import canonical_json, write_atomically
 
 MAKER = "ronna-hw"
 NOT_CLINICAL = "research software, not a medical device"
@@ -64,7 +64,7 @@ def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
     """Build the object for the spheres of one CT series, M1, M2, ... in their order."""
     points = [
         _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
-        for name, marker in named_spheres(markers).items()
+        for name, marker in name_spheres(markers).items()
     ]
     return _spatial_fiducials(points, origin, "MARKERS", "centres of marker spheres")
 
@@ -119,7 +119,9 @@ def spatial_registration(
     ]
     made = _registration(origin, robot_uid, items, label, description)
     if fiducial_uids:
-        made.RegistrationSequence[1].UsedFiducialsSequence = [_used(one, spheres) for one in fiducial_uids]
+        made.RegistrationSequence[1].UsedFiducialsSequence = [
+            _used_fiducial_item(one, spheres) for one in fiducial_uids
+        ]
     return made
 
 
@@ -166,7 +168,7 @@ def _item(
     return item
 
 
-def _used(fiducial_uid: str, origin: Origin) -> Dataset:
+def _used_fiducial_item(fiducial_uid: str, origin: Origin) -> Dataset:
     item = Dataset()
     item.ReferencedSOPClassUID = SpatialFiducialsStorage
     item.ReferencedSOPInstanceUID = instance_uid(origin, "FID")
@@ -277,7 +279,7 @@ def write(made: Dataset, path: Path) -> Path:
     content = BytesIO()
     made.save_as(content, enforce_file_format=True)
     try:
-        write_whole(path, content.getvalue())
+        write_atomically(path, content.getvalue())
     except OSError as error:
         raise NotWritable(f"cannot write {path}: {error.strerror}") from error
     return path

@@ -21,7 +21,7 @@ from procedures.exchange.errors import NothingToExport, NotWritable
 from procedures.journal.journal import JOURNAL_FILE
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.devices.readings import ArmReading, CameraImage, StereoReading, TrackerFrame
-from ronna_hw.evidence.journal_reading import Line, chain_until_broken
+from ronna_hw.evidence.journal_reading import Line, read_chain_until_break
 from ronna_hw.evidence.manifest import RAW_FOLDER
 from ronna_hw.host.files import remove_folder
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER
@@ -68,7 +68,7 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
             expected=f"the folder of one run, with {JOURNAL_FILE} and {READINGS_FOLDER}/{READINGS_FILE}",
             action="ronna-procedure list shows the runs in a folder.",
         )
-    chain, _ = chain_until_broken(run / JOURNAL_FILE)
+    chain, _ = read_chain_until_break(run / JOURNAL_FILE)
     steps = {
         line["sequence"]: str(line.get("step", "home")) for line in chain.lines if line["entry"] in BEGINS
     }
@@ -87,18 +87,18 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
     """
     if out.exists():
         raise NotWritable(f"{out} already exists", action="Give a new folder.")
-    made = out.with_name(f".{out.name}{PARTIAL}")
+    partial_folder = out.with_name(f".{out.name}{PARTIAL}")
     try:
-        remove_folder(made)
-        (made / PICTURES_FOLDER).mkdir(parents=True)
-        lines = len(chain_until_broken(run / JOURNAL_FILE)[0].lines)
-        whole = _write_all(run, made, most_bytes)
-        write_extent(made, RawExtent(journal_lines=lines, whole=whole))
-        os.replace(made, out)
+        remove_folder(partial_folder)
+        (partial_folder / PICTURES_FOLDER).mkdir(parents=True)
+        lines = len(read_chain_until_break(run / JOURNAL_FILE)[0].lines)
+        whole = _write_all(run, partial_folder, most_bytes)
+        write_extent(partial_folder, RawExtent(journal_lines=lines, whole=whole))
+        os.replace(partial_folder, out)
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     finally:
-        remove_folder(made)
+        remove_folder(partial_folder)
     return out, whole
 
 
@@ -128,12 +128,12 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
     if not folder.is_dir():
         return None
     try:
-        extent = RawExtent.model_validate_json(read_json_bytes(folder / EXTENT_FILE, linked=False))
+        extent = RawExtent.model_validate_json(read_json_bytes(folder / EXTENT_FILE, follow_links=False))
     except (OSError, ValueError):
         return f"{RAW_FOLDER}/ does not state how far its readings extend"
-    since = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
-    if since:
-        first = since[0].get("step", "home")
+    later_sections = [line for line in lines[extent.journal_lines :] if line["entry"] in BEGINS]
+    if later_sections:
+        first = later_sections[0].get("step", "home")
         return f"{RAW_FOLDER}/ is from before the run was resumed: readings from {first} on are missing"
     return None if extent.whole else f"{RAW_FOLDER}/ was full: the last readings are missing"
 
@@ -185,11 +185,11 @@ def _write_picture(path: Path, image: CameraImage) -> int:
     return len(content)
 
 
-def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> Sequence[Value]:
+def _picture_row(path: Path, side: str, image: CameraImage, reading: RawReading) -> Sequence[Value]:
     return (
         f"{PICTURES_FOLDER}/{path.name}",
-        of.step,
-        of.theatre_time_s,
+        reading.step,
+        reading.theatre_time_s,
         side,
         image.serial,
         image.validity.value,
@@ -199,9 +199,9 @@ def _picture_row(path: Path, side: str, image: CameraImage, of: RawReading) -> S
     )
 
 
-def _frame_rows(number: int, frame: TrackerFrame, of: RawReading) -> list[Sequence[Value]]:
+def _frame_rows(number: int, frame: TrackerFrame, reading: RawReading) -> list[Sequence[Value]]:
     """Build a row per tool and per stray marker; a single row for an empty frame."""
-    head = (number, of.step, of.theatre_time_s, frame.stamp.device_clock)
+    head = (number, reading.step, reading.theatre_time_s, frame.stamp.device_clock)
     nothing = (None,) * 3
     rows: list[Sequence[Value]] = [
         (

@@ -17,7 +17,7 @@ from procedures.exchange.allowed_fields import (
     REGISTRATION_FIELDS,
     SPHERE_FIELDS,
     label_of,
-    named_spheres,
+    name_spheres,
     pick_allowed,
     require_allowed,
 )
@@ -36,8 +36,8 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.results import RegisteredRobot
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.records import Record, write_whole
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.records import Record, write_atomically
 
 R = TypeVar("R", bound=StepResult)
 ALL = "all"  # name of a registration that serves every trajectory
@@ -49,8 +49,8 @@ def export_run(run: Path, out: Path) -> list[Path]:
     Raises EXC-002, EXC-003, EXC-004, REC-003, and PRO-033 before anything is written. EXC-002 also for a
     folder with registrations of another run.
     """
-    folder = run_of(inspected(run).require_whole())
-    imported, found = _only(folder, ImportedCt), _only(folder, LocalizedFiducials)
+    folder = run_of(inspect_run(run).require_whole())
+    imported, found = _require_result(folder, ImportedCt), _require_result(folder, LocalizedFiducials)
     spheres = found.result.markers
     origin = Origin(
         imported.result.series_instance_uid,
@@ -58,7 +58,9 @@ def export_run(run: Path, out: Path) -> list[Path]:
         datetime.fromisoformat(found.record.created),
         found.record.sha256,
     )
-    fits = _labelled(find_used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded))
+    fits = _label_registrations(
+        find_used_registrations(folder.made(RegisteredRobot), folder.records, folder.superseded)
+    )
     if not fits:
         raise NothingToExport(f"{run.name} has no registration")
     markers = [pick_allowed(one.model_dump(mode="json"), SPHERE_FIELDS) for one in spheres]
@@ -70,7 +72,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
         "registrations.json": _summary(fits),
     }
     own = {_file_of(trajectory) for trajectory in fits}
-    if others := sorted(there.name for there in out.glob(_file_of("*")) if there.name not in own):
+    if others := sorted(file.name for file in out.glob(_file_of("*")) if file.name not in own):
         raise NotWritable(
             f"{out} holds registrations that are not of this run",
             expected="a new folder, or an earlier export of this run",
@@ -79,7 +81,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
     try:
         out.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
-            write_whole(out / name, text.encode())
+            write_atomically(out / name, text.encode())
     except OSError as error:
         raise NotWritable(f"cannot write into {out}: {error.strerror}") from error
     written = [out / name for name in texts]
@@ -91,7 +93,7 @@ def export_run(run: Path, out: Path) -> list[Path]:
             spheres=origin,
             placing=_placing(fit.record, folder),
             description=f"trajectory {trajectory}",
-            fiducial_uids=[fiducial_uid(origin, name) for name in named_spheres(spheres)],
+            fiducial_uids=[fiducial_uid(origin, name) for name in name_spheres(spheres)],
         )
         written.append(write(require_allowed(made), out / _file_of(trajectory)))
     return written
@@ -101,21 +103,21 @@ def _file_of(trajectory: str) -> str:
     return f"registration-{trajectory}.dcm"
 
 
-def _labelled(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
+def _label_registrations(used: Sequence[UsedRegistration]) -> dict[str, Stored[RegisteredRobot]]:
     """The registrations by the label under which they are exported; their targets are relabelled too."""
     names = dict.fromkeys(name for one in used for name in one.targets)
     labels = {name: label_of(name, number) for number, name in enumerate(names, 1)}
-    alone = [one.stored.record.trajectory for one in used].count(None) == 1
-    labelled = {}
+    is_single = [one.stored.record.trajectory for one in used].count(None) == 1
+    by_label = {}
     for one in used:
         predictions = tuple(
             predicted.model_copy(update={"target": labels[predicted.target]}) for predicted in one.predictions
         )
         result = one.result.model_copy(update={"predictions": predictions})
-        for_all = alone and one.stored.record.trajectory is None
+        for_all = is_single and one.stored.record.trajectory is None
         label = ALL if for_all else "-".join(labels[name] for name in one.targets)
-        labelled[label] = Stored(one.stored.record, result)
-    return labelled
+        by_label[label] = Stored(one.stored.record, result)
+    return by_label
 
 
 def _placing(registration: Record, folder: RunFolder) -> str:
@@ -156,7 +158,7 @@ def _registration_table(registrations: Iterable[RegisteredRobot]) -> str:
     return text.getvalue()
 
 
-def _only(folder: RunFolder, model: type[R]) -> Stored[R]:
+def _require_result(folder: RunFolder, model: type[R]) -> Stored[R]:
     found = folder.standing(model)
     if not found:
         raise NothingToExport(f"{folder.path.name} has no record of {model.kind}")

@@ -11,9 +11,9 @@ from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from procedures.exchange.allowed_fields import named_spheres
+from procedures.exchange.allowed_fields import name_spheres
 from procedures.exchange.errors import NotWritable, UnknownForm
-from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.records import canonical_json, write_atomically
 
 if TYPE_CHECKING:
     from procedures.exchange.dicom_objects import Origin
@@ -33,7 +33,9 @@ def check_names(paths: Sequence[Path]) -> None:
             raise UnknownForm(f"cannot tell the format of {path.name}")
 
 
-def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None) -> None:
+def write_spheres(
+    spheres_found: Localization, paths: Sequence[Path], patient: PatientIdentity | None = None
+) -> None:
     """Write the spheres to each of the files; only DICOM files name the `patient`.
 
     Raises EXC-001, EXC-002.
@@ -43,14 +45,14 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
         return
     from procedures.exchange import dicom_objects  # pydicom: half a second
 
-    markers = [marker.document() for marker in found.markers]
+    markers = [marker.document() for marker in spheres_found.markers]
     key = hashlib.sha256(canonical_json(markers)).hexdigest()
     origin = dicom_objects.Origin(
-        found.series_instance_uid, found.frame_of_reference_uid, datetime.now(UTC), key
+        spheres_found.series_instance_uid, spheres_found.frame_of_reference_uid, datetime.now(UTC), key
     )
     for path in paths:
         if path.name.endswith(DICOM):
-            made = dicom_objects.sphere_fiducials(found.markers, origin)
+            made = dicom_objects.sphere_fiducials(spheres_found.markers, origin)
             if patient is not None:
                 dicom_objects.name_patient(
                     made, patient.name, patient.identifier, patient.birth_date, patient.sex
@@ -58,11 +60,11 @@ def write_spheres(found: Localization, paths: Sequence[Path], patient: PatientId
             dicom_objects.write(made, path)
             continue
         if path.name.endswith(MARKUPS):
-            text = slicer_markups(found.markers)
+            text = slicer_markups(spheres_found.markers)
         else:
-            text = document(markers, origin) if path.name.endswith(JSON) else table(found.markers)
+            text = document(markers, origin) if path.name.endswith(JSON) else table(spheres_found.markers)
         try:
-            write_whole(path, text.encode())
+            write_atomically(path, text.encode())
         except OSError as error:
             raise NotWritable(f"cannot write {path}: {error.strerror}") from error
 
@@ -80,7 +82,7 @@ def slicer_markups(markers: Sequence[Marker]) -> str:
             "visibility": True,
             "positionStatus": "defined",
         }
-        for number, (name, marker) in enumerate(named_spheres(markers).items(), 1)
+        for number, (name, marker) in enumerate(name_spheres(markers).items(), 1)
     ]
     markups = [
         {"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": "mm", "controlPoints": points}
@@ -93,7 +95,7 @@ def table(markers: Sequence[Marker]) -> str:
     text = io.StringIO()
     writer = csv.writer(text, lineterminator="\n")
     writer.writerow(("name", "L_mm", "P_mm", "S_mm", "uncertainty_mm"))
-    writer.writerows((name, *one.centre_mm, one.sigma_mm) for name, one in named_spheres(markers).items())
+    writer.writerows((name, *one.centre_mm, one.sigma_mm) for name, one in name_spheres(markers).items())
     return text.getvalue()
 
 
@@ -104,6 +106,6 @@ def document(markers: Sequence[Mapping[str, Any]], origin: Origin) -> str:
         "frame_of_reference_uid": origin.frame_of_reference_uid,
         "coordinate_system": "LPS",
         "unit": "mm",
-        "spheres": [{"name": name, **marker} for name, marker in named_spheres(markers).items()],
+        "spheres": [{"name": name, **marker} for name, marker in name_spheres(markers).items()],
     }
     return json.dumps(content, indent=1, allow_nan=False) + "\n"

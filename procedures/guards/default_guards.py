@@ -152,7 +152,7 @@ class ToolStillMounted:
         if expected is None or workcell.arm.observe().state not in RUNNING:
             return None
         try:
-            mounted = workcell.reported_tool_number()
+            mounted = workcell.read_tool_number()
         except RonnaError:
             return None  # motions report the same themselves
         if mounted == expected:

@@ -6,7 +6,7 @@ import math
 from typing import Self
 
 from ronna_hw.errors import RefusedError
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 
 class BaseShifted(RefusedError):
@@ -52,8 +52,10 @@ class PatientMoved(RefusedError):
     moved_mm: float = math.inf
 
     @classmethod
-    def by(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
+    def from_shift(cls, what: str, moved_mm: float, limit_mm: float) -> Self:
         """Build the error for a move of this size."""
-        moved = cls(what, limit=f"{limit_mm:g} mm", got=f"{beyond(moved_mm, limit_mm, 2)} mm rms")
+        moved = cls(
+            what, limit=f"{limit_mm:g} mm", got=f"{format_against_limit(moved_mm, limit_mm, 2)} mm rms"
+        )
         moved.moved_mm = moved_mm
         return moved

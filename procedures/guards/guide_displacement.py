@@ -18,11 +18,11 @@ from procedures.engine.setting import CaseMemory
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
 from procedures.workcell import Workcell
-from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -50,7 +50,7 @@ class GuideAtRest:
     `seen_mm` (3, 3) are the frame on the mount, the lower end of the guide and the frame on the guide, in the
     tracker's frame: NaN for the last if not seen, None if the first is not. `end_in_frame_mm` (3,) is the end
     in the frame on the mount; `on_guide` names the frame on the guide, if any.
-    `worked`: somebody works through it now; `left`: somebody did.
+    `is_worked_through`: somebody works through it now; `was_worked_through`: somebody did.
     `now_mm` is its last known displacement, `looked_s` the theatre time of the last look; `unseen` says that
     this look did not show the frame.
     """
@@ -61,29 +61,29 @@ class GuideAtRest:
     seen_mm: Array | None
     on_guide: str | None = None
     now_mm: float = 0.0
-    worked: bool = False
-    left: bool = False
+    is_worked_through: bool = False
+    was_worked_through: bool = False
     looked_s: float = -math.inf
     unseen: bool = False
-    _moved_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
+    _point_shifts_mm: Array = field(default_factory=lambda: np.zeros(3))  # of each point, when last seen
     _recent: deque[Array] = field(default_factory=lambda: deque(maxlen=END_READINGS))
 
     def begin_watch(self) -> None:
         """Forget the readings of an earlier watch."""
         self._recent.clear()
 
-    def take(self, frame: TrackerFrame, tool: str) -> None:
+    def add_frame(self, frame: TrackerFrame, tool: str) -> None:
         """Add a reading of a watch, and compare the mean of the latest ones."""
         reading = frame.tool(tool)
         if self.seen_mm is None or reading.validity is not Validity.OK:
             return
-        on_mount = reading.transform(Frame.TRACKER, Frame.MARKER)
+        is_on_mount = reading.transform(Frame.TRACKER, Frame.MARKER)
         on_guide = None if self.on_guide is None else frame.tool(self.on_guide)
         place_mm = on_guide.position_mm if on_guide and on_guide.validity is Validity.OK else None
-        self._recent.append(_points_mm(on_mount, self.end_in_frame_mm, place_mm))
+        self._recent.append(_points_mm(is_on_mount, self.end_in_frame_mm, place_mm))
         recent_mm = np.array(self._recent)
         if len(recent_mm) >= PLACE_READINGS:
-            now_mm = recent_mm[-PLACE_READINGS:].mean(axis=0)
+            now_mm = _mean_of_seen_mm(recent_mm[-PLACE_READINGS:])
             now_mm[END] = recent_mm[:, END].mean(axis=0) if len(recent_mm) == END_READINGS else np.nan
             self._compare(now_mm)
 
@@ -105,8 +105,8 @@ class GuideAtRest:
         """Update the displacement by the largest evidence; a hidden frame stays where it was last seen."""
         if seen_mm is not None and self.seen_mm is not None:
             moved_mm = np.linalg.norm(seen_mm - self.seen_mm, axis=1)
-            self._moved_mm = np.where(np.isfinite(moved_mm), moved_mm, self._moved_mm)
-        first_mm, end_mm, on_guide_mm = self._moved_mm.tolist()
+            self._point_shifts_mm = np.where(np.isfinite(moved_mm), moved_mm, self._point_shifts_mm)
+        first_mm, end_mm, on_guide_mm = self._point_shifts_mm.tolist()
         by_frames_mm = max(first_mm, end_mm if end_mm > END_SEEN_MM else 0.0, on_guide_mm)
         by_joints_mm = 0.0 if tool_mm is None else float(np.linalg.norm(tool_mm - self.tool_mm))
         self.now_mm = max(by_frames_mm, by_joints_mm)
@@ -124,7 +124,7 @@ class GuideDisplacement:
     def unmet(self) -> str | None:
         """Describe a push on the guide. Raises the tracker's errors."""
         rest = self.memory.find(GuideAtRest)
-        if rest is None or not rest.worked:
+        if rest is None or not rest.is_worked_through:
             return None
         if self.clock.now_s() - rest.looked_s >= BETWEEN_LOOKS_S:
             rest.look(self.workcell, self.clock)
@@ -138,7 +138,7 @@ class GuideDisplacement:
         )
 
 
-def guide_at_rest(
+def measure_guide_at_rest(
     workcell: Workcell, clock: Clock, trajectory: str, room: RoomWatch | None = None
 ) -> GuideAtRest:
     """Measure how the guide is held now. Raises PRO-007 if a hand is on it already, and the tracker's errors.
@@ -149,9 +149,9 @@ def guide_at_rest(
     on_guide = frame.tool if (frame := workcell.tools.guide.record.frame) is not None else None
     by_arm = robot_from_marker(workcell, workcell.joints_rad())
     end_in_frame_mm = by_arm.inverse().apply(tool.apply([0.0, 0.0, -workcell.tools.guide.bore.reach_mm]))
-    on_mount, seen_mm = _measure_frame(workcell, clock, end_in_frame_mm, on_guide)
-    if on_mount is not None and room is not None:
-        _require_unturned(by_arm, room.robot_from_tracker @ on_mount)
+    is_on_mount, seen_mm = _measure_frame(workcell, clock, end_in_frame_mm, on_guide)
+    if is_on_mount is not None and room is not None:
+        _require_unturned(by_arm, room.robot_from_tracker @ is_on_mount)
     return GuideAtRest(
         trajectory, tool.translation_mm, end_in_frame_mm, seen_mm, on_guide, looked_s=clock.now_s()
     )
@@ -165,7 +165,7 @@ def _require_unturned(by_arm: Transform, seen: Transform) -> None:
         raise GateFailed(
             "the tracker sees the frame on the arm turned against where the arm has it",
             limit=f"{limit_deg:g} deg",
-            got=f"{beyond(turned_deg, limit_deg, 2)} deg",
+            got=f"{format_against_limit(turned_deg, limit_deg, 2)} deg",
             action="Let go of guide and arm, check that mount and frame are tight, send the arm home, then "
             "repeat the step.",
         )
@@ -175,15 +175,28 @@ def _measure_frame(
     workcell: Workcell, clock: Clock, end_in_frame_mm: Array, on_guide: str | None, count: int = FRAMES
 ) -> tuple[Transform | None, Array | None]:
     """Mean pose of the frame on the mount, and `seen_mm`; None if too few frames show it."""
-    frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
-    on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
-    if on_mount is None:
+    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
+    is_on_mount = mean_pose(frames, workcell.calibrations.tracker_frame.tool, count // 2)
+    if is_on_mount is None:
         return None, None
     guide = None if on_guide is None else mean_pose(frames, on_guide, count // 2)
-    return on_mount, _points_mm(on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm)
+    return is_on_mount, _points_mm(
+        is_on_mount, end_in_frame_mm, None if guide is None else guide.translation_mm
+    )
 
 
-def _points_mm(on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
+def _mean_of_seen_mm(readings_mm: Array) -> Array:
+    """Mean of each point (3, 3) over the readings (n, 3, 3) that show it; NaN unless at least half do."""
+    is_seen = np.isfinite(readings_mm).all(axis=2)
+    counts = is_seen.sum(axis=0)
+    sums_mm = np.where(is_seen[:, :, None], readings_mm, 0.0).sum(axis=0)
+    means_mm: Array = np.where(
+        (2 * counts >= len(readings_mm))[:, None], sums_mm / np.maximum(counts, 1)[:, None], np.nan
+    )
+    return means_mm
+
+
+def _points_mm(is_on_mount: Transform, end_in_frame_mm: Array, on_guide_mm: ArrayLike | None) -> Array:
     """Frame on the mount, end of the guide and frame on the guide (3, 3), tracker frame."""
     guide_mm = np.full(3, np.nan) if on_guide_mm is None else np.asarray(on_guide_mm, dtype=float)
-    return np.array([on_mount.translation_mm, on_mount.apply(end_in_frame_mm), guide_mm])
+    return np.array([is_on_mount.translation_mm, is_on_mount.apply(end_in_frame_mm), guide_mm])

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.registration.movement import LEAST_POINTS, NEAR_MM, shift_of
+from procedures.registration.movement import LEAST_POINTS, NEAR_MM, measure_shift
 from ronna_hw.devices.readings import TrackerFrame, Validity
 
 Array = NDArray[np.float64]
@@ -47,18 +47,18 @@ class HeadFrames:
     seen: bool = True
     _far: int = 0
     _open: int = 0  # undecided frames in a row that showed enough spheres
-    _ways: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
+    _displacements: deque[Array] = field(default_factory=lambda: deque(maxlen=SPAN))
 
-    def take(self, frame: TrackerFrame) -> None:
+    def add_frame(self, frame: TrackerFrame) -> None:
         """Add a reading."""
         places = [one.position_mm for one in frame.strays if one.validity is Validity.OK]
-        ways = _ways(self.spheres_mm, places)
-        near = np.isfinite(ways[:, 0])
+        displacements = _displacements(self.spheres_mm, places)
+        near = np.isfinite(displacements[:, 0])
         self.seen = bool(near.sum() >= LEAST_POINTS)
         if self.seen:
             self._far = 0
-            self._ways.append(ways)
-            self.doubtful = math.hypot(*ways[near].mean(axis=0)) > DOUBT_MM
+            self._displacements.append(displacements)
+            self.doubtful = math.hypot(*displacements[near].mean(axis=0)) > DOUBT_MM
             self.moved_mm = self._mean_mm()
             self._open = self._open + 1 if self.moved_mm is None else 0
             self.seen = self._open <= SPAN
@@ -66,7 +66,7 @@ class HeadFrames:
             elsewhere = len(places) >= LEAST_POINTS and near.sum() < ENOUGH_IN_PLACE
             self._far = self._far + 1 if elsewhere else 0
             self.doubtful = 0 < self._far < FAR_READINGS
-            moved = shift_of(self.spheres_mm, places) if self._far == FAR_READINGS else None
+            moved = measure_shift(self.spheres_mm, places) if self._far == FAR_READINGS else None
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
     def _mean_mm(self) -> float | None:
@@ -75,25 +75,25 @@ class HeadFrames:
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
         sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
         """
-        ways = np.array(self._ways)
-        there = np.isfinite(ways[:, :, 0])
-        latest = there & (np.cumsum(there[::-1], axis=0)[::-1] <= AVERAGED)
+        displacements = np.array(self._displacements)
+        is_seen = np.isfinite(displacements[:, :, 0])
+        latest = is_seen & (np.cumsum(is_seen[::-1], axis=0)[::-1] <= AVERAGED)
         enough = latest.sum(axis=0) == AVERAGED
         if enough.sum() < LEAST_POINTS:
             return None
-        means = np.where(latest[:, :, None], ways, 0.0).sum(axis=0)[enough] / AVERAGED
+        means = np.where(latest[:, :, None], displacements, 0.0).sum(axis=0)[enough] / AVERAGED
         squares = np.sort((means * means).sum(axis=1))[: max(LEAST_POINTS, len(means) - 1)]
         return math.sqrt(float(squares.mean()))
 
 
-def _ways(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:
+def _displacements(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:
     """Displacement of each sphere to the nearest point seen (n, 3); NaN if none is near."""
-    ways = np.full(spheres_mm.shape, np.nan)
+    displacements = np.full(spheres_mm.shape, np.nan)
     if places_mm:
         apart = np.asarray(places_mm)[None] - spheres_mm[:, None]
         squared = (apart * apart).sum(axis=2)
         nearest = squared.argmin(axis=1)
         rows = np.arange(len(spheres_mm))
         near = squared[rows, nearest] < NEAR_MM**2
-        ways[near] = apart[rows, nearest][near]
-    return ways
+        displacements[near] = apart[rows, nearest][near]
+    return displacements

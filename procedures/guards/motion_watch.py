@@ -63,7 +63,7 @@ class MotionWatch:
     def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
         """Watch during a motion or a wait. Raises PRO-019 or PRO-020 after a move, with the arm at rest."""
         room = self.memory.find(RoomWatch)
-        if room is None or not self._wanted:
+        if room is None or not self._is_wanted:
             yield
             return
         if (state := self.workcell.tracker.state) is not Lifecycle.CONFIGURED:
@@ -101,7 +101,7 @@ class MotionWatch:
         self._conclude(thread.end(), what)
 
     @property
-    def _wanted(self) -> bool:
+    def _is_wanted(self) -> bool:
         if self.when is WatchPatient.INSTRUMENT:
             return self.workcell.tool is MountedTool.GUIDE
         return self.when is WatchPatient.ALWAYS
@@ -136,10 +136,10 @@ class MotionWatch:
             shifted.cart = found.cart
             return shifted
         if isinstance(found, PatientMoved):
-            return PatientMoved.by(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
+            return PatientMoved.from_shift(f"{found.what}, during {what}", found.moved_mm, PATIENT_LIMIT_MM)
         if found is not None:
             self.find(f"no further reading after {what}: {found.summary}")
-        return PatientMoved.by(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
+        return PatientMoved.from_shift(f"{MOVED} during {what}", moved_mm, PATIENT_LIMIT_MM)
 
 
 @dataclass
@@ -226,7 +226,7 @@ class _WatchThread:
                     self._report_silence("the tracker repeats its last frame")
                 self._ending.wait(FRAME_S / 2)
                 continue
-            self.head.take(add_frame_spheres(tracker, frame))
+            self.head.add_frame(add_frame_spheres(tracker, frame))
             self._check_push(frame)
             self._check_late()
             new_s = self.clock.now_s()
@@ -247,7 +247,7 @@ class _WatchThread:
     def _check_unseen(self) -> None:
         now_s = self.clock.now_s()
         self.unseen_s = now_s - self._seen_s
-        if not self._overdue and self.room.overdue(now_s):
+        if not self._overdue and self.room.is_overdue(now_s):
             self._overdue = True
             self._raise_alarm(UNSEEN, stop=self.arm_moves)
 
@@ -260,9 +260,9 @@ class _WatchThread:
 
     def _check_push(self, frame: TrackerFrame) -> None:
         """Report each push once; the guard at the next checkpoint suspends the case while it lasts."""
-        if self.guide is None or not self.guide.worked:
+        if self.guide is None or not self.guide.is_worked_through:
             return
-        self.guide.take(frame, self.workcell.calibrations.tracker_frame.tool)
+        self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
         self.pushed_mm = max(self.pushed_mm, self.guide.now_mm)
         pushed = self.guide.now_mm > PUSHED_MM
         if pushed and not self._pushed:
@@ -271,7 +271,7 @@ class _WatchThread:
 
     def _raise_alarm(self, why: str, *, stop: bool) -> None:
         self._stop_wanted |= stop
-        if self._stops:  # reported when the arm rests
+        if self._is_stopping:  # reported when the arm rests
             return
         if stop:
             self._begin_stop()
@@ -279,12 +279,12 @@ class _WatchThread:
 
     def _stop_again(self) -> None:
         """Repeat a stop that has failed, for example by its time limit, while the arm may still move."""
-        wanted = self._stop_wanted and not self._stops
+        wanted = self._stop_wanted and not self._is_stopping
         if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
             self._begin_stop()
 
     @property
-    def _stops(self) -> bool:
+    def _is_stopping(self) -> bool:
         return self._stopping is not None and self._stopping.is_alive()
 
     def _begin_stop(self) -> None:

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from procedures.guards.stability import CAREFUL_FRAMES, HEAD_NOTICEABLE_MM
 from procedures.planning.line_of_sight import SENSORS_MM
 from procedures.workcell import Workcell
-from procedures.workcell.tracker_look import frames_at_rest, mean_pose, robot_from_marker
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.clock import Clock
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.devices.strays import average_strays
@@ -53,26 +53,26 @@ class RoomReading:
     settled: bool = False
 
     @property
-    def careful(self) -> bool:
+    def is_careful(self) -> bool:
         """True if enough frames (`CAREFUL_FRAMES`) are averaged for a look before or after a target."""
         return self.frames >= CAREFUL_FRAMES
 
     @property
-    def comparable(self) -> bool:
+    def is_comparable(self) -> bool:
         """Whether another reading of the same pose may show the frame on the arm off by noise only."""
-        return self.careful and self.settled
+        return self.is_careful and self.settled
 
     @property
     def head_limit_mm(self) -> float:
         """Rms displacement of the spheres from which the head has moved."""
-        return HEAD_NOTICEABLE_MM if self.careful else PATIENT_LIMIT_MM
+        return HEAD_NOTICEABLE_MM if self.is_careful else PATIENT_LIMIT_MM
 
 
 def read_room(
     workcell: Workcell, clock: Clock, robot_from_tracker: Transform, count: int = FRAMES
 ) -> RoomReading:
     """Read frames of the tracker while the arm rests. Raises the tracker's errors."""
-    frames, _ = frames_at_rest(workcell.tracker, clock, count=count)
+    frames, _ = read_frames_at_rest(workcell.tracker, clock, count=count)
     return room_reading(workcell, frames, robot_from_tracker)
 
 
@@ -105,7 +105,7 @@ def room_reading(
     )
 
 
-def ghosts_of(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
+def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
     """Flag the points (m, 3) that are crossings of lines to known markers; all in the tracker's frame.
 
     The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the

@@ -16,14 +16,20 @@ from numpy.typing import NDArray
 
 from procedures.engine.setting import CaseMemory
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import FRAMES, RoomReading, ghosts_of, read_room
+from procedures.guards.room_reading import FRAMES, RoomReading, find_ghosts, read_room
 from procedures.guards.stability import BASE_NOTICEABLE_MM, CAREFUL_FRAMES
-from procedures.registration.movement import NEAR_MM, PointShift, lone_displacement_mm, shift_of, shift_of_few
+from procedures.registration.movement import (
+    NEAR_MM,
+    PointShift,
+    lone_displacement_mm,
+    measure_shift,
+    measure_shift_of_few,
+)
 from procedures.workcell import Workcell
 from ronna_hw.clock import Clock
 from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
-from ronna_hw.text import beyond, counted
+from ronna_hw.text import format_against_limit, format_count
 
 Array = NDArray[np.float64]
 
@@ -115,11 +121,11 @@ class RoomWatch:
 
     def follow(self, spheres_mm: Array | None) -> None:
         """Expect the spheres (n, 3) there from now on; None for where they were localized."""
-        wanted = self._localized_mm if spheres_mm is None else spheres_mm
-        if not np.array_equal(wanted, self.spheres_mm):
-            self.spheres_mm = wanted
+        expected_mm = self._localized_mm if spheres_mm is None else spheres_mm
+        if not np.array_equal(expected_mm, self.spheres_mm):
+            self.spheres_mm = expected_mm
 
-    def refer(self, frame_mm: Array | None) -> None:
+    def add_reference(self, frame_mm: Array | None) -> None:
         """Add the frame (3,) as seen before a restart, with the arm home and every joint settled."""
         home = self.references[0].robot_from_flange
         if frame_mm is not None:
@@ -141,12 +147,12 @@ class RoomWatch:
         if self.approach is not None:
             self.approach.excused_s = min(self.approach.excused_s, now_s)
 
-    def overdue(self, now_s: float) -> bool:
+    def is_overdue(self, now_s: float) -> bool:
         """Whether a guide approaches a head that has been unseen for too long."""
-        return self.approached and self.unseen_s(now_s) > MOST_UNSEEN_S
+        return self.is_approached and self.unseen_s(now_s) > MOST_UNSEEN_S
 
     @property
-    def approached(self) -> bool:
+    def is_approached(self) -> bool:
         """Whether a guide approaches the head or is held in front of it."""
         return self.approach is not None and self.approach.under_way
 
@@ -157,14 +163,14 @@ class RoomWatch:
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
         """Compare a reading with those before, and keep it unless something has moved."""
-        base, head = self.base_shift(reading), shift_of(self.spheres_mm, reading.spheres_mm)
+        base, head = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
-        agree = _agree(head, head_mm, base, reading.head_limit_mm)
+        agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
         moved = self._find_motion(reading, base, head, head_mm, agree=agree)
         findings: tuple[str, ...] = ()
         if moved is None:
             if head is not None and base is not None and head.rms_mm >= reading.head_limit_mm:
-                findings = (f"the tracker was moved by {_in_words(base.way_mm)}; arm and head agree",)
+                findings = (f"the tracker was moved by {_describe_way(base.way_mm)}; arm and head agree",)
                 self._localized_mm = self._localized_mm + head.mean_mm  # both are compared from here on
                 self.spheres_mm, self.references = self.spheres_mm + head.mean_mm, []
             if reading.frame_mm is not None:
@@ -204,13 +210,14 @@ class RoomWatch:
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
         """Return the error from fewer than three known spheres; None if none of them has moved."""
-        few = shift_of_few(self.spheres_mm, reading.spheres_mm)
+        few = measure_shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
             return _patient_moved(few, few_mm, FEW_LIMIT_MM, tracker_excluded=tracker_excluded)
-        if strange := self._strange(reading):
+        if unknown_count := self._count_unknown(reading):
             return PatientUnseen(
-                f"the tracker sees {counted(strange, 'sphere')} near the head at no known position",
+                f"the tracker sees {format_count(unknown_count, 'sphere')} near the head"
+                " at no known position",
                 expected="at least three known spheres in place",
             )
         return None
@@ -226,7 +233,7 @@ class RoomWatch:
         ]
         return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
-    def _strange(self, reading: RoomReading) -> int:
+    def _count_unknown(self, reading: RoomReading) -> int:
         """Count points near the head at no known position: it may have moved, with its other spheres hidden.
 
         Ghosts do not count.
@@ -234,7 +241,7 @@ class RoomWatch:
         if not len(reading.spheres_mm):
             return 0
         apart = np.linalg.norm(reading.spheres_mm[:, None] - self.spheres_mm[None], axis=2).min(axis=1)
-        ghosts = (apart >= NEAR_MM) & ghosts_of(self.spheres_mm, reading.markers_mm, reading.spheres_mm)
+        ghosts = (apart >= NEAR_MM) & find_ghosts(self.spheres_mm, reading.markers_mm, reading.spheres_mm)
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
@@ -248,12 +255,12 @@ class RoomWatch:
             (apart_mm, -number, one)
             for number, one in enumerate(self.references)
             if _angle_between_rad(one.robot_from_flange, here) <= SAME_ORIENTATION_RAD
-            and (apart_mm := _apart_mm(one.robot_from_flange, here)) <= FARTHEST_MM
+            and (apart_mm := _distance_mm(one.robot_from_flange, here)) <= FARTHEST_MM
         ]
         exact = [one for one in self.references if _same_pose(one.robot_from_flange, here)]
         if not exact:
             return [(min(alike)[2], OTHER_POSE_LIMIT_MM, False)] if alike else []
-        settled = [one for one in exact if one.comparable] if reading.comparable else []
+        settled = [one for one in exact if one.is_comparable] if reading.is_comparable else []
         return [(exact[0], BASE_LIMIT_MM, True), *((one, BASE_NOTICEABLE_MM, True) for one in settled[:1])]
 
 
@@ -275,10 +282,10 @@ def check_now(
 
 
 def _same_pose(one: Transform, other: Transform) -> bool:
-    return _angle_between_rad(one, other) < SAME_POSE_RAD and _apart_mm(one, other) < SAME_POSE_MM
+    return _angle_between_rad(one, other) < SAME_POSE_RAD and _distance_mm(one, other) < SAME_POSE_MM
 
 
-def _apart_mm(one: Transform, other: Transform) -> float:
+def _distance_mm(one: Transform, other: Transform) -> float:
     return math.dist(one.translation_mm, other.translation_mm)
 
 
@@ -287,7 +294,9 @@ def _angle_between_rad(one: Transform, other: Transform) -> float:
     return math.acos(min(1.0, max(-1.0, (float(np.trace(between)) - 1.0) / 2.0)))
 
 
-def _agree(head: PointShift | None, head_mm: Array | None, base: BaseShift | None, limit_mm: float) -> bool:
+def _moved_alike(
+    head: PointShift | None, head_mm: Array | None, base: BaseShift | None, limit_mm: float
+) -> bool:
     """Whether spheres and frame moved alike, to an rms below the limit; a turn leaves their mean in place."""
     if head is None or head_mm is None or base is None:
         return False
@@ -301,9 +310,9 @@ def _base_shifted(base: BaseShift, head_mm: Array | None) -> BaseShifted:
     tracker = apart_mm < min(BASE_LIMIT_MM, base.moved_mm) / 2.0
     way_mm = -base.way_mm if tracker else base.way_mm
     shifted = BaseShifted(
-        f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_in_words(way_mm)}",
+        f"{'the tracker' if tracker else 'the cart of the robot'} was moved by {_describe_way(way_mm)}",
         limit=f"{base.limit_mm:g} mm",
-        got=f"{beyond(base.moved_mm, base.limit_mm, 2)} mm",
+        got=f"{format_against_limit(base.moved_mm, base.limit_mm, 2)} mm",
     )
     shifted.cart = not tracker
     return shifted
@@ -314,8 +323,8 @@ def _patient_moved(
 ) -> PatientMoved:
     # If the frame on the arm cannot be compared, a moved tracker looks the same.
     what = "the head" if tracker_excluded else "the head, or the tracker,"
-    return PatientMoved.by(
-        f"{what} has moved since it was localized, by {_in_words(head_mm)}, the mean of "
+    return PatientMoved.from_shift(
+        f"{what} has moved since it was localized, by {_describe_way(head_mm)}, the mean of "
         f"{head.points} spheres",
         head.rms_mm,
         limit_mm,
@@ -323,7 +332,7 @@ def _patient_moved(
 
 
 def _screw_moved(head: PointShift, alone_mm: float, limit_mm: float) -> PatientMoved:
-    return PatientMoved.by(
+    return PatientMoved.from_shift(
         f"one sphere has moved by {alone_mm:.1f} mm since it was localized and the other {head.points - 1} "
         "have not: its screw may be loose",
         head.rms_mm,
@@ -331,6 +340,6 @@ def _screw_moved(head: PointShift, alone_mm: float, limit_mm: float) -> PatientM
     )
 
 
-def _in_words(way_mm: Array) -> str:
+def _describe_way(way_mm: Array) -> str:
     x, y, z = way_mm.tolist()
     return f"{np.linalg.norm(way_mm):.2f} mm (x {x:+.2f}, y {y:+.2f}, z {z:+.2f} in the robot frame)"

@@ -110,9 +110,11 @@ def last_seen_s(journal: Iterable[Line], confirms: Callable[[str, Subject], bool
     for line in journal:
         step = str(line.get("step", "")).partition(":")[0]
         for one in WATCHED_SUBJECTS:
-            looked = line["entry"] == Entry.RESULT and step in one.looked_at
-            looked = looked and (step != CONFIRMATION or confirms(str(line.get("record")), one.subject))
-            if looked or (not one.looked_at and line["entry"] in (Entry.INTENT, Entry.MOTION)):
+            was_looked_at = line["entry"] == Entry.RESULT and step in one.looked_at
+            was_looked_at = was_looked_at and (
+                step != CONFIRMATION or confirms(str(line.get("record")), one.subject)
+            )
+            if was_looked_at or (not one.looked_at and line["entry"] in (Entry.INTENT, Entry.MOTION)):
                 seen_s[one.subject] = theatre_time_s(line)
     return seen_s
 

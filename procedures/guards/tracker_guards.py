@@ -83,7 +83,7 @@ class TrackerLink:
         """Whether the tracker is needed now; nothing holds up the way out."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
-            return room is not None and room.approached
+            return room is not None and room.is_approached
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
@@ -150,11 +150,11 @@ class HeadInSight:
     def unmet(self) -> str | None:
         """Describe why the head is unseen, once that has lasted. Raises PRO-019, PRO-020, PRO-022."""
         room = self.memory.find(RoomWatch)
-        if room is None or not room.overdue(self.clock.now_s()):
+        if room is None or not room.is_overdue(self.clock.now_s()):
             return None
         check_now(room, self.workcell, self.clock, self.memory, self.void)
         now_s = self.clock.now_s()
-        if not room.overdue(now_s):
+        if not room.is_overdue(now_s):
             return None
         why = ARM_IN_THE_WAY if room.arm_hides_head else CLEAR_THE_LINE
         return f"the tracker has not seen the head for {room.unseen_s(now_s):.0f} s: {why}"

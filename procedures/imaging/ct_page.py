@@ -38,8 +38,8 @@ def ct_page(
 
     view = view_volume(volume)
     geometry = view.geometry
-    picture, across = mosaic(view)
-    left = [one for one in candidates if not one.accepted]
+    picture, across = tile_slices(view)
+    not_accepted = [one for one in candidates if not one.accepted]
     content: dict[str, Any] = {
         "shape": geometry.shape,
         "spacing_mm": geometry.spacing_mm.tolist(),
@@ -49,9 +49,9 @@ def ct_page(
         "hu": [DARKEST_HU, BRIGHTEST_HU],
         "across": across,
         "mosaic": base64.b64encode(picture).decode(),
-        "found": [*map(_marker, range(1, len(markers) + 1), markers)],
-        "doubtful": _candidates("doubtful", [one for one in left if one.doubtful]),
-        "rejected": _candidates("rejected", [one for one in left if not one.doubtful]),
+        "found": [*map(_marker_content, range(1, len(markers) + 1), markers)],
+        "doubtful": _candidate_content("doubtful", [one for one in not_accepted if one.doubtful]),
+        "rejected": _candidate_content("rejected", [one for one in not_accepted if not one.doubtful]),
     }
     environment = jinja2.Environment(
         loader=jinja2.PackageLoader("procedures.imaging", "template"),
@@ -65,7 +65,7 @@ def ct_page(
     )
 
 
-def _marker(number: int, marker: Marker) -> dict[str, Any]:
+def _marker_content(number: int, marker: Marker) -> dict[str, Any]:
     remarks = [f"sigma {marker.sigma_mm:.3f} mm", f"quality {marker.quality:.2f}", *marker.flags]
     return {
         "name": f"marker {number}",
@@ -76,7 +76,7 @@ def _marker(number: int, marker: Marker) -> dict[str, Any]:
     }
 
 
-def _candidates(word: str, candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
+def _candidate_content(word: str, candidates: Sequence[Candidate]) -> list[dict[str, Any]]:
     return [
         {
             "name": f"{word} {number}",
@@ -122,7 +122,7 @@ def view_volume(volume: Volume) -> ViewVolume:
     )
 
 
-def mosaic(view: ViewVolume) -> tuple[bytes, int]:
+def tile_slices(view: ViewVolume) -> tuple[bytes, int]:
     """Tile all slices row by row into a JPEG; return it and the number of slices per row."""
     import cv2
 

@@ -71,7 +71,7 @@ RADIUS_DIFFERENCE = 0.035  # of the radius, at even odds: 0.2 mm
 CERTAIN = 3.0  # excess of an impossibility
 
 
-def shape_doubts(
+def assess_shape(
     region: Region,
     centre_mm: Array,
     edge: RadialEdge,
@@ -87,13 +87,18 @@ def shape_doubts(
     off.
     """
     if cleaned is None:
-        return _doubts(region, centre_mm, edge, stretch)
-    without, with_them = (_doubts(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region))
-    graver = [max(pair, key=lambda doubt: doubt.excess) for pair in zip(without, with_them, strict=True)]
-    return tuple(graver[k] if k in NOT_BY_STREAKS else without[k] for k in range(len(without)))
+        return _judge_region(region, centre_mm, edge, stretch)
+    cleaned_doubts, streaked_doubts = (
+        _judge_region(one, centre_mm, edge, stretch, streaked=True) for one in (cleaned, region)
+    )
+    worse = [
+        max(pair, key=lambda doubt: doubt.excess)
+        for pair in zip(cleaned_doubts, streaked_doubts, strict=True)
+    ]
+    return tuple(worse[k] if k in NOT_BY_STREAKS else cleaned_doubts[k] for k in range(len(cleaned_doubts)))
 
 
-def _doubts(
+def _judge_region(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
     """Judge one region; if it is `streaked`, each ray's edge is halfway between its own levels."""
@@ -108,11 +113,13 @@ def _doubts(
     informative = np.asarray(scanned & ~metal)
     levels_hu = np.full(len(directions), 0.5 * (edge.inside_hu + edge.outside_hu))
     if streaked:
-        levels_hu += _own_levels_hu(profiles, shares, edge)
+        levels_hu += _level_shifts_hu(profiles, shares, edge)
     place, is_crossed = _first_fall(profiles, shares, levels_hu)
     opens = informative & is_crossed
     covered = informative & ~is_crossed
-    border_hu = _around(np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative)
+    border_hu = _median_around(
+        np.subtract(*_levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)), informative
+    )
     early_hu = 0.0
     if covered.sum() > NEIGHBOURS:  # more than a post
         middle, before = _levels_hu(profiles, shares, MIDDLE, BEFORE_SURFACE)
@@ -120,15 +127,15 @@ def _doubts(
     limit_hu = BORDER_HU if covered.mean() > NARROW_SHARE else NARROW_BORDER_HU
     joined = covered & (border_hu < limit_hu)
     # at the rim of a cover or of metal the edge belongs to that
-    clear = opens & ~_beside(directions, (covered & ~joined) | metal)
-    amiss = clear & (np.abs(place - 1.0) > INLIER)
+    clear = opens & ~_mark_adjacent_rays(directions, (covered & ~joined) | metal)
+    off_sphere = clear & (np.abs(place - 1.0) > INLIER)
     if stretch is None:
         difference_mm = edge.radius_mm * _extent_difference(directions[clear], place[clear] - 1.0)
-        longer = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
+        elongation = difference_mm / (EXTENT_DIFFERENCE * edge.radius_mm)
     else:
         difference_mm = stretch.difference_mm
         limit_mm = np.hypot(STRETCH * edge.radius_mm, STRETCH_DEVIATIONS * stretch.deviation_mm)
-        longer = difference_mm / float(limit_mm)
+        elongation = difference_mm / float(limit_mm)
     odd = np.abs(profiles - edge.inside_hu) > SAME_LEVEL * abs(edge.inside_hu - edge.outside_hu)
     core, inner = shares < CORE, shares < INNER_CORE
     volume = shares[core] ** 2
@@ -140,18 +147,18 @@ def _doubts(
     metal_core = float((profiles[:, inner] > METAL_HU).mean())
     return (
         Doubt(
-            f"{amiss.mean():.0%} of its surface is off a sphere",
-            amiss.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
+            f"{off_sphere.mean():.0%} of its surface is off a sphere",
+            off_sphere.mean() / (AMISS_UNDER_STREAKS if streaked else AMISS_SHARE),
         ),
         Doubt("extends beyond a sphere", limit_hu / max(float(border_hu.min()), LEAST_BORDER_HU)),
         Doubt("ends under its cover before a sphere would", early_hu / EARLY_FALL_HU),
-        Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", longer),
+        Doubt(f"is {difference_mm:.2f} mm longer in one direction than in another", elongation),
         Doubt(f"{hollow:.0%} of its core is a different material", hollow / HOLLOW_SHARE),
         Doubt("has metal in its core", metal_core / METAL_CORE_SHARE),
     )
 
 
-def _own_levels_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
+def _level_shifts_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
     """Shift (rays,) of each ray above the usual levels on both sides of the edge, within limits."""
     near, far = _levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)
     most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
@@ -179,7 +186,7 @@ def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
     return [profiles[:, (shares > low) & (shares < high)].mean(axis=1) for low, high in spans]
 
 
-def _around(values: Array, informative: Rays) -> Array:
+def _median_around(values: Array, informative: Rays) -> Array:
     """Median over the rays around each, (rays,); infinite where half of those are uninformative."""
     return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
@@ -191,7 +198,7 @@ def _neighbours() -> NDArray[np.intp]:
     return np.argpartition(-(directions @ directions.T), NEIGHBOURS, axis=1)[:, :NEIGHBOURS]
 
 
-def _beside(directions: Array, rays: Rays) -> Rays:
+def _mark_adjacent_rays(directions: Array, rays: Rays) -> Rays:
     """Rays adjacent to `rays`."""
     if not rays.any():
         return np.zeros(len(directions), dtype=bool)
@@ -207,30 +214,30 @@ def _extent_difference(directions: Array, offsets: Array) -> float:
     usable = np.abs(offsets) < EXTENT_CLIP
     seen = directions[usable]
     design = np.column_stack([np.ones(len(seen)), seen, stretch_terms(seen)])
-    drawn = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
-    terms = np.linalg.solve(design.T @ design + drawn, design.T @ offsets[usable])[4:]
+    ridge = np.diag([1e-6] * 4 + [EXTENT_PRIOR] * 5)
+    terms = np.linalg.solve(design.T @ design + ridge, design.T @ offsets[usable])[4:]
     return float(np.ptp(np.linalg.eigvalsh(stretch_matrix(terms))))
 
 
-def neighbour_doubts(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
+def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
     """Doubts about spheres at `centres_mm` (n, 3), raised by bodies of their size at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     offsets = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(offsets, axis=2)
     np.fill_diagonal(distances, np.inf)
-    beads = _in_rows(offsets, distances, diameter_mm)
+    row_members = _find_rows(offsets, distances, diameter_mm)
     doubts: list[tuple[Doubt, ...]] = []
     for number in range(len(centres_mm)):
         found = []
         if distances[number].min(initial=np.inf) < OVERLAP * diameter_mm:
             found.append(Doubt("overlaps another body of its size", CERTAIN))
-        if number in beads:
+        if number in row_members:
             found.append(Doubt("is one of a row", CERTAIN))
         doubts.append(tuple(found))
     return doubts
 
 
-def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
+def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
     """Doubts about each radius (n,), by its difference from the usual one among those that are clear."""
     if clear.sum() < FEWEST_ALIKE:
         return [Doubt("", 0.0)] * len(radii_mm)
@@ -244,14 +251,14 @@ def size_doubts(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
     ]
 
 
-def _in_rows(offsets: Array, distances: Array, diameter_mm: float) -> set[int]:
+def _find_rows(offsets: Array, distances: Array, diameter_mm: float) -> set[int]:
     """Bodies that form three in a line, close together and evenly spaced."""
     near = distances < IN_A_ROW * diameter_mm
-    beads: set[int] = set()
+    row_members: set[int] = set()
     for middle in np.flatnonzero(near.sum(axis=1) >= 2).tolist():
         for one, other in permutations(np.flatnonzero(near[middle]).tolist(), 2):
             lengths = distances[middle, [one, other]]
             straight = offsets[middle, one] @ offsets[middle, other] < STRAIGHT_COSINE * lengths.prod()
             if straight and np.ptp(lengths) < EVEN_SPACING * lengths.max():
-                beads |= {one, middle, other}
-    return beads
+                row_members |= {one, middle, other}
+    return row_members

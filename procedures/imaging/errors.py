@@ -1,4 +1,4 @@
-"""Errors of CT series and sphere localization, CT-001 to CT-024."""
+"""Errors of CT series and sphere localization, CT-001 to CT-025."""
 
 from __future__ import annotations
 

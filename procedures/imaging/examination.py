@@ -15,7 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.doubts import OVERLAP, shape_doubts
+from procedures.imaging.doubts import OVERLAP, assess_shape
 from procedures.imaging.markers import (
     CUT_BY_FIELD,
     ESTIMATORS_DISAGREE,
@@ -88,7 +88,7 @@ class Sphere:
     `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the surface
     too close to metal to be used. `stretch` is None if too little of the surface shows to determine it from
     the voxels. `cleaned` is the region without its streaks, if they had to be removed; `edge` is then the
-    edge in it. `evident` says that streaks also show away from the edge; they may excuse its shape.
+    edge in it. `is_evident` says that streaks also show away from the edge; they may excuse its shape.
     `contrast_hu` is the detector's. A `picked` sphere counts as a marker despite its doubts.
     """
 
@@ -100,7 +100,7 @@ class Sphere:
     metal_share: float
     stretch: Stretch | None
     cleaned: Region | None = None
-    evident: bool = False
+    is_evident: bool = False
     contrast_hu: float = 0.0
     doubts: tuple[Doubt, ...] = ()
     picked: bool = False
@@ -125,7 +125,7 @@ class Sphere:
         return IS_MARKER if self.odds >= EVEN else f"is doubtful: {reasons(self.doubts)}"
 
 
-def examine(
+def examine_place(
     volume: Volume,
     place_mm: Array,
     contrast_hu: float,
@@ -136,7 +136,7 @@ def examine(
 ) -> Sphere | Candidate:
     """Examine a place (3,) grid mm; return a sphere, or the candidate with the reason why it is none."""
 
-    def rejected(edge: RadialEdge | None, reason: str) -> Candidate:
+    def reject(edge: RadialEdge | None, reason: str) -> Candidate:
         return Candidate(
             centre_mm=volume.patient_mm(edge.centre_mm if edge is not None else place_mm),
             accepted=False,
@@ -149,26 +149,26 @@ def examine(
     region = cut_region(volume, place_mm, REGION_REACH * radius_mm)
     edge = fit_radial_edge(region, place_mm, radius_mm)
     if edge is None:
-        return rejected(None, NOT_POLYMER)
+        return reject(None, NOT_POLYMER)
     if edge.surface_share < min_surface_share and not _is_half_covered(edge):
         seen = f"{edge.surface_share:.0%} of a sphere's surface"
-        cut = edge.cut_share > CUT_FLAG
-        return rejected(
-            edge, f"is cut off by the field of view, shows {seen}" if cut else f"shows only {seen}"
+        is_cut = edge.cut_share > CUT_FLAG
+        return reject(
+            edge, f"is cut off by the field of view, shows {seen}" if is_cut else f"shows only {seen}"
         )
     if abs(edge.radius_mm - radius_mm) > RADIUS_TOLERANCE * radius_mm:
-        return rejected(edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
+        return reject(edge, f"has radius {edge.radius_mm:.2f} mm instead of {radius_mm:.2f}")
     distances_mm = [float(np.linalg.norm(edge.centre_mm - other.centre_mm)) for other in known]
     if min(distances_mm, default=np.inf) < radius_mm:
-        return rejected(edge, "is a marker that was already found")
+        return reject(edge, "is a marker that was already found")
     if min(distances_mm, default=np.inf) < OVERLAP * 2.0 * radius_mm:
-        return rejected(edge, OVERLAPS)
+        return reject(edge, OVERLAPS)
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     refined = fit_radial_edge(region, edge.centre_mm, radius_mm, refine=True) or edge
-    sphere = measure(region, refined, radius_mm)
+    sphere = measure_ball(region, refined, radius_mm)
     if sphere is None:
         reason = "fits no blurred sphere" if is_polymer(refined) else NOT_POLYMER
-        return rejected(refined, reason)
+        return reject(refined, reason)
     return replace(sphere, contrast_hu=contrast_hu)
 
 
@@ -180,20 +180,20 @@ def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
     """
     edge = sphere.edge
     region = cut_region(volume, sphere.centre_mm, REGION_REACH * edge.radius_mm)
-    judged = sphere.with_doubts(_doubts(sphere, region))
+    judged = sphere.with_doubts(_assess_sphere(sphere, region))
     if judged.accepted or sphere.cleaned is not None:
         return judged
     region = cut_region(volume, edge.centre_mm, REGION_REACH * radius_mm)
     measured = measure_under_streaks(region, edge, radius_mm)
-    if measured is None or not measured.evident:
+    if measured is None or not measured.is_evident:
         return judged
-    again = replace(measured, contrast_hu=sphere.contrast_hu).with_doubts(_doubts(measured, region))
-    return again if again.accepted else judged
+    rejudged = replace(measured, contrast_hu=sphere.contrast_hu).with_doubts(_assess_sphere(measured, region))
+    return rejudged if rejudged.accepted else judged
 
 
-def _doubts(sphere: Sphere, region: Region) -> tuple[Doubt, ...]:
-    cleaned = sphere.cleaned if sphere.evident else None
-    return shape_doubts(region, sphere.centre_mm, sphere.edge, sphere.stretch, cleaned=cleaned)
+def _assess_sphere(sphere: Sphere, region: Region) -> tuple[Doubt, ...]:
+    cleaned = sphere.cleaned if sphere.is_evident else None
+    return assess_shape(region, sphere.centre_mm, sphere.edge, sphere.stretch, cleaned=cleaned)
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:
@@ -227,7 +227,7 @@ def as_marker(
         radius_mm=sphere.radius_mm,
         quality=sphere.edge.surface_share / (1.0 + disagreement**2),
         agreement_mm=sphere.agreement_mm,
-        flags=_flags(
+        flags=_list_flags(
             sphere, others, radius_mm, is_overlapped=min(apart_mm, default=np.inf) < 2.0 * radius_mm
         ),
         odds=sphere.odds,
@@ -247,7 +247,9 @@ def as_candidate(sphere: Sphere, volume: Volume) -> Candidate:
     )
 
 
-def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float, *, is_overlapped: bool) -> tuple[str, ...]:
+def _list_flags(
+    sphere: Sphere, others: list[Sphere], radius_mm: float, *, is_overlapped: bool
+) -> tuple[str, ...]:
     distances_mm = [
         float(np.linalg.norm(sphere.centre_mm - other.centre_mm)) for other in others if other is not sphere
     ]
@@ -265,14 +267,14 @@ def _flags(sphere: Sphere, others: list[Sphere], radius_mm: float, *, is_overlap
     return tuple(word for word, is_raised in raised.items() if is_raised)
 
 
-def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
+def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
     """Measure the sphere whose surface `edge` was fitted to; None if no ball fits.
 
     A level that no polymer has is possible only if there are streaks to explain it.
     """
     if not is_polymer(edge):
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
-        return under_streaks if under_streaks is not None and under_streaks.evident else None
+        return under_streaks if under_streaks is not None and under_streaks.is_evident else None
     hidden = edge.surface_share < SURFACE_FLAG and edge.unscanned_share < UNSCANNED_FLAG
     unseen = ray_directions()[~edge.seen]
     rough = fit_rough_ball(
@@ -287,11 +289,13 @@ def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Spher
         return measure_under_streaks(region, edge, nominal_radius_mm)
     if hidden:
         ball = rough.refined(unseen)
-        return None if ball is None else replace(combine(edge, ball, region.spacing_mm), stretch=None)
+        return (
+            None if ball is None else replace(combine_estimates(edge, ball, region.spacing_mm), stretch=None)
+        )
     under_streaks = None
-    if rough.uneven > STREAKED_AT_SIGHT:
+    if rough.background_unevenness > STREAKED_AT_SIGHT:
         under_streaks = measure_under_streaks(region, edge, nominal_radius_mm)
-        if under_streaks is not None and under_streaks.evident:
+        if under_streaks is not None and under_streaks.is_evident:
             return under_streaks
     ball = rough.refined(unseen, most_streaks=STREAKED_SHARE)
     if ball is None or _is_streaked(edge, ball):
@@ -299,7 +303,7 @@ def measure(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Spher
         if under_streaks is not None:
             return under_streaks
         ball = ball or rough.refined(unseen)
-    return None if ball is None else combine(edge, ball, region.spacing_mm)
+    return None if ball is None else combine_estimates(edge, ball, region.spacing_mm)
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
@@ -307,13 +311,13 @@ def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
 
     Streaks hide directions from the rays. Those that show once they are removed are used in a second fit.
     """
-    first = _without_streaks(region, edge, nominal_radius_mm)
+    first = _measure_with_streaks(region, edge, nominal_radius_mm)
     if first is None or first.edge.surface_share < edge.surface_share + MORE_SEEN:
         return first
-    return _without_streaks(region, first.edge, nominal_radius_mm) or first
+    return _measure_with_streaks(region, first.edge, nominal_radius_mm) or first
 
 
-def _without_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
+def _measure_with_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
     # The difference from the edge is not added to the ball's covariance, which is wide enough: with it chi
     # squared / 3n fell from 0.76 to 0.69 (`rays`, good, 14 spheres), elsewhere by up to 0.05.
     ball = fit_streaked_ball(region, edge)
@@ -331,11 +335,11 @@ def _without_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float)
         metal_share=ball.metal_share,
         stretch=ball.stretch,
         cleaned=ball.cleaned,
-        evident=ball.evident,
+        is_evident=ball.is_evident,
     )
 
 
-def combine(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Sphere:
+def combine_estimates(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Sphere:
     """Combine both estimates, or take the edges alone where streaks have spoiled the ball."""
     if _is_spoiled(edge, ball):
         centre_mm, radius_mm = edge.centre_mm, edge.radius_mm
@@ -360,7 +364,7 @@ def _weighted_mean(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> tu
     second = ball.covariance_mm2 + np.diag((SLICE_PROFILE_ERROR_PER_MM * spacing_mm**2) ** 2)
     # an estimate that adds no information gets zero weight rather than a negative one
     correlation = min(ERROR_CORRELATION, float(np.sqrt(np.trace(second) / np.trace(first))))
-    cross = correlation * _root(first) @ _root(second)
+    cross = correlation * _matrix_root(first) @ _matrix_root(second)
     difference = edge.centre_mm - ball.centre_mm
     spread = first + second - cross - cross.T  # covariance of the difference
     gain = (second - cross.T) @ np.linalg.inv(spread)
@@ -376,14 +380,14 @@ def _weighted_mean(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> tu
 def _is_streaked(edge: RadialEdge, ball: BlurredBall) -> bool:
     """Whether streaks bend the background so much that neither fit's covariance can be trusted."""
     apart_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
-    bent = ball.streak_hu > STREAKED_SHARE * abs(ball.contrast_hu)
-    return bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)
+    is_bent = ball.streak_hu > STREAKED_SHARE * abs(ball.contrast_hu)
+    return is_bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)
 
 
 def _is_spoiled(edge: RadialEdge, ball: BlurredBall) -> bool:
     low, high = RADIUS_ABOVE_EDGES
-    above = ball.radius_mm / edge.radius_mm - 1.0
-    return edge.surface_share >= ENOUGH_SURFACE and not low < above < high
+    radius_excess = ball.radius_mm / edge.radius_mm - 1.0
+    return edge.surface_share >= ENOUGH_SURFACE and not low < radius_excess < high
 
 
 def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Array:
@@ -393,6 +397,6 @@ def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Arr
     return RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)
 
 
-def _root(matrix: Array) -> Array:
+def _matrix_root(matrix: Array) -> Array:
     values, vectors = np.linalg.eigh(matrix)
     return np.asarray((vectors * np.sqrt(np.maximum(values, 0.0))) @ vectors.T)

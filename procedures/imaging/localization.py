@@ -20,11 +20,18 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import fft
 
-from procedures.imaging.doubts import neighbour_doubts, size_doubts
+from procedures.imaging.doubts import assess_neighbours, assess_sizes
 from procedures.imaging.errors import LocalizationMisused, MarkerCountWrong
-from procedures.imaging.examination import OVERLAPS, Sphere, as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.examination import (
+    OVERLAPS,
+    Sphere,
+    as_candidate,
+    as_marker,
+    examine_place,
+    judge_shape,
+)
 from procedures.imaging.markers import Candidate, Doubt, Localization
-from procedures.imaging.scan_faults import distortion_warnings
+from procedures.imaging.scan_faults import check_distortion
 from procedures.imaging.volume import Volume, VoxelGeometry
 
 Array = NDArray[np.float64]
@@ -68,19 +75,19 @@ def localize(
     found: list[Sphere] = []
     refused: list[Candidate] = []
     for number, (place_mm, contrast_hu) in enumerate(peaks):
-        outcome = examine(volume, place_mm, contrast_hu, radius_mm, found)
+        outcome = examine_place(volume, place_mm, contrast_hu, radius_mm, found)
         if isinstance(outcome, Sphere):
             found.append(judge_shape(outcome, volume, radius_mm))
-        elif not any(_same_object(outcome, other) for other in refused):
+        elif not any(_is_same_object(outcome, other) for other in refused):
             refused.append(outcome)
         progress(DETECTION_SHARE + (1.0 - DETECTION_SHARE) * (number + 1) / len(peaks))
     progress(1.0)
-    judged = judge_together(found, refused, volume.geometry, diameter_mm)
+    judged = judge_spheres(found, refused, volume.geometry, diameter_mm)
     if expected is not None:
-        judged = _clear_ones(judged, expected)
+        judged = _keep_clear(judged, expected)
     spheres = sorted(
         (one for one in judged if one.accepted),
-        key=lambda one: head_to_foot(volume.patient_mm(one.centre_mm)),
+        key=lambda one: superior_first_key(volume.patient_mm(one.centre_mm)),
     )
     candidates = (*(as_candidate(one, volume) for one in judged), *refused)
     require_count(len(spheres), expected, candidates)
@@ -91,14 +98,14 @@ def localize(
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=distortion_warnings([one.stretch for one in spheres], radius_mm),
+        warnings=check_distortion([one.stretch for one in spheres], radius_mm),
     )
 
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
     """Local maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
     coarse, step_mm = _resample(volume, radius_mm / VOXELS_PER_RADIUS)
-    response = _correlate(coarse, _kernel(radius_mm, step_mm))
+    response = _correlate(coarse, _build_kernel(radius_mm, step_mm))
     places = np.argwhere(response > MIN_CONTRAST_HU)
     strengths = response[tuple(places.T)]
     order = np.argsort(-strengths, kind="stable")
@@ -120,24 +127,26 @@ def _resample(volume: Volume, step_mm: float) -> tuple[NDArray[np.float32], Arra
     slices, rows, columns = volume.geometry.shape
     counts = np.maximum(np.rint(volume.extent_mm / step_mm).astype(int), 1)
     planes = np.empty((slices, counts[1], counts[2]), dtype=np.float32)
-    smaller = counts[1] <= rows and counts[2] <= columns
+    is_smaller = counts[1] <= rows and counts[2] <= columns
     for number, plane in enumerate(volume.voxels):
         clipped = np.clip(plane, int(CLIP_HU[0]), int(CLIP_HU[1])).astype(np.float32)
         cv2.resize(
             clipped,
             (int(counts[2]), int(counts[1])),
             dst=planes[number],
-            interpolation=cv2.INTER_AREA if smaller else cv2.INTER_LINEAR,
+            interpolation=cv2.INTER_AREA if is_smaller else cv2.INTER_LINEAR,
         )
     planes -= CLIP_HU[0]
     if counts[0] != slices:
         flat = planes.reshape(slices, -1)
-        resized = _average_slices(flat, counts[0]) if counts[0] < slices else _between_slices(flat, counts[0])
+        resized = (
+            _average_slices(flat, counts[0]) if counts[0] < slices else _interpolate_slices(flat, counts[0])
+        )
         planes = resized.reshape(counts)
     return planes, volume.extent_mm / counts
 
 
-def _between_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32]:
+def _interpolate_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32]:
     place = np.clip((np.arange(count) + 0.5) * len(flat) / count - 0.5, 0, len(flat) - 1)
     below = np.minimum(place.astype(int), max(len(flat) - 2, 0))
     share = (place - below).astype(np.float32)[:, None]
@@ -155,7 +164,7 @@ def _average_slices(flat: NDArray[np.float32], count: int) -> NDArray[np.float32
     return result
 
 
-def _kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
+def _build_kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
     half_sides = np.ceil(SHELL_TO * radius_mm / step_mm).astype(int)
     grid = np.meshgrid(
         *(np.arange(-r, r + 1) * step for r, step in zip(half_sides, step_mm, strict=True)), indexing="ij"
@@ -179,7 +188,7 @@ def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDAr
     return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])
 
 
-def judge_together(
+def judge_spheres(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
     """Add the doubts that spheres and rejected candidates raise about each other."""
@@ -188,22 +197,24 @@ def judge_together(
     centres_mm = np.array([one.centre_mm for one in found])
     overlapping = [one.centre_mm for one in refused if one.reason == OVERLAPS]
     others_mm = geometry.to_index(np.array(overlapping).reshape(-1, 3)) * geometry.spacing_mm
-    beside = neighbour_doubts(centres_mm, others_mm, diameter_mm)
-    judged = [sphere.with_doubts(doubts) for sphere, doubts in zip(found, beside, strict=True)]
-    sizes = size_doubts(
+    neighbour_doubts_found = assess_neighbours(centres_mm, others_mm, diameter_mm)
+    judged = [
+        sphere.with_doubts(doubts) for sphere, doubts in zip(found, neighbour_doubts_found, strict=True)
+    ]
+    sizes = assess_sizes(
         np.array([one.radius_mm for one in judged]),
         np.array([one.accepted for one in judged]),
     )
     return [sphere.with_doubts((doubt,)) for sphere, doubt in zip(judged, sizes, strict=True)]
 
 
-def _clear_ones(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
+def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
     """Keep only the clear markers if exactly as many as expected stand out; else keep all."""
     accepted = sorted((one for one in judged if one.accepted), key=lambda one: -one.odds)
     if not 0 < expected < len(accepted):
         return list(judged)
-    last, next_ = accepted[expected - 1].odds, accepted[expected].odds
-    if last < CLEAR or next_ > UNCLEAR:
+    last_odds, next_odds = accepted[expected - 1].odds, accepted[expected].odds
+    if last_odds < CLEAR or next_odds > UNCLEAR:
         return list(judged)
     unclear = {id(one) for one in accepted[expected:]}
     return [one.with_doubts((NOT_EXPECTED,)) if id(one) in unclear else one for one in judged]
@@ -242,14 +253,14 @@ def check_request(volume: object, diameter_mm: float, expected: int | None) -> N
         raise LocalizationMisused(f"{expected} is not a possible number of markers")
 
 
-def _same_object(one: Candidate, other: Candidate) -> bool:
+def _is_same_object(one: Candidate, other: Candidate) -> bool:
     """Whether two peaks on one large object led to the same fitted sphere."""
     if one.radius_mm is None or other.radius_mm is None or other.accepted:
         return False
     return float(np.linalg.norm(np.subtract(one.centre_mm, other.centre_mm))) < 0.5 * one.radius_mm
 
 
-def head_to_foot(centre_mm: Sequence[float]) -> tuple[float, ...]:
+def superior_first_key(centre_mm: Sequence[float]) -> tuple[float, ...]:
     """Sort key of LPS positions from superior to inferior."""
     x, y, z = centre_mm
     return -z, x, y

@@ -18,17 +18,17 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.imaging.errors import PickRefused, PicksUnreadable
-from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine, judge_shape
+from procedures.imaging.examination import Sphere, as_candidate, as_marker, examine_place, judge_shape
 from procedures.imaging.localization import (
     DIAMETER_MM,
     check_request,
     find_peaks,
-    head_to_foot,
-    judge_together,
+    judge_spheres,
     require_count,
+    superior_first_key,
 )
 from procedures.imaging.markers import Candidate, Localization
-from procedures.imaging.scan_faults import distortion_warnings
+from procedures.imaging.scan_faults import check_distortion
 from procedures.imaging.volume import Volume, VoxelGeometry, cube_around
 from ronna_hw.bounded_input import InputRefused, parse_json, read_bounded
 from ronna_hw.plausible import FARTHEST_MM
@@ -73,25 +73,27 @@ def localize_picks(
     radius_mm = 0.5 * diameter_mm
     found: list[Sphere] = []
     for number, pick_mm in enumerate(picks, start=1):
-        found.append(judge_shape(_at_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
+        found.append(judge_shape(_measure_pick(volume, number, pick_mm, radius_mm, found), volume, radius_mm))
         progress(number / len(picks))
     found = [
-        replace(sphere, picked=True) for sphere in judge_together(found, (), volume.geometry, diameter_mm)
+        replace(sphere, picked=True) for sphere in judge_spheres(found, (), volume.geometry, diameter_mm)
     ]
     candidates = tuple(as_candidate(sphere, volume) for sphere in found)
     require_count(len(found), expected, candidates)
     markers = (as_marker(sphere, found, volume, radius_mm) for sphere in found)
     return Localization(
-        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
+        markers=tuple(sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))),
         candidates=candidates,
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
         diameter_mm=diameter_mm,
-        warnings=distortion_warnings([sphere.stretch for sphere in found], radius_mm),
+        warnings=check_distortion([sphere.stretch for sphere in found], radius_mm),
     )
 
 
-def _at_pick(volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]) -> Sphere:
+def _measure_pick(
+    volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]
+) -> Sphere:
     """Measure the sphere at a pick. Without one, refuse it, with a hint if RAS or metres would give one."""
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
@@ -120,11 +122,11 @@ def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, k
     place = f"pick {number} at ({', '.join(f'{value:g}' for value in pick_mm)}) mm"
     index = geometry.to_index(pick_mm)
     if (index < -0.5).any() or (index > np.array(geometry.shape) - 0.5).any():
-        raise PickRefused(f"{place} is outside the scanned volume", expected=_extent(geometry))
+        raise PickRefused(f"{place} is outside the scanned volume", expected=_describe_extent(geometry))
     grid_mm = index * geometry.spacing_mm
     refused: list[Candidate] = []
-    for place_mm, contrast_hu in _starts(volume, grid_mm, radius_mm):
-        outcome = examine(
+    for place_mm, contrast_hu in _list_starts(volume, grid_mm, radius_mm):
+        outcome = examine_place(
             volume, place_mm, contrast_hu, radius_mm, known, min_surface_share=MIN_SURFACE_SHARE
         )
         if not isinstance(outcome, Sphere):
@@ -137,7 +139,7 @@ def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, k
     raise PickRefused(f"{place} {reason}")
 
 
-def _extent(geometry: VoxelGeometry) -> str:
+def _describe_extent(geometry: VoxelGeometry) -> str:
     """Describe the scanned range along the patient's axes."""
     corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
     places_mm = geometry.to_patient_mm(corners)
@@ -145,7 +147,7 @@ def _extent(geometry: VoxelGeometry) -> str:
     return ", ".join(f"{axis} {low:.0f} to {high:.0f}" for axis, low, high in ends) + " mm"
 
 
-def _starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:
+def _list_starts(volume: Volume, grid_mm: Array, radius_mm: float) -> list[tuple[Array, float]]:
     """List starting points: peaks of the sphere filter near the pick, then the pick and points around it."""
     part, offset_mm = _crop(volume, grid_mm, CROP * radius_mm)
     peaks = [
@@ -218,7 +220,9 @@ def _from_csv(text: str, name: str) -> list[list[float]]:
             places = [cells.index(column) for column in COLUMNS]
             continue
         try:
-            left_mm, posterior_mm, superior_mm = cells if places is None else [cells[at] for at in places]
+            left_mm, posterior_mm, superior_mm = (
+                cells if places is None else [cells[cell_number] for cell_number in places]
+            )
             picks.append([float(left_mm), float(posterior_mm), float(superior_mm)])
         except (ValueError, IndexError):
             raise PicksUnreadable(

@@ -33,47 +33,47 @@ _NAMES = {"L": "sagittal", "R": "sagittal", "P": "coronal", "A": "coronal", "S":
 _OPPOSITE = {"L": "R", "R": "L", "P": "A", "A": "P", "S": "I", "I": "S"}
 
 
-def marker_pictures(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
+def draw_markers(volume: Volume, localization: Localization) -> tuple[bytes, ...]:
     """Draw a PNG for every marker, in the order of `localization.markers`.
 
     Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
     patient's sides; blue is outside the scan.
     """
     return tuple(
-        marker_picture(volume, marker, f"marker {number}")
+        draw_marker(volume, marker, f"marker {number}")
         for number, marker in enumerate(localization.markers, start=1)
     )
 
 
-def marker_picture(volume: Volume, marker: Marker, title: str) -> bytes:
+def draw_marker(volume: Volume, marker: Marker, title: str) -> bytes:
     """Draw one PNG with three planes through a marker, HU window -1000 to 600."""
     heading = (
-        f"{title}   LPS {_place(marker.centre_mm)} mm\n"
+        f"{title}   LPS {_as_text(marker.centre_mm)} mm\n"
         f"sigma {marker.sigma_mm:.3f} mm   radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}"
     )
     if marker.flags:
         heading += f"\n{fill(', '.join(marker.flags).replace('_', ' '), HEADING_LETTERS)}"
-    return _picture(volume, np.array(marker.centre_mm), marker.radius_mm, heading)
+    return _draw_picture(volume, np.array(marker.centre_mm), marker.radius_mm, heading)
 
 
-def candidate_pictures(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
+def draw_candidates(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
     """Draw a PNG for every candidate, in order, with the verdict; a ring where a surface was found."""
     return tuple(
-        _picture(
+        _draw_picture(
             volume,
             np.array(one.centre_mm),
             one.radius_mm,
-            f"candidate {number}   LPS {_place(one.centre_mm)} mm\n{fill(one.reason, HEADING_LETTERS)}",
+            f"candidate {number}   LPS {_as_text(one.centre_mm)} mm\n{fill(one.reason, HEADING_LETTERS)}",
         )
         for number, one in enumerate(candidates, start=1)
     )
 
 
-def _place(centre_mm: Iterable[float]) -> str:
+def _as_text(centre_mm: Iterable[float]) -> str:
     return f"({', '.join(f'{value:z.2f}' for value in centre_mm)})"
 
 
-def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
+def _draw_picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
     from matplotlib import colormaps
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
@@ -81,7 +81,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
 
     geometry = volume.geometry
     centre_mm = geometry.to_index(middle_mm) * geometry.spacing_mm
-    planes = _planes_through(volume, centre_mm)
+    planes = _sample_planes(volume, centre_mm)
     sides = geometry.orientation[::-1]  # along slices, rows, columns
     figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
     figure.subplots_adjust(**MARGINS)  # computing them for each image would double its time
@@ -90,7 +90,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
     for place, ((across, down, through), picture) in enumerate(zip(_PLANES, planes, strict=True)):
         axes = figure.add_subplot(1, 3, place + 1)
         # the index increases downwards in every image; the slice axis is drawn upwards, head on top
-        upwards = down == 0
+        is_upwards = down == 0
         extent = (-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM)
         axes.imshow(
             picture,
@@ -98,13 +98,13 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
             vmin=WINDOW_HU[0],
             vmax=WINDOW_HU[1],
             extent=extent,
-            origin="lower" if upwards else "upper",
+            origin="lower" if is_upwards else "upper",
         )
         if radius_mm is not None:
             axes.add_patch(Circle((0.0, 0.0), radius_mm, fill=False, color="tab:orange", linewidth=1.2))
         axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9)
         right = sides[across]
-        top = sides[down] if upwards else _OPPOSITE[sides[down]]
+        top = sides[down] if is_upwards else _OPPOSITE[sides[down]]
         axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}", fontsize=PLANE_POINTS)
         axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}", fontsize=PLANE_POINTS)
         axes.set_title(_plane_name(geometry, through), fontsize=PLANE_POINTS)
@@ -115,7 +115,7 @@ def _picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading:
     return stream.getvalue()
 
 
-def _planes_through(volume: Volume, centre_mm: Array) -> list[Array]:
+def _sample_planes(volume: Volume, centre_mm: Array) -> list[Array]:
     """Sample the three planes, (n, n) HU each: rows along the down axis, columns along the across axis.
 
     NaN outside the scan.
@@ -135,5 +135,5 @@ def _plane_name(geometry: VoxelGeometry, through: int) -> str:
     """Clinical name of the plane across a grid axis."""
     name = _NAMES[geometry.orientation[2 - through]]
     along = float(np.abs(geometry.axes[:, through]).max())
-    oblique = along < np.cos(np.radians(STRAIGHT_DEG))
-    return f"oblique, nearly {name}" if oblique else name
+    is_oblique = along < np.cos(np.radians(STRAIGHT_DEG))
+    return f"oblique, nearly {name}" if is_oblique else name

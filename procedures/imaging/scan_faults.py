@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from procedures.imaging.errors import PatientMoved, SlicesMisplaced
 from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.volume import VoxelGeometry
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 Plane = NDArray[np.float32]
@@ -50,17 +50,20 @@ WARNED = 0.009
 REFUSED = 0.015
 
 
-def motion_warnings(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
+def check_motion(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
     """Warn of a jump between slices; raise CT-023 beyond 1 mm, sideways or back along the table."""
     if len(voxels) < AROUND or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
-    found = jumps(voxels, geometry)
+    found = estimate_jumps(voxels, geometry)
     across_mm = np.where(found.shares > LIKE_A_SHIFT, found.across_mm, 0.0)
     back_mm = np.where(found.runs < BACKWARDS, found.back_mm, 0.0)
-    return (*_warned("sideways", across_mm, geometry), *_warned("back along the table", back_mm, geometry))
+    return (
+        *_warn_of_jump("sideways", across_mm, geometry),
+        *_warn_of_jump("back along the table", back_mm, geometry),
+    )
 
 
-def _warned(way: str, jumps_mm: Array, geometry: VoxelGeometry) -> tuple[str, ...]:
+def _warn_of_jump(way: str, jumps_mm: Array, geometry: VoxelGeometry) -> tuple[str, ...]:
     worst = int(jumps_mm.argmax())
     jump_mm, before = float(jumps_mm[worst]), worst + AROUND // 2  # slices are counted from one
     if jump_mm <= WARNED_MM:
@@ -71,7 +74,7 @@ def _warned(way: str, jumps_mm: Array, geometry: VoxelGeometry) -> tuple[str, ..
         raise PatientMoved(
             f"the head jumps {where}",
             limit=f"{REFUSED_MM:.1f} mm",
-            got=f"{beyond(jump_mm, REFUSED_MM, 1)} mm",
+            got=f"{format_against_limit(jump_mm, REFUSED_MM, 1)} mm",
         )
     return (
         f"the patient seems to have moved by {jump_mm:.1f} mm {where}: "
@@ -93,46 +96,46 @@ class Jumps:
     runs: Array
 
 
-def jumps(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> Jumps:
+def estimate_jumps(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> Jumps:
     """Estimate how much each slice seems to jump, whether or not it does."""
     _, rows, columns = geometry.shape
     down_mm, across_mm = geometry.spacing_mm[1:].tolist()
     size = (max(round(columns * across_mm / PIXEL_MM), 3), max(round(rows * down_mm / PIXEL_MM), 3))
     steps_mm = (rows * down_mm / size[1], columns * across_mm / size[0])
-    planes = [_reduced(plane, size) for plane in voxels[: AROUND - 1]]
+    planes = [_reduce_slice(plane, size) for plane in voxels[: AROUND - 1]]
     found = np.zeros((len(voxels) - AROUND + 1, 5))
     for number, plane in enumerate(voxels[AROUND - 1 :]):
-        planes = [*planes[1 - AROUND :], _reduced(plane, size)]
-        found[number] = _jump(planes, steps_mm, float(geometry.spacing_mm[0]))
+        planes = [*planes[1 - AROUND :], _reduce_slice(plane, size)]
+        found[number] = _estimate_jump(planes, steps_mm, float(geometry.spacing_mm[0]))
     judged = found[:, 4] > LEAST_OUTLINE * found[:, 4].max()
     return Jumps(*np.where(judged, found[:, :4].T, 0.0))
 
 
-def _reduced(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
+def _reduce_slice(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
     body = np.clip(plane, *BODY_HU).astype(np.float32)
     small = cv2.resize(body, size, interpolation=cv2.INTER_AREA)
     return np.asarray(cv2.GaussianBlur(small, (0, 0), SMOOTH_PIXELS), dtype=np.float32)
 
 
-def _jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
+def _estimate_jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
     """Estimate the jump between the middle two of six slices: `Jumps`' fields, and the outline's strength."""
     middle = 0.5 * (planes[2] + planes[3])
     slopes = np.gradient(middle, *steps_mm)
     outline = np.hypot(*slopes) > OUTLINE_HU_PER_MM
-    ways = np.column_stack([slope[outline] for slope in slopes]).astype(np.float64)
-    power = ways.T @ ways
+    outline_slopes = np.column_stack([slope[outline] for slope in slopes]).astype(np.float64)
+    power = outline_slopes.T @ outline_slopes
     least = float(np.linalg.eigvalsh(power)[0])
     changes = np.diff([plane[outline] for plane in planes], axis=0).astype(np.float64)
     if least <= 0.0 or not changes.any(axis=1).all():
         return 0.0, 0.0, 0.0, 0.0, max(least, 0.0)
     sudden = changes[2] - 0.5 * (changes[1] + changes[3])
-    common = ways.T @ -sudden
+    common = outline_slopes.T @ -sudden
     shift_mm = np.linalg.solve(power, common)
     share = float(shift_mm @ common) / max(float(sudden @ sudden), np.finfo(float).tiny)
-    return float(np.linalg.norm(shift_mm)), share, *_back(changes, slice_mm), least
+    return float(np.linalg.norm(shift_mm)), share, *_estimate_return(changes, slice_mm), least
 
 
-def _back(changes: Array, slice_mm: float) -> tuple[float, float]:
+def _estimate_return(changes: Array, slice_mm: float) -> tuple[float, float]:
     """Distance by which the table seems to go back, mm, and the correlation with the changes around.
 
     Those have no slice in common with the middle one, whose noise would otherwise count.
@@ -179,7 +182,7 @@ def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) ->
     )
 
 
-def distortion_warnings(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
+def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
     """Warn of a certain distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
     found = measure_distortion(stretches, radius_mm)
     if found is None:
@@ -187,20 +190,20 @@ def distortion_warnings(stretches: Sequence[Stretch | None], radius_mm: float) -
     sentences = []
     if abs(found.scale) > max(WARNED, SURE * found.scale_error):
         more = "more" if found.scale > 0.0 else "less"
-        said = f"the table seems to feed {{}} % {more} than the scanner states"
-        sentences.append(_sentence(said, 1e2 * abs(found.scale), 1e2 * REFUSED, "%", found.markers))
+        wording = f"the table seems to feed {{}} % {more} than the scanner states"
+        sentences.append(_word_distortion(wording, 1e2 * abs(found.scale), 1e2 * REFUSED, "%", found.markers))
     if found.shear > max(WARNED, SURE * found.shear_error):
-        said = "the slices seem to be tilted by {} degrees, which the scanner does not state"
+        wording = "the slices seem to be tilted by {} degrees, which the scanner does not state"
         tilt_deg, limit_deg = degrees(atan(found.shear)), degrees(atan(REFUSED))
-        sentences.append(_sentence(said, tilt_deg, limit_deg, "degrees", found.markers))
+        sentences.append(_word_distortion(wording, tilt_deg, limit_deg, "degrees", found.markers))
     return tuple(sentences)
 
 
-def _sentence(said: str, value: float, limit: float, unit: str, markers: int) -> str:
+def _word_distortion(wording: str, value: float, limit: float, unit: str, markers: int) -> str:
     """Word one distortion; raise CT-024 beyond the limit."""
     if value > limit:
         raise SlicesMisplaced(
-            f"by the shape of {markers} markers {said.format(beyond(value, limit, 1))}",
+            f"by the shape of {markers} markers {wording.format(format_against_limit(value, limit, 1))}",
             limit=f"{limit:.1f} {unit}",
         )
-    return f"by the shape of {markers} markers {said.format(f'{value:.1f}')}"
+    return f"by the shape of {markers} markers {wording.format(f'{value:.1f}')}"

@@ -9,12 +9,17 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.imaging.dicom.attributes import optional_number, read_dicom, text, value
+from procedures.imaging.dicom.attributes import (
+    read_attribute_text,
+    read_dicom,
+    read_optional_number,
+    read_value,
+)
 from procedures.imaging.dicom.frame_decoder import FrameDecoder, check_frame
 from procedures.imaging.dicom.slice_headers import Progress, SliceHeader, read_headers
 from procedures.imaging.dicom.slice_stack import accuracy_warnings, stack_slices
 from procedures.imaging.errors import CompressionUnknown, FileDamaged, PixelsUnusable
-from procedures.imaging.scan_faults import motion_warnings
+from procedures.imaging.scan_faults import check_motion
 from procedures.imaging.volume import Volume
 from ronna_hw.bounded_input import InputRefused
 
@@ -42,10 +47,10 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
     nothing is guessed.
     """
     directory = Path(directory)
-    headers = read_headers(directory, _part(progress, 0.0, HEADER_SHARE))
+    headers = read_headers(directory, _scale_progress(progress, 0.0, HEADER_SHARE))
     slices, geometry = stack_slices(headers)
     voxels = np.empty(geometry.shape, dtype=np.int16)
-    report = _part(progress, HEADER_SHARE, 1.0)
+    report = _scale_progress(progress, HEADER_SHARE, 1.0)
     with FrameDecoder() as decoder:
         for number, header in enumerate(slices):
             read_pixels_into(voxels[number], header, decoder)
@@ -59,8 +64,8 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
         patient_position=slices[0].patient_position,
         warnings=(
             *accuracy_warnings(slices, geometry),
-            *_intensity_warnings(voxels),
-            *motion_warnings(voxels, geometry),
+            *_check_intensities(voxels),
+            *check_motion(voxels, geometry),
         ),
     )
 
@@ -72,34 +77,36 @@ def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: Fr
     """
     data = read_dicom(header.path)
     name = header.path.name
-    for keyword, what in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
-        if (count := _whole(header, data, keyword, 1)) != 1:
-            raise PixelsUnusable(f"{name} {what}", expected=f"{keyword} of 1", got=str(count))
-    if (photometry := text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2") != "MONOCHROME2":
+    for keyword, defect in (("SamplesPerPixel", "has colour"), ("NumberOfFrames", "has several frames")):
+        if (count := _read_integer(header, data, keyword, 1)) != 1:
+            raise PixelsUnusable(f"{name} {defect}", expected=f"{keyword} of 1", got=str(count))
+    if (
+        photometry := read_attribute_text(header.path, data, "PhotometricInterpretation") or "MONOCHROME2"
+    ) != "MONOCHROME2":
         raise PixelsUnusable(f"{name} has photometric interpretation {photometry}")
     if "FloatPixelData" in data or "DoubleFloatPixelData" in data:
         raise PixelsUnusable(f"{name} has floating-point pixels", expected="integers")
     if "PixelData" not in data:
         raise FileDamaged(f"{name} is truncated: its pixel data are missing or cut off")
-    syntax = text(header.path, data.file_meta, "TransferSyntaxUID")
-    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _whole(header, data, "BitsAllocated", 0) == 16:
-        stored = _stored_16_bit(data, header, target.shape)
+    syntax = read_attribute_text(header.path, data.file_meta, "TransferSyntaxUID")
+    if syntax in _LITTLE_ENDIAN_UNCOMPRESSED and _read_integer(header, data, "BitsAllocated", 0) == 16:
+        stored = _decode_16_bit(data, header, target.shape)
     else:
-        stored = _stored_by_library(data, header.path, syntax, target.shape, decoder)
+        stored = _decode_with_library(data, header.path, syntax, target.shape, decoder)
     _rescale_into(target, stored, header)
 
 
-def _whole(header: SliceHeader, data: FileDataset, keyword: str, missing: int) -> int:
-    number = optional_number(header.path, data, keyword)
-    return missing if number is None else int(number)
+def _read_integer(header: SliceHeader, data: FileDataset, keyword: str, default: int) -> int:
+    number = read_optional_number(header.path, data, keyword)
+    return default if number is None else int(number)
 
 
-def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
+def _decode_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...]) -> NDArray[np.integer]:
     name = header.path.name
-    representation = _whole(header, data, "PixelRepresentation", 0)
+    representation = _read_integer(header, data, "PixelRepresentation", 0)
     if representation not in (UNSIGNED, SIGNED):
         raise PixelsUnusable(f"{name} has pixel representation {representation}", expected="0 or 1")
-    pixels = value(header.path, data, "PixelData")
+    pixels = read_value(header.path, data, "PixelData")
     needed = 2 * shape[0] * shape[1]
     if not isinstance(pixels, bytes) or len(pixels) < needed:
         got = f"{len(pixels)}" if isinstance(pixels, bytes) else "none"
@@ -113,8 +120,8 @@ def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
     stored = np.frombuffer(
         pixels, dtype="<i2" if representation == SIGNED else "<u2", count=needed // 2
     ).reshape(shape)
-    bits = _whole(header, data, "BitsStored", 16)
-    high = _whole(header, data, "HighBit", bits - 1)
+    bits = _read_integer(header, data, "BitsStored", 16)
+    high = _read_integer(header, data, "HighBit", bits - 1)
     if not 1 <= bits <= high + 1 <= 16:
         raise PixelsUnusable(f"{name} stores {bits} bits up to bit {high}")
     if bits == 16:
@@ -123,7 +130,7 @@ def _stored_16_bit(data: FileDataset, header: SliceHeader, shape: tuple[int, ...
     return (stored << (15 - high)) >> (16 - bits)
 
 
-def _stored_by_library(
+def _decode_with_library(
     data: FileDataset, path: Path, stated: str, shape: tuple[int, ...], decoder: FrameDecoder
 ) -> NDArray[np.integer]:
     from pydicom import config
@@ -181,14 +188,14 @@ def _rescale_into(target: NDArray[np.int16], stored: NDArray[np.integer], header
     target[...] = values
 
 
-def _intensity_warnings(voxels: NDArray[np.int16]) -> tuple[str, ...]:
+def _check_intensities(voxels: NDArray[np.int16]) -> tuple[str, ...]:
     darkest = int(voxels.min())
     if darkest <= AIR_BELOW_HU:
         return ()
     return (f"no air in the scan, the darkest voxel has {darkest} HU: these may not be Hounsfield units",)
 
 
-def _part(progress: Progress | None, start: float, end: float) -> Progress:
+def _scale_progress(progress: Progress | None, start: float, end: float) -> Progress:
     def report(share: float) -> None:
         if progress is not None:
             progress(start + (end - start) * share)

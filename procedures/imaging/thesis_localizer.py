@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from procedures.imaging.localization import DIAMETER_MM, check_request, head_to_foot, require_count
+from procedures.imaging.localization import DIAMETER_MM, check_request, require_count, superior_first_key
 from procedures.imaging.markers import Candidate, Localization, Marker
 from procedures.imaging.volume import Volume
 
@@ -80,23 +80,25 @@ def localize_as_thesis(
     radius_mm = 0.5 * diameter_mm
     candidates: list[Candidate] = []
     markers: list[Marker] = []
-    taken: list[Array] = []
+    accepted_mm: list[Array] = []
     boxes = find_regions(volume)
     for number, box in enumerate(boxes):
         axial = cluster_circles(find_circles(volume, box, AXIAL), radius_mm)
         sagittal = cluster_circles(find_circles(volume, box, SAGITTAL), radius_mm)
-        for pair in meeting_clusters(axial, sagittal):
-            centre_mm, marker, reason = _marker(volume, pair, fit, radius_mm)
-            if marker is not None and any(np.linalg.norm(centre_mm - one) < diameter_mm for one in taken):
+        for pair in pair_clusters(axial, sagittal):
+            centre_mm, marker, reason = _build_marker(volume, pair, fit, radius_mm)
+            if marker is not None and any(
+                np.linalg.norm(centre_mm - one) < diameter_mm for one in accepted_mm
+            ):
                 marker, reason = None, "overlaps a marker that was already found"
             candidates.append(Candidate(volume.patient_mm(centre_mm), marker is not None, reason, 0.0))
             if marker is not None:
                 markers.append(marker)
-                taken.append(centre_mm)
+                accepted_mm.append(centre_mm)
         progress((number + 1) / len(boxes))
     require_count(len(markers), expected, tuple(candidates))
     return Localization(
-        markers=tuple(sorted(markers, key=lambda marker: head_to_foot(marker.centre_mm))),
+        markers=tuple(sorted(markers, key=lambda marker: superior_first_key(marker.centre_mm))),
         candidates=tuple(candidates),
         series_instance_uid=volume.series_instance_uid,
         frame_of_reference_uid=volume.frame_of_reference_uid,
@@ -104,7 +106,7 @@ def localize_as_thesis(
     )
 
 
-def _marker(
+def _build_marker(
     volume: Volume, pair: tuple[Cluster, Cluster], fit: ThesisFit, radius_mm: float
 ) -> tuple[Array, Marker | None, str]:
     by_lines_mm = fit_lines(*pair)
@@ -171,7 +173,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
     across = [other for other in range(3) if other != axis]
     centres, radii = [], []
     for number, plane in enumerate(planes):
-        found, scale = _hough(plane, spacing_mm[across])
+        found, scale = _find_plane_circles(plane, spacing_mm[across])
         for column_px, row_px, radius_px in found:
             index = np.empty(3)
             index[axis] = number
@@ -182,7 +184,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
     return Circles(np.array(centres).reshape(-1, 3), np.array(radii), axis)
 
 
-def _hough(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
+def _find_plane_circles(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
     """Find circles (column, row, radius) of a plane in fine pixels; also return the pixel size in mm."""
     low, high = POLYMER_HU
     grey = np.clip((plane.astype(np.float32) - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
@@ -227,8 +229,8 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
             centres = circles.centres_mm[chain]
             step_mm = centre[circles.axis] - centres[-1, circles.axis]
             # Compared with the median: one misplaced circle must not split those above from those below it.
-            beside_mm = float(np.linalg.norm(centre[across] - np.median(centres[:, across], axis=0)))
-            if 0.0 < step_mm <= GAP_MM and beside_mm <= IN_PLANE_MM:
+            offset_mm = float(np.linalg.norm(centre[across] - np.median(centres[:, across], axis=0)))
+            if 0.0 < step_mm <= GAP_MM and offset_mm <= IN_PLANE_MM:
                 chain.append(index)
                 break
         else:
@@ -237,7 +239,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
     return [cluster for cluster in clusters if cluster is not None]
 
 
-def meeting_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tuple[Cluster, Cluster]]:
+def pair_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tuple[Cluster, Cluster]]:
     """Pair clusters of both stacks around the same point, nearest first; each is used once."""
     pairs = sorted(
         (float(np.linalg.norm(one.middle_mm - other.middle_mm)), i, j)
@@ -289,43 +291,43 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
     """Fit a sphere: centre (3,) grid mm, radius mm, and the share of circle points on it."""
     points = np.concatenate([_circle_points(cluster) for cluster in (axial, sagittal)])
 
-    def on_sphere_through(drawn: Array) -> NDArray[np.bool_]:
-        centre, radius = _algebraic_sphere(drawn)
+    def mark_on_sphere(sample: Array) -> NDArray[np.bool_]:
+        centre, radius = _fit_algebraic_sphere(sample)
         return np.asarray(np.abs(np.linalg.norm(points - centre, axis=1) - radius) < ON_SPHERE_MM)
 
-    best = _consensus(points, 4, on_sphere_through)
+    best = _find_consensus(points, 4, mark_on_sphere)
     if best.sum() < 4:
         best[:] = True
-    centre, radius = _algebraic_sphere(points[best])
+    centre, radius = _fit_algebraic_sphere(points[best])
     return centre, radius, float(best.mean())
 
 
 def _fit_line(points: Array) -> tuple[Array, Array]:
     """Fit a line: a point on it and its unit direction."""
 
-    def on_line_through(drawn: Array) -> NDArray[np.bool_]:
-        direction = drawn[1] - drawn[0]
+    def mark_on_line(sample: Array) -> NDArray[np.bool_]:
+        direction = sample[1] - sample[0]
         direction = direction / np.linalg.norm(direction)
-        offsets = points - drawn[0]
-        beside = np.linalg.norm(offsets - np.outer(offsets @ direction, direction), axis=1)
-        return np.asarray(beside < LINE_TOLERANCE_MM)
+        offsets = points - sample[0]
+        distances = np.linalg.norm(offsets - np.outer(offsets @ direction, direction), axis=1)
+        return np.asarray(distances < LINE_TOLERANCE_MM)
 
-    best = _consensus(points, 2, on_line_through)
+    best = _find_consensus(points, 2, mark_on_line)
     middle = points[best].mean(axis=0)
     _, _, axes = np.linalg.svd(points[best] - middle)
     return middle, axes[0]
 
 
-def _consensus(
-    points: Array, count: int, agreeing: Callable[[Array], NDArray[np.bool_]]
+def _find_consensus(
+    points: Array, count: int, mark_agreeing: Callable[[Array], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
     """Largest set of points (n,) that agree with `count` of them, drawn at random (RANSAC)."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)
     for _ in range(TRIALS):
-        inlying = agreeing(points[random.choice(len(points), count, replace=False)])
-        if inlying.sum() > best.sum():
-            best = inlying
+        inliers = mark_agreeing(points[random.choice(len(points), count, replace=False)])
+        if inliers.sum() > best.sum():
+            best = inliers
     return best
 
 
@@ -338,7 +340,7 @@ def _circle_points(cluster: Cluster) -> Array:
     return np.asarray(points.reshape(-1, 3))
 
 
-def _algebraic_sphere(points: Array) -> tuple[Array, float]:
+def _fit_algebraic_sphere(points: Array) -> tuple[Array, float]:
     """Solve |x|² = 2 c·x + (R² - |c|²) by least squares, relative to the mean of the points."""
     middle = points.mean(axis=0)
     offsets = points - middle

@@ -40,16 +40,16 @@ def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str) -> byt
     gap = np.zeros((2 * round(HALF_WIDTH_MM / STEP_MM) + 1, GAP_PX, 3), np.uint8)
     parts: list[Picture] = []
     for title, right, down, letters in PLANES:
-        picture = _plane(volume, lines[name][1], np.array(right), np.array(down))
+        picture = _sample_plane(volume, lines[name][1], np.array(right), np.array(down))
         for other, line in sorted(lines.items(), key=lambda one: one[0] == name):  # own trajectory on top
-            _draw_line(picture, line, lines[name][1], np.array([right, down]), own=other == name)
+            _draw_line(picture, line, lines[name][1], np.array([right, down]), is_own=other == name)
         _write(picture, f"{name} {title}", letters)
         parts += [gap, picture]
     _, content = cv2.imencode(".png", np.hstack(parts[1:]))
     return content.tobytes()
 
 
-def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
+def _sample_plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
     """Sample grey values (n, n, 3) around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
@@ -59,7 +59,7 @@ def _plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Pictu
     return np.repeat(grey[:, :, None], 3, axis=2)
 
 
-def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, own: bool) -> None:
+def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, is_own: bool) -> None:
     """Draw a trajectory from entry to target, piece by piece."""
     import cv2
 
@@ -68,21 +68,21 @@ def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, o
     shares = np.linspace(0.0, 1.0, PIECES + 1)[:, None]
     places = entry + shares * (target - entry) - middle_mm
     pixels = places @ axes.T / STEP_MM + picture.shape[0] // 2
-    ink = np.array(OWN_BGR if own else OTHER_BGR, dtype=float)
+    ink = np.array(OWN_BGR if is_own else OTHER_BGR, dtype=float)
     for start, end, place in zip(pixels, pixels[1:], places, strict=False):
         share = max(FAINTEST, float(np.exp(-abs(place @ across) / DEPTH_MM)))
-        below = picture[_inside(picture, start[1]), _inside(picture, start[0])].astype(float)
-        colour = tuple(float(one) for one in share * ink + (1.0 - share) * below)
-        cv2.line(picture, _spot(start), _spot(end), colour, 2 if own else 1, cv2.LINE_AA)
-    if own:
-        cv2.drawMarker(picture, _spot(pixels[-1]), TARGET_BGR, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
+        background = picture[_clamp(picture, start[1]), _clamp(picture, start[0])].astype(float)
+        colour = tuple(float(one) for one in share * ink + (1.0 - share) * background)
+        cv2.line(picture, _round_pixel(start), _round_pixel(end), colour, 2 if is_own else 1, cv2.LINE_AA)
+    if is_own:
+        cv2.drawMarker(picture, _round_pixel(pixels[-1]), TARGET_BGR, cv2.MARKER_CROSS, 13, 1, cv2.LINE_AA)
 
 
-def _spot(pixel: Array) -> tuple[int, int]:
+def _round_pixel(pixel: Array) -> tuple[int, int]:
     return round(float(pixel[0])), round(float(pixel[1]))
 
 
-def _inside(picture: Picture, pixel: float) -> int:
+def _clamp(picture: Picture, pixel: float) -> int:
     return int(min(max(pixel, 0), picture.shape[0] - 1))
 
 

@@ -42,9 +42,9 @@ class VoxelGeometry:
     spacing_mm: Array
 
     def __post_init__(self) -> None:
-        sized = len(self.shape) == 3 and min(self.shape) > 0
+        has_size = len(self.shape) == 3 and min(self.shape) > 0
         shapes = [np.shape(value) for value in (self.origin_mm, self.axes, self.spacing_mm)]
-        if not sized or shapes != [(3,), (3, 3), (3,)]:
+        if not has_size or shapes != [(3,), (3, 3), (3,)]:
             raise VolumeMalformed("the geometry has the wrong shape", got=f"{self.shape}, {shapes}")
         numbers = np.concatenate([self.origin_mm, np.ravel(self.axes), self.spacing_mm])
         if not np.isfinite(numbers).all() or np.min(self.spacing_mm) <= 0:
@@ -76,7 +76,7 @@ class VoxelGeometry:
     @property
     def orientation(self) -> str:
         """Patient sides towards which columns, rows and slices increase, e.g. `LPS`."""
-        return "".join(_side(self.axes[:, axis]) for axis in (2, 1, 0))
+        return "".join(_side_letter(self.axes[:, axis]) for axis in (2, 1, 0))
 
 
 @dataclass(frozen=True, eq=False)
@@ -145,21 +145,21 @@ class Region:
         if not smooth:
             return np.asarray(map_coordinates(self.values, indices, order=1, mode="constant", cval=np.nan))
         sampled = map_coordinates(self._spline, indices, order=3, mode="mirror", prefilter=False)
-        if not self._complete or not self._holds(indices):
+        if not self._is_complete or not self._contains(indices):
             known = map_coordinates(self.values, indices, order=1, mode="constant", cval=np.nan)
             sampled[~np.isfinite(known)] = np.nan
         return np.asarray(sampled)
 
     @cached_property
-    def _complete(self) -> bool:
+    def _is_complete(self) -> bool:
         return bool(np.isfinite(self.values).all())
 
     @cached_property
     def _spline(self) -> Array:
-        filled = self.values if self._complete else np.nan_to_num(self.values, nan=AIR_HU)
+        filled = self.values if self._is_complete else np.nan_to_num(self.values, nan=AIR_HU)
         return np.asarray(spline_filter(filled, order=3, mode="mirror"))
 
-    def _holds(self, indices: Array) -> bool:
+    def _contains(self, indices: Array) -> bool:
         last = np.array(self.values.shape) - 1.0
         axes = tuple(range(1, indices.ndim))
         return bool((indices.min(axis=axes) >= 0).all() and (indices.max(axis=axes) <= last).all())
@@ -184,6 +184,6 @@ def cube_around(geometry: VoxelGeometry, centre_mm: Array, half_width_mm: float)
     return tuple(slice(a, b) for a, b in zip(low.tolist(), high.tolist(), strict=True))
 
 
-def _side(direction: Array) -> str:
+def _side_letter(direction: Array) -> str:
     axis = int(np.argmax(np.abs(direction)))
     return _LETTERS[axis][int(direction[axis] > 0)]

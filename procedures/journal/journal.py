@@ -84,7 +84,7 @@ class Journal:
         journal._open(folder, on_line, 0, _Chain(chain.size, len(chain.lines), chain.last))
         with journal._close_on_error():
             if chain.torn:
-                journal._cut_off(chain.torn)
+                journal._set_aside_torn_end(chain.torn)
             journal._hold_room()  # a resumed run can be closed again
         return journal
 
@@ -96,29 +96,29 @@ class Journal:
             self.close()
             raise
 
-    def _cut_off(self, torn: bytes) -> None:
+    def _set_aside_torn_end(self, torn: bytes) -> None:
         """Cut off a torn end, and keep it beside the journal."""
         folder = self.path.parent
         try:
-            with (folder / TORN_FILE).open("ab") as kept:
-                kept.write(torn + b"\n")
-                kept.flush()
-                os.fsync(kept.fileno())
+            with (folder / TORN_FILE).open("ab") as torn_file:
+                torn_file.write(torn + b"\n")
+                torn_file.flush()
+                os.fsync(torn_file.fileno())
             _sync_folder(folder)
             os.ftruncate(self._file, self._chain.size)
             os.fsync(self._file)
         except OSError as error:
             raise self._not_writable(error.strerror) from error
 
-    def _open(self, folder: Path, on_line: Callable[[bytes], None], how: int, chain: _Chain) -> None:
+    def _open(self, folder: Path, on_line: Callable[[bytes], None], flags: int, chain: _Chain) -> None:
         self.path = folder / JOURNAL_FILE
         self._on_line = on_line
         self._chain = chain
         self._pending = b""  # a line that is being written
-        self._spoilt = ""  # why nothing more can be written
+        self._failure = ""  # why nothing more can be written
         self.closed = False
         try:
-            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | how, 0o666)
+            self._file = os.open(self.path, os.O_WRONLY | os.O_APPEND | os.O_CLOEXEC | flags, 0o666)
         except OSError as error:
             raise JournalNotWritable(f"cannot open {self.path.name}: {error.strerror}") from error
         self._room = folder / ROOM_FILE
@@ -139,9 +139,9 @@ class Journal:
     ) -> None:
         if self.closed:
             raise self._not_writable("the journal is closed")
-        if self._spoilt:
-            raise self._not_writable(self._spoilt)
-        self._settle()
+        if self._failure:
+            raise self._not_writable(self._failure)
+        self._settle_pending()
         if entry is Entry.INTENT:
             self._hold_room()
         content = {
@@ -157,14 +157,14 @@ class Journal:
             line += b" " * (-(self._chain.size + len(line) + 1) % BLOCK_BYTES)
         line += b"\n"
         try:
-            self._put(line, durable=durable)
+            self._write_line(line, durable=durable)
         except JournalNotWritable:
-            if entry not in ENDINGS or self._spoilt or not self._room.exists():
+            if entry not in ENDINGS or self._failure or not self._room.exists():
                 raise
             self._room.unlink()
-            self._put(line, durable=durable)
+            self._write_line(line, durable=durable)
 
-    def _put(self, line: bytes, *, durable: bool) -> None:
+    def _write_line(self, line: bytes, *, durable: bool) -> None:
         """Write a line and flush it; a line that could not be flushed is removed again."""
         self._pending = line
         try:
@@ -174,7 +174,7 @@ class Journal:
         except OSError as error:
             self._take_back()
             raise self._not_writable(error.strerror) from error
-        self._settle()
+        self._settle_pending()
 
     def _take_back(self) -> None:
         """Remove a line that was not flushed; one that cannot be removed is the last one."""
@@ -182,8 +182,8 @@ class Journal:
             if os.fstat(self._file).st_size != self._chain.size:
                 os.ftruncate(self._file, self._chain.size)
         except OSError as error:
-            self._spoilt = f"a line was not flushed, and {error.strerror}"
-            raise self._not_writable(self._spoilt) from error
+            self._failure = f"a line was not flushed, and {error.strerror}"
+            raise self._not_writable(self._failure) from error
         finally:
             self._pending = b""
 
@@ -201,7 +201,7 @@ class Journal:
             self._room.unlink(missing_ok=True)
             raise self._not_writable(error.strerror) from error
 
-    def _settle(self) -> None:
+    def _settle_pending(self) -> None:
         """Count the pending line if it is in the file; remove the rest of one that was cut.
 
         A signal may end a write at any point, also when the line is there and not counted yet. So the content

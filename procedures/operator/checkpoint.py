@@ -115,18 +115,18 @@ class Checkpoint:
         with self._lock:
             return self._abort or self._pause is not None
 
-    def here(self, where: str) -> None:
+    def here(self, point: str) -> None:
         """Rest here if a rest is requested or a guard is unmet.
 
         Raises PRO-004 when the case is to end, and PRO-017 when a guard is not restored and the operator
         leaves the step.
         """
-        self._meet_requests(where)
+        self._meet_requests(point)
         with self.beside():
             for guard in self.guards:
-                self._meet(guard, where)
+                self._meet(guard, point)
 
-    def stopped(self, what: str, redo: str) -> None:
+    def rest_after_stop(self, what: str, redo: str) -> None:
         """Rest after somebody else stopped a motion; return when it is to be planned anew.
 
         Raises PRO-004, PRO-017.
@@ -135,17 +135,17 @@ class Checkpoint:
             self.pause(f"{what} was stopped")
         self.here(f"{what} was stopped; continuing {redo}")
 
-    def _meet_requests(self, where: str) -> None:
+    def _meet_requests(self, point: str) -> None:
         self._meet_abort()
         with self._lock:
             reason, self._pause, self.firm = self._pause, None, False
         if reason is None:
             return
         with self._rest(PAUSED, reason):
-            question = Question(Topic.PAUSE, f"Paused: {reason}", where, (GO_ON, ABORT), timeout_s=None)
+            question = Question(Topic.PAUSE, f"Paused: {reason}", point, (GO_ON, ABORT), timeout_s=None)
             if self._ask(question) != GO_ON:
                 raise OperatorAborted("the operator ended the procedure while it was paused")
-        self._meet_requests(where)  # somebody may have requested another one meanwhile
+        self._meet_requests(point)  # somebody may have requested another one meanwhile
 
     def _meet_abort(self) -> None:
         with self._lock:
@@ -159,7 +159,7 @@ class Checkpoint:
         with self.beside():
             return any(guard.unmet() is not None for guard in self.guards)
 
-    def _meet(self, guard: Guard, where: str) -> None:
+    def _meet(self, guard: Guard, point: str) -> None:
         reason = guard.unmet()
         if reason is None:
             return
@@ -169,7 +169,7 @@ class Checkpoint:
             while (reason := guard.unmet()) is not None:
                 self._meet_abort()  # a pause may wait: the arm rests
                 if self._clock.now_s() - since_s >= patience_s:
-                    answer = self._ask(_question(guard, reason, where))
+                    answer = self._ask(_question(guard, reason, point))
                     if answer == GO_ON and isinstance(guard, DispensableGuard):
                         guard.excuse()
                         continue
@@ -179,9 +179,9 @@ class Checkpoint:
                 self._clock.sleep(LOOK_AGAIN_S)
 
 
-def _question(guard: Guard, reason: str, where: str) -> Question:
+def _question(guard: Guard, reason: str, point: str) -> Question:
     subject = f"{guard.name}: {reason}"
     if isinstance(guard, DispensableGuard):
         without = WITHOUT.format(guard.excused_for_s)
-        return Question(guard.topic, subject, f"{where}; {CHOICES}; {without}", (WAIT, GO_ON, LEAVE))
-    return Question(Topic.GUARD, subject, f"{where}; {CHOICES}", (WAIT, LEAVE))
+        return Question(guard.topic, subject, f"{point}; {CHOICES}; {without}", (WAIT, GO_ON, LEAVE))
+    return Question(Topic.GUARD, subject, f"{point}; {CHOICES}", (WAIT, LEAVE))

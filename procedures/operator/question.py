@@ -14,7 +14,7 @@ from typing import Protocol
 
 from pydantic import BaseModel, ConfigDict
 
-from ronna_hw.text import without_unit
+from ronna_hw.text import strip_unit
 
 
 class Topic(StrEnum):
@@ -114,10 +114,10 @@ class ReadBack:
 
     def fits(self, typed: str) -> bool:
         """Whether the value was typed, ignoring case and surrounding space."""
-        return without_unit(typed, self.unit).casefold() == self.value.strip().casefold()
+        return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
-def _unrecorded() -> None:
+def _record_nothing() -> None:
     """Record nothing."""
 
 
@@ -156,7 +156,7 @@ class Question:
     trajectory: str | None = None
     timeout_s: float | None = 300.0
     read_back: ReadBack | None = None
-    misread: Callable[[], None] = field(default=_unrecorded, compare=False, repr=False)
+    misread: Callable[[], None] = field(default=_record_nothing, compare=False, repr=False)
     number: int = 0
     evidence: tuple[Evidence, ...] = ()
     reads: tuple[str, ...] = ()
@@ -206,7 +206,7 @@ class Operator(Protocol):
         ...
 
 
-def words(answers: Sequence[str]) -> str:
+def join_answers(answers: Sequence[str]) -> str:
     """Return the answers as a person reads them: `yes or no`; those of several words are quoted."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last

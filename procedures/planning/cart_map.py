@@ -23,7 +23,7 @@ from scipy import ndimage
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
 from procedures.planning.errors import NoPlace
 from procedures.planning.proposed_place import TURNED_SHARE
-from ronna_hw.host.worker_processes import fresh_processes, results
+from ronna_hw.host.worker_processes import collect_results, start_workers
 
 Node = tuple[int, int]
 Request = tuple[CartMove, tuple[PlaceSolution, ...], bool]  # position, known solutions, whether to search
@@ -59,8 +59,8 @@ class PlaceMap:
     def allows(self, x_mm: float, y_mm: float) -> bool:
         """Whether the map calls a position reachable; none outside the map is."""
         i, j = (int(np.floor(value / FINEST_MM)) + self.half for value in (x_mm, y_mm))
-        inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
-        return inside and bool(self.allowed[i, j])
+        is_inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
+        return is_inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
         """Return the position farthest from any that does not serve, and its tolerance in mm; or None."""
@@ -69,9 +69,11 @@ class PlaceMap:
         # nothing is known beyond the map
         room = ndimage.distance_transform_edt(np.pad(self.allowed, 1))[1:-1, 1:-1]
         centres = (np.indices(room.shape) - self.half + 0.5) * FINEST_MM
-        away = np.hypot(*centres)
-        most = room.max()
-        place = np.unravel_index(np.argmin(np.where(room >= most - 0.5, away, np.inf)), room.shape)
+        distance = np.hypot(*centres)
+        largest_room = room.max()
+        place = np.unravel_index(
+            np.argmin(np.where(room >= largest_room - 0.5, distance, np.inf)), room.shape
+        )
         free_mm = (float(room[place]) - HALF_DIAGONAL) * FINEST_MM
         return CartMove(float(centres[0][place]), float(centres[1][place]), self.turn_rad), free_mm
 
@@ -83,16 +85,17 @@ class _Search:
     turn_rad: float
     verdicts: dict[Node, Verdict] = field(default_factory=dict)
 
-    def ask(
+    def judge_nodes(
         self, nodes: Sequence[Node], known: Callable[[Node], tuple[PlaceSolution, ...]], search: bool
     ) -> None:
-        new = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
-        asked = [
-            (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad), known((i, j)), search) for i, j in new
+        unjudged = [node for node in dict.fromkeys(nodes) if node not in self.verdicts]
+        requests = [
+            (CartMove(i * FINEST_MM, j * FINEST_MM, self.turn_rad), known((i, j)), search)
+            for i, j in unjudged
         ]
-        self.verdicts.update(zip(new, self.judge(asked), strict=True))
+        self.verdicts.update(zip(unjudged, self.judge(requests), strict=True))
 
-    def known_at(self, nodes: Sequence[Node]) -> tuple[PlaceSolution, ...]:
+    def find_known(self, nodes: Sequence[Node]) -> tuple[PlaceSolution, ...]:
         found = [self.verdicts[node].found for node in nodes if node in self.verdicts]
         return tuple(dict.fromkeys(one for one in found if one is not None))[:MOST_KNOWN]
 
@@ -111,14 +114,14 @@ def map_places(
     coarse = max(1, round(within_mm / (COARSE * FINEST_MM)))
     half = coarse * COARSE
     search = _Search(half, judge, turn_rad)
-    search.ask([(0, 0)], lambda node: (), True)
+    search.judge_nodes([(0, 0)], lambda node: (), True)
     progress(0.05)
     lines = range(-half, half + 1, COARSE)
     for ring in range(1, coarse + 1):  # outwards: what serves one position mostly serves the next
         far = ring * COARSE
         nodes = [(i, j) for i in lines for j in lines if max(abs(i), abs(j)) == far]
-        known = {node: search.known_at([*_inward(node), (0, 0)]) for node in nodes}
-        search.ask(nodes, known.__getitem__, True)
+        known = {node: search.find_known([*_inner_neighbours(node), (0, 0)]) for node in nodes}
+        search.judge_nodes(nodes, known.__getitem__, True)
         progress(0.05 + 0.55 * (ring / coarse) ** 2)
     allowed = np.zeros((2 * half, 2 * half), dtype=bool)
     squares = [(i, j) for i in lines[:-1] for j in lines[:-1]]
@@ -126,23 +129,23 @@ def map_places(
     while squares:
         mixed = []
         for i, j in squares:
-            serving = [search.verdicts[node].serves for node in _corners(i, j, size)]
-            if all(serving):
+            serves_each = [search.verdicts[node].serves for node in _corners(i, j, size)]
+            if all(serves_each):
                 allowed[i + half : i + half + size, j + half : j + half + size] = True
-            elif any(serving):
+            elif any(serves_each):
                 mixed.append((i, j))
         if size == 1:
             break
         corners = {node: _corners(i, j, size) for i, j in mixed for node in _middles(i, j, size)}
-        near = {node: search.known_at(around) for node, around in corners.items()}
-        search.ask(list(corners), near.__getitem__, False)
+        near = {node: search.find_known(around) for node, around in corners.items()}
+        search.judge_nodes(list(corners), near.__getitem__, False)
         size //= 2
         squares = [(i + a, j + b) for i, j in mixed for a in (0, size) for b in (0, size)]
         progress(1.0 - 0.4 * (size - 1) / COARSE)
     return PlaceMap(half, search.verdicts, allowed, turn_rad)
 
 
-def _inward(node: Node) -> list[Node]:
+def _inner_neighbours(node: Node) -> list[Node]:
     """Inner neighbours on the coarsest grid, nearest first; outer ones are not judged yet."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
@@ -159,27 +162,27 @@ def _middles(i: int, j: int, size: int) -> list[Node]:
 
 
 @contextmanager
-def judging(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
+def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
     """Provide a judge of many positions; `workers` 1 uses this process, None every processor.
 
     Raises PRC-001 when the processes halt.
     """
     count = workers or len(os.sched_getaffinity(0))
     if count == 1:
-        yield lambda asked: _judge(case, asked)
+        yield lambda requests: _judge(case, requests)
         return
-    with fresh_processes(count) as pool:
+    with start_workers(count) as pool:
 
-        def in_processes(asked: Sequence[Request]) -> Sequence[Verdict]:
-            parts = [asked[begin : begin + CHUNK] for begin in range(0, len(asked), CHUNK)]
-            judged = results([pool.submit(_judge, case, part) for part in parts])
+        def judge_in_processes(requests: Sequence[Request]) -> Sequence[Verdict]:
+            parts = [requests[begin : begin + CHUNK] for begin in range(0, len(requests), CHUNK)]
+            judged = collect_results([pool.submit(_judge, case, part) for part in parts])
             return [verdict for part in judged for verdict in part]
 
-        yield in_processes
+        yield judge_in_processes
 
 
-def _judge(case: CartCase, asked: Sequence[Request]) -> list[Verdict]:
-    return [case.judge(move, known, search=search) for move, known, search in asked]
+def _judge(case: CartCase, requests: Sequence[Request]) -> list[Verdict]:
+    return [case.judge(move, known, search=search) for move, known, search in requests]
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,8 +231,8 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     """Propose the best position. Raises PLAN-020 when none serves."""
     found = places.best()
     if found is None:
-        why = Counter(one.reason for one in places.verdicts.values() if one.reason)
-        reason = f"; most frequent reason: {why.most_common(1)[0][0]}" if why else ""
+        reasons = Counter(one.reason for one in places.verdicts.values() if one.reason)
+        reason = f"; most frequent reason: {reasons.most_common(1)[0][0]}" if reasons else ""
         raise NoPlace(
             f"the plan cannot be carried out from any cart position within {places.within_mm:g} mm{reason}"
         )
@@ -238,25 +241,29 @@ def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
     if verdict.found is None:
         raise NoPlace(f"the best position of the map does not work: {verdict.pose}: {verdict.reason}")
     free_deg = {-1.0: 0.0, 1.0: 0.0}  # by direction of rotation
-    going = list(free_deg)
+    free_sides = list(free_deg)
     for turn in TURNS_DEG:
         moves = [
-            _neighbours(best, free_mm * TURNED_SHARE, way, side * turn) for side in going for way in SIDES
+            _shift_place(best, free_mm * TURNED_SHARE, way, side * turn)
+            for side in free_sides
+            for way in SIDES
         ]
-        serving = [one.serves for one in judge([(move, (verdict.found,), True) for move in moves])]
-        of_sides = [serving[first : first + len(SIDES)] for first in range(0, len(serving), len(SIDES))]
-        going = [side for side, each in zip(going, of_sides, strict=True) if all(each)]
-        free_deg |= dict.fromkeys(going, turn)
+        serves_each = [one.serves for one in judge([(move, (verdict.found,), True) for move in moves])]
+        serving_by_side = [
+            serves_each[first : first + len(SIDES)] for first in range(0, len(serves_each), len(SIDES))
+        ]
+        free_sides = [side for side, each in zip(free_sides, serving_by_side, strict=True) if all(each)]
+        free_deg |= dict.fromkeys(free_sides, turn)
     return PlaceProposal(best, free_mm, (free_deg[-1.0], free_deg[1.0]), places)
 
 
-def _neighbours(best: CartMove, way_mm: float, way: tuple[float, float], turn_deg: float) -> CartMove:
+def _shift_place(best: CartMove, step_mm: float, way: tuple[float, float], turn_deg: float) -> CartMove:
     x, y = way
     turn_rad = best.turn_rad + math.radians(turn_deg)
-    return CartMove(best.x_mm + x * way_mm, best.y_mm + y * way_mm, turn_rad)
+    return CartMove(best.x_mm + x * step_mm, best.y_mm + y * step_mm, turn_rad)
 
 
-def place_picture(found: PlaceProposal, case: CartCase) -> bytes:
+def draw_place(found: PlaceProposal, case: CartCase) -> bytes:
     """Draw an SVG: the reachable area, the assumed position, the best one and its tolerance."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap

@@ -9,9 +9,9 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.free_angle import choose_free_angles
-from procedures.planning.line_of_sight import StereoSight, TrackerSight, frame_unseen
-from procedures.planning.motions import fixed_unmet
-from procedures.planning.paths import drive
+from procedures.planning.line_of_sight import StereoSight, TrackerSight, explain_hidden_frame
+from procedures.planning.motions import check_fixed_places
+from procedures.planning.paths import check_branch
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import (
     ArmSetting,
@@ -19,8 +19,8 @@ from procedures.planning.visits import (
     PathCheck,
     Unmet,
     Visit,
-    localizations_along,
-    target_visit,
+    build_target_visit,
+    list_localizations,
 )
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch
@@ -39,7 +39,7 @@ class CartMove:
     y_mm: float
     turn_rad: float = 0.0
 
-    def seen_from_cart(self, in_robot: RigidTransform) -> RigidTransform:
+    def to_cart_frame(self, in_robot: RigidTransform) -> RigidTransform:
         """Transform a pose from the assumed $ROBROOT to that of the moved cart."""
         moved = RigidTransform.from_components(
             [self.x_mm, self.y_mm, 0.0], Rotation.from_rotvec([0.0, 0.0, self.turn_rad])
@@ -88,25 +88,25 @@ class CartCase:
     def judge(self, move: CartMove, known: Sequence[PlaceSolution] = (), *, search: bool = True) -> Verdict:
         """Judge a position. Solutions from elsewhere are tried first, then, with `search`, all."""
         setting = self.setting_at(move)
-        hidden = self._unseen_by_tracker(setting, move)
+        hidden = self._find_hidden(setting, move)
         if hidden:
             return Verdict(None, "home", hidden)
-        for unmet in fixed_unmet(setting):
+        for unmet in check_fixed_places(setting):
             return Verdict(None, unmet.pose, unmet.reason)
         for found in known:
             if self._serves(setting, found):
                 return Verdict(found)
         if not search:
             return Verdict(None, "", "reachable nearby, but not from here")
-        beyond = self._out_of_reach(setting)
-        if beyond is not None:
-            return beyond
+        unreached_axis = self._find_unreachable(setting)
+        if unreached_axis is not None:
+            return unreached_axis
         turned = choose_free_angles(setting, self.trajectories, self.fiducials_mm, self.sight)
-        return _verdict(turned.check, dict(turned.turns_rad))
+        return _to_verdict(turned.check, dict(turned.turns_rad))
 
     def setting_at(self, move: CartMove) -> ArmSetting:
         """Return the arm relative to the head, from this position."""
-        pose = move.seen_from_cart(self.setting.robot_from_ct.rigid)
+        pose = move.to_cart_frame(self.setting.robot_from_ct.rigid)
         return replace(self.setting, robot_from_ct=Transform(Frame.ROBOT, Frame.CT, pose))
 
     def _serves(self, setting: ArmSetting, found: PlaceSolution) -> bool:
@@ -116,21 +116,21 @@ class CartCase:
             visits = [
                 one
                 for axis in axes.localized
-                for one in localizations_along(setting, axis, self.fiducials_mm, found.branch)
+                for one in list_localizations(setting, axis, self.fiducials_mm, found.branch)
             ]
         except LimitError:
             return False
         if self.sight.unmet(visits, spheres):
             return False
-        return drive(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
+        return check_branch(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
-    def _out_of_reach(self, setting: ArmSetting) -> Verdict | None:
+    def _find_unreachable(self, setting: ArmSetting) -> Verdict | None:
         """Find the first axis with an unreachable pose at every turn; cheap, hence before the search."""
-        own = setting.kinematics.branch_of(setting.start_rad)
-        arm = setting.in_branch(own)
+        start_branch = setting.kinematics.branch_of(setting.start_rad)
+        arm = setting.in_branch(start_branch)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
-        for axis in axes.each:
-            last: LimitError | None = None
+        for axis in axes.distinct:
+            last_error: LimitError | None = None
             try:
                 turns = setting.strategy.turns_rad(axis, self.fiducials_mm, setting.robot_from_ct, arm)
             except LimitError:
@@ -142,19 +142,21 @@ class CartCase:
                     )
                     break
                 except LimitError as error:
-                    last = error
+                    last_error = error
             else:
-                if last is not None:
-                    return Verdict(None, axis.identifier, Unmet.by(axis.identifier, last).reason)
+                if last_error is not None:
+                    return Verdict(
+                        None, axis.identifier, Unmet.from_error(axis.identifier, last_error).reason
+                    )
         return None
 
     def _require_solutions(self, setting: ArmSetting, axis: Axes) -> None:
         """Raise ARM-001 to ARM-003 for a pose, or an approach to it, that no branch reaches."""
-        visits: list[Visit] = [target_visit(setting, one) for one in axis.targeted]
-        if setting.strategy.localizes_per_trajectory and not _by_joints(setting):
-            own = setting.kinematics.branch_of(setting.start_rad)
+        visits: list[Visit] = [build_target_visit(setting, one) for one in axis.targeted]
+        if setting.strategy.localizes_per_trajectory and not _depends_on_branch(setting):
+            start_branch = setting.kinematics.branch_of(setting.start_rad)
             for one in axis.localized:
-                visits += localizations_along(setting, one, self.fiducials_mm, own)
+                visits += list_localizations(setting, one, self.fiducials_mm, start_branch)
         guide = setting.flange_from_tool.inverse()
         stereo = (setting.flange_from_stereo or setting.flange_from_tool).inverse()
         for visit in visits:
@@ -162,18 +164,18 @@ class CartCase:
             for pose in (visit.pose, visit.approach):
                 setting.kinematics.solutions(Pose.from_transform(pose @ tool))
 
-    def _unseen_by_tracker(self, setting: ArmSetting, move: CartMove) -> str:
+    def _find_hidden(self, setting: ArmSetting, move: CartMove) -> str:
         """Describe frame or spheres that the tracker cannot see with the arm at home; empty if none."""
         if self.robot_from_tracker is None:
             return ""
         scene = setting.scene
         assert isinstance(scene, PlanningScene)
-        tracker = Transform(Frame.ROBOT, Frame.TRACKER, move.seen_from_cart(self.robot_from_tracker.rigid))
+        tracker = Transform(Frame.ROBOT, Frame.TRACKER, move.to_cart_frame(self.robot_from_tracker.rigid))
         spheres = tracker.inverse().apply(setting.robot_from_ct.apply(np.array(self.fiducials_mm)))
         stereo = setting.flange_from_stereo or setting.flange_from_tool
         if self.stereo_from_marker is not None:
             marker = setting.kinematics.flange_pose(setting.start_rad) @ stereo @ self.stereo_from_marker
-            if unseen := frame_unseen(tracker, marker, setting.kinematics, setting.start_rad):
+            if unseen := explain_hidden_frame(tracker, marker, setting.kinematics, setting.start_rad):
                 return unseen
         around = scene.with_stereo_head(setting.robot_from_ct, stereo)
         seen = TrackerSight(tracker, spheres).seen(setting.kinematics, around, setting.start_rad)
@@ -181,12 +183,12 @@ class CartCase:
         return HIDDEN.format(f"fiducial {', '.join(numbers)}") if numbers else ""
 
 
-def _by_joints(setting: ArmSetting) -> bool:
+def _depends_on_branch(setting: ArmSetting) -> bool:
     """Whether the strategy's orientations depend on the branch: one then tells nothing about others."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 
-def _verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
+def _to_verdict(check: PathCheck, turns_rad: dict[str, float]) -> Verdict:
     if check.passed and check.branch is not None:
         return Verdict(PlaceSolution(check.branch, tuple(sorted(turns_rad.items()))))
     first = check.unmet[0] if check.unmet else None

@@ -239,12 +239,15 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
     kinds = {type(finding) for finding in findings}
     if len(kinds) == 1:
         kind = kinds.pop()
-        raise kind(f"{what}, {len(findings)} mistakes: " + "; ".join(brief(one, False) for one in findings))
+        raise kind(
+            f"{what}, {len(findings)} mistakes: "
+            + "; ".join(summarize_finding(one, False) for one in findings)
+        )
     raise PlanMistakes(
-        f"{what}, {len(findings)} mistakes: " + "; ".join(brief(one, True) for one in findings)
+        f"{what}, {len(findings)} mistakes: " + "; ".join(summarize_finding(one, True) for one in findings)
     )
 
 
-def brief(finding: RonnaError, with_code: bool) -> str:
+def summarize_finding(finding: RonnaError, with_code: bool) -> str:
     """Summarize a finding with its values, without the advice."""
     return f"{finding.code} {finding.summary}" if with_code else finding.summary

@@ -22,10 +22,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import fixed_unmet
-from procedures.planning.paths import branches_for, check_axes, drive
-from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, VisitKind, localizations_along
-from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
+from procedures.planning.motions import check_fixed_places
+from procedures.planning.paths import check_axes, check_branch, order_branches
+from procedures.planning.visits import ArmSetting, Axes, PathCheck, Unmet, VisitKind, list_localizations
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
 from procedures.strategies.strategy import OUTWARDS_RAD, STEP_RAD, Strategy, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kinematics import Branch, Kinematics
@@ -59,30 +59,30 @@ def choose_free_angles(
     """
     fiducials = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     axes = Axes.of(setting, trajectories, fiducials)
-    own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
-    unmet = fixed_unmet(setting)
+    own = dict.fromkeys((one.identifier for one in axes.distinct), 0.0)
+    unmet = check_fixed_places(setting)
     if unmet:
         return TurnedPaths(PathCheck(None, (), unmet), axes, own)
     start = setting.kinematics.branch_of(setting.start_rad)
     search = _Search(setting, fiducials, sight)
-    seen = search.seen_along(axes, start)
+    seen = search.find_visible_turns(axes, start)
     nearest = {name: next(turns, 0.0) for name, turns in seen.items()}
-    blind = set(own)
-    for branch in branches_for(setting, axes.turned(nearest), fiducials):
-        options = search.seen_along(axes, branch)
+    blind_axes = set(own)
+    for branch in order_branches(setting, axes.turned(nearest), fiducials):
+        options = search.find_visible_turns(axes, branch)
         first = {name: turn for name, turns in options.items() if (turn := next(turns, None)) is not None}
-        blind -= first.keys()
+        blind_axes -= first.keys()
         if first.keys() < options.keys():
             continue
         turns = {name: chain((first[name],), others) for name, others in options.items()}
         found = search.in_branch(axes, turns, branch)
         if found is not None:
             return found
-    if blind:
+    if blind_axes:
         hidden = [
             problem
-            for axis in axes.each
-            if axis.identifier in blind
+            for axis in axes.distinct
+            if axis.identifier in blind_axes
             for problem in search.hidden(axes.only(axis.identifier), start)
         ]
         return TurnedPaths(PathCheck(None, (), tuple(hidden)), axes, own)
@@ -103,7 +103,7 @@ class _Search:
         self, axes: Axes, options: Mapping[str, Iterable[float]], branch: Branch
     ) -> TurnedPaths | None:
         """Find the best turns in this branch, one axis after the other; None if it cannot serve."""
-        ranked = {name: self._searched(axes.only(name), turns, branch) for name, turns in options.items()}
+        ranked = {name: self._search_turns(axes.only(name), turns, branch) for name, turns in options.items()}
         chosen: dict[str, float] = {}
         for name, turns in ranked.items():
             first = next(turns, None)
@@ -112,7 +112,7 @@ class _Search:
             chosen[name] = first
         while True:
             turned = axes.turned(chosen)
-            check = drive(self.setting, turned, self.fiducials_mm, branch)
+            check = check_branch(self.setting, turned, self.fiducials_mm, branch)
             if check.passed:
                 return TurnedPaths(check, turned, chosen)
             # Each passes alone, but here it is approached from elsewhere: a joint may be off by a whole turn.
@@ -123,15 +123,15 @@ class _Search:
                     return None
                 chosen[name] = other
 
-    def _searched(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
+    def _search_turns(self, axis: Axes, turns: Iterable[float], branch: Branch) -> Iterator[float]:
         """Yield the turns that serve in this branch, then smaller steps next to near misses."""
-        nearly = yield from self._ranked(axis, turns, branch)
+        near_misses = yield from self._rank_turns(axis, turns, branch)
         between = (
-            turn for turn in intermediate_turns_rad(nearly) if not self.hidden(_turn(axis, turn), branch)
+            turn for turn in intermediate_turns_rad(near_misses) if not self.hidden(_turn(axis, turn), branch)
         )
-        yield from self._ranked(axis, between, branch)
+        yield from self._rank_turns(axis, between, branch)
 
-    def _ranked(
+    def _rank_turns(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
         """Yield the turns that serve in this branch: good wrists in order, then the others, best first.
@@ -139,51 +139,51 @@ class _Search:
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
         others: list[tuple[float, float]] = []
-        nearly: list[float] = []
+        near_misses: list[float] = []
         for turn in turns:
-            check = drive(self.setting, _turn(axis, turn), self.fiducials_mm, branch, first_only=True)
+            check = check_branch(self.setting, _turn(axis, turn), self.fiducials_mm, branch, first_only=True)
             if not check.passed:
                 if all(one.short_mm is not None and one.short_mm < MOST_GAIN_MM for one in check.unmet):
-                    nearly.append(turn)
+                    near_misses.append(turn)
                 continue
             wrist = WristState.of(self.setting.kinematics, check)
-            if wrist.good:
+            if wrist.is_good:
                 yield turn
             else:
                 others.append((wrist.least_bend_rad, turn))
         for _, turn in sorted(others, key=lambda one: -one[0]):
             yield turn
-        return nearly
+        return near_misses
 
-    def seen_along(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
+    def find_visible_turns(self, axes: Axes, branch: Branch) -> dict[str, Iterator[float]]:
         """Find turns in which every sphere is visible, by axis and in the strategy's order.
 
         Usually the first will do, and checking the others takes most of the time: each is computed on demand.
         """
         setting, arm = self.setting, self.setting.in_branch(branch)
 
-        def along(one: Trajectory) -> Iterator[float]:
+        def turns_along(one: Trajectory) -> Iterator[float]:
             axis = axes.only(one.identifier)
             for turn in setting.strategy.turns_rad(one, self.fiducials_mm, setting.robot_from_ct, arm):
                 if not self.hidden(_turn(axis, turn), branch):
                     yield turn
 
-        return {one.identifier: along(one) for one in axes.each}
+        return {one.identifier: turns_along(one) for one in axes.distinct}
 
     def hidden(self, axis: Axes, branch: Branch) -> tuple[Unmet, ...]:
         unmet: list[Unmet] = []
         for one in axis.localized:
             try:
-                visits = localizations_along(self.setting, one, self.fiducials_mm, branch)
+                visits = list_localizations(self.setting, one, self.fiducials_mm, branch)
             except LimitError as error:
-                unmet.append(Unmet.by(f"{one.identifier}/fiducials", error))
+                unmet.append(Unmet.from_error(f"{one.identifier}/fiducials", error))
             else:
                 unmet += self.sight.unmet(visits, self.setting.robot_from_ct.apply(self.fiducials_mm))
         return tuple(unmet)
 
 
 def _turn(axis: Axes, turn_rad: float) -> Axes:
-    return axis.turned({one.identifier: turn_rad for one in axis.each})
+    return axis.turned({one.identifier: turn_rad for one in axis.distinct})
 
 
 @dataclass(frozen=True)
@@ -215,12 +215,12 @@ class WristState:
         return cls(min(bends), max(changes, default=0.0))
 
     @property
-    def good(self) -> bool:
+    def is_good(self) -> bool:
         """Whether the wrist is clear of its singularity, in the same configuration at spheres and target."""
         return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
 
 
-def alternatives(
+def find_alternatives(
     setting: ArmSetting,
     trajectory: Trajectory,
     fiducials_mm: ArrayLike,
@@ -231,12 +231,12 @@ def alternatives(
 
     The trajectory and the fiducials (n, 3) are in CT mm. The case's own and those already tried are left out.
     """
-    if not _target_reached(setting, trajectory):
+    if not _is_target_reachable(setting, trajectory):
         return ()
     known = {setting.strategy.name, *tried}
     if isinstance(setting.strategy, BestOfEach):
         known |= {one.name for one in CANDIDATES}
-    candidates = [strategy_named(name) for name in BY_ACCURACY if name not in known]
+    candidates = [find_strategy(name) for name in BY_ACCURACY if name not in known]
     return tuple(
         one
         for one in candidates
@@ -244,7 +244,7 @@ def alternatives(
     )
 
 
-def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
+def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str, str]:
     """Find the trajectories that a check does not reach, with the first reason for each.
 
     A failure that belongs to none of them, such as in a neutral orientation, applies to all.
@@ -259,10 +259,12 @@ def unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict[str,
     return {one.identifier: own.get(one.identifier, shared) for one in trajectories}
 
 
-def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
+def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str | None:
     """Name the strategies that would serve, by trajectory; None, for the usual advice, without any."""
     reaching = [
-        f"{name} by {' or '.join(one.name for one in others)}" for name, others in would.items() if others
+        f"{name} by {' or '.join(one.name for one in others)}"
+        for name, others in alternatives_by_trajectory.items()
+        if others
     ]
     if not reaching:
         return None
@@ -271,10 +273,10 @@ def advice(would: Mapping[str, Sequence[Strategy]]) -> str | None:
     )
 
 
-def _target_reached(setting: ArmSetting, trajectory: Trajectory) -> bool:
+def _is_target_reachable(setting: ArmSetting, trajectory: Trajectory) -> bool:
     """Whether the guide reaches the target at some angle; if not, no strategy serves it."""
     return any(
-        drive(setting, target, (), branch, first_only=True).passed
+        check_branch(setting, target, (), branch, first_only=True).passed
         for branch in setting.kinematics.branches
         for turn in OUTWARDS_RAD
         for target in (Axes((), (trajectory,)).turned({trajectory.identifier: turn}),)

@@ -28,15 +28,15 @@ INSTRUMENT, DIRECTION = "instrument", "guide direction"
 SET_BY_HAND_MM = 0.03  # accuracy of setting a depth stop by hand, one standard deviation
 
 
-def held_trajectory(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
+def place_guide(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> Trajectory:
     """Add the position of the held guide's tip frame to a trajectory."""
     beyond_mm = bore.reach_mm - plan.standoff_mm - planned.depth_mm
-    return planned.trajectory.held(beyond_mm, plan.standoff_mm)
+    return planned.trajectory.with_rest(beyond_mm, plan.standoff_mm)
 
 
-def held_trajectories(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
+def place_guides(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
     """Add the positions of the held guide to all trajectories of a plan."""
-    return tuple(held_trajectory(plan, one, bore) for one in plan.trajectories)
+    return tuple(place_guide(plan, one, bore) for one in plan.trajectories)
 
 
 def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
@@ -44,7 +44,7 @@ def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> fl
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
-def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
+def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
     """Find trajectories whose depth stop would be beyond the instrument's end, with its position."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
@@ -52,17 +52,19 @@ def too_short(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, 
             yield one, stop_mm
 
 
-def instrument_covariance_mm2(plan: Plan, planned: PlannedTrajectory, bore: GuideBore, held: Array) -> Array:
+def instrument_covariance_mm2(
+    plan: Plan, planned: PlannedTrajectory, bore: GuideBore, with_rest: Array
+) -> Array:
     """Covariance (3, 3) at the target, for a guide held in an orientation (3, 3), its axis last."""
     share = (plan.standoff_mm + planned.depth_mm) / bore.length_mm  # in bore lengths beyond its lower end
     across_mm2 = (bore.play_mm / 4.0) ** 2 * ((1.0 + share) ** 2 + share**2)
-    return np.asarray(held @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ held.T)
+    return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ with_rest.T)
 
 
 def direction_covariance_mm2(
-    plan: Plan, planned: PlannedTrajectory, bore: GuideBore, stated_rad: float, held: Array
+    plan: Plan, planned: PlannedTrajectory, bore: GuideBore, bore_error_rad: float, with_rest: Array
 ) -> Array:
-    """Covariance (3, 3) at the target from the bore's direction, of standard deviation `stated_rad`."""
-    away_mm = held_trajectory(plan, planned, bore).beyond_mm
-    across_mm2 = (stated_rad * away_mm) ** 2 / 2.0
-    return np.asarray(held @ np.diag([across_mm2, across_mm2, 0.0]) @ held.T)
+    """Covariance (3, 3) at the target from the bore's direction, of standard deviation `bore_error_rad`."""
+    lever_mm = place_guide(plan, planned, bore).beyond_mm
+    across_mm2 = (bore_error_rad * lever_mm) ** 2 / 2.0
+    return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, 0.0]) @ with_rest.T)

@@ -60,13 +60,13 @@ class HeadEllipsoid(Strict):
         return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
 
     def _side(self, x_mm: float) -> str:
-        beyond_mm = x_mm - self.centre_mm[0]
-        if abs(beyond_mm) < GRID_MM:  # the head's middle is not known better
+        offset_mm = x_mm - self.centre_mm[0]
+        if abs(offset_mm) < GRID_MM:  # the head's middle is not known better
             return "middle"
-        return "left" if beyond_mm > 0.0 else "right"
+        return "left" if offset_mm > 0.0 else "right"
 
 
-def head_shape(volume: Volume) -> HeadEllipsoid:
+def fit_head(volume: Volume) -> HeadEllipsoid:
     """Fit the smallest ellipsoid along the CT's axes around the whole head. Raises PLAN-014.
 
     A head cut off by the CT is used as far as the CT shows it.
@@ -91,7 +91,9 @@ def head_shape(volume: Volume) -> HeadEllipsoid:
     points = volume.geometry.to_patient_mm(np.argwhere(largest) * strides)
     centre, semi = least_ellipsoid(points)
     # plus the grid step, and what opening rounds off
-    return HeadEllipsoid(centre_mm=_three(centre), semi_axes_mm=_three(semi + float(spacing_mm.max())))
+    return HeadEllipsoid(
+        centre_mm=_to_numbers3(centre), semi_axes_mm=_to_numbers3(semi + float(spacing_mm.max()))
+    )
 
 
 def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
@@ -111,8 +113,8 @@ def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
         return np.asarray(1.0 - ((unknown[:3] * unit - unknown[3:]) ** 2).sum(axis=1))
 
     def slope(unknown: Array) -> Array:
-        beside = unknown[:3] * unit - unknown[3:]
-        return np.hstack([-2.0 * beside * unit, 2.0 * beside])
+        offset = unknown[:3] * unit - unknown[3:]
+        return np.hstack([-2.0 * offset * unit, 2.0 * offset])
 
     found = minimize(
         lambda unknown: -np.log(unknown[:3]).sum(),
@@ -124,11 +126,11 @@ def least_ellipsoid(points_mm: Array) -> tuple[Array, Array]:
     )
     semi, centre = 1.0 / found.x[:3], found.x[3:] / found.x[:3]
     # scaled to contain all points exactly
-    beyond = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
-    return middle + half * centre, half * semi * beyond
+    overshoot = float(np.linalg.norm((unit - centre) / semi, axis=1).max())
+    return middle + half * centre, half * semi * overshoot
 
 
-def _three(values: Any) -> Numbers3:
+def _to_numbers3(values: Any) -> Numbers3:
     x, y, z = (float(value) for value in values)
     return (x, y, z)
 
@@ -140,37 +142,37 @@ def check_entry_path(volume: Volume, trajectory: PlannedTrajectory) -> tuple[Not
     is a warning, as is an entry out in the air.
     """
     entry, target = np.array(trajectory.entry_mm), np.array(trajectory.target_mm)
-    wrong, unseen = _entry_problems(volume, entry, target)
+    problems, is_unseen = _find_entry_problems(volume, entry, target)
     warning = f"the CT ends before the entry of trajectory {trajectory.id}: its skin was not checked"
-    if not wrong:
-        return None, _far_from_skin(volume, trajectory) or (warning if unseen else "")
-    swapped = not _entry_problems(volume, target, entry)[0]
+    if not problems:
+        return None, _warn_far_from_skin(volume, trajectory) or (warning if is_unseen else "")
+    swapped = not _find_entry_problems(volume, target, entry)[0]
     hint = "; reversed, it would fit: entry and target are probably swapped" if swapped else ""
-    return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(wrong)}{hint}"), ""
+    return NotIntoHead(f"trajectory {trajectory.id}: {', '.join(problems)}{hint}"), ""
 
 
-def _entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
+def _find_entry_problems(volume: Volume, entry: Array, target: Array) -> tuple[list[str], bool]:
     """Problems of a trajectory, and whether the line before its entry is entirely outside the CT."""
     depth_mm = float(np.linalg.norm(target - entry))
     direction = (target - entry) / depth_mm
-    wrong = []
-    around = float(sample_hu(volume, target + _ball()).mean())
+    problems = []
+    around = float(sample_hu(volume, target + _ball_offsets()).mean())
     if around < AIR_BELOW_HU:
-        wrong.append(f"the target is in air ({around:.0f} HU)")
+        problems.append(f"the target is in air ({around:.0f} HU)")
     before = sample_hu(volume, entry - np.outer(_steps(*BEFORE_ENTRY_MM), direction))
     if len(before) and float(np.mean(before < AIR_BELOW_HU)) < LEAST_SHARE:
-        wrong.append(
+        problems.append(
             f"the path {BEFORE_ENTRY_MM[0]:g} to {BEFORE_ENTRY_MM[1]:g} mm in front of the entry is not in "
             f"air ({np.median(before):.0f} HU)"
         )
     inside = sample_hu(volume, entry + np.outer(_steps(0.0, depth_mm), direction))
     in_air = float(np.mean(inside < AIR_BELOW_HU))
     if in_air > 1.0 - LEAST_SHARE:
-        wrong.append(f"{in_air:.0%} of the path from entry to target is in air")
-    return wrong, len(before) == 0
+        problems.append(f"{in_air:.0%} of the path from entry to target is in air")
+    return problems, len(before) == 0
 
 
-def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
+def _warn_far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
     """Warn of an entry farther in front of the skin than `OFF_SKIN_MM`; else return ''."""
     steps = _steps(0.0, trajectory.depth_mm)
     places = np.array(trajectory.entry_mm) + np.outer(steps, trajectory.trajectory.axis_ct)
@@ -183,7 +185,7 @@ def _far_from_skin(volume: Volume, trajectory: PlannedTrajectory) -> str:
     )
 
 
-def standoff_in_skin(
+def check_standoff(
     volume: Volume, trajectory: PlannedTrajectory, standoff_mm: float
 ) -> StandoffInsideSkin | None:
     """Return a finding if a guide held this far before the entry would end inside the skin.
@@ -207,21 +209,21 @@ def standoff_in_skin(
 def sample_hu(volume: Volume, points_mm: ArrayLike) -> Array:
     """HU of the voxels that contain these points (n, 3), LPS mm; points outside the CT are dropped."""
     index = np.rint(volume.geometry.to_index(points_mm)).astype(np.intp)
-    held = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
-    return np.asarray(volume.voxels[tuple(index[held].T)], dtype=float)
+    mask = np.all((index >= 0) & (index < np.array(volume.geometry.shape)), axis=1)
+    return np.asarray(volume.voxels[tuple(index[mask].T)], dtype=float)
 
 
 def _steps(first_mm: float, last_mm: float) -> Array:
     return np.linspace(first_mm, last_mm, max(2, round((last_mm - first_mm) / SAMPLING_MM) + 1))
 
 
-def _first_run_mm(steps_mm: Array, held: NDArray[np.bool_], length_mm: float) -> float | None:
+def _first_run_mm(steps_mm: Array, mask: NDArray[np.bool_], length_mm: float) -> float | None:
     """Start of the first run of at least this length; None if there is none."""
     run = round(length_mm / SAMPLING_MM)
-    return next((float(steps_mm[k]) for k in range(len(held) - run + 1) if held[k : k + run].all()), None)
+    return next((float(steps_mm[k]) for k in range(len(mask) - run + 1) if mask[k : k + run].all()), None)
 
 
-def _ball() -> Array:
+def _ball_offsets() -> Array:
     steps = np.arange(-TARGET_BALL_MM, TARGET_BALL_MM + SAMPLING_MM / 2, SAMPLING_MM)
     offsets = np.stack(np.meshgrid(steps, steps, steps), axis=-1).reshape(-1, 3)
     return np.asarray(offsets[np.linalg.norm(offsets, axis=1) <= TARGET_BALL_MM])
@@ -238,15 +240,15 @@ def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
     offsets = np.concatenate([np.zeros((1, 3)), *(radius * ring for radius in RINGS_MM)])
     steps = np.arange(-BONE_OUTSIDE_MM, min(BONE_INSIDE_MM, trajectory.depth_mm), STEP_MM)
     starts = np.asarray(trajectory.entry_mm) + offsets
-    met = np.array([_first_bone_mm(volume, start + steps[:, None] * axis, steps) for start in starts])
-    if np.isnan(met[0]):
+    bone_mm = np.array([_first_bone_mm(volume, start + steps[:, None] * axis, steps) for start in starts])
+    if np.isnan(bone_mm[0]):
         return None
-    good = np.abs(met - met[0]) < SAME_BONE_MM
-    if good.sum() < LEAST_RAYS:
+    is_same_bone = np.abs(bone_mm - bone_mm[0]) < SAME_BONE_MM
+    if is_same_bone.sum() < LEAST_RAYS:
         return None
-    across = offsets[good] @ np.stack([side, other], axis=1)
-    design = np.column_stack([across, np.ones(good.sum())])
-    slope = np.linalg.lstsq(design, met[good], rcond=None)[0][:2]
+    across = offsets[is_same_bone] @ np.stack([side, other], axis=1)
+    design = np.column_stack([across, np.ones(is_same_bone.sum())])
+    slope = np.linalg.lstsq(design, bone_mm[is_same_bone], rcond=None)[0][:2]
     return float(np.pi / 2.0 - np.arctan(np.linalg.norm(slope)))
 
 
@@ -254,7 +256,7 @@ def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
     """Distance along the ray at which it meets bone, interpolated; NaN if it meets none."""
     last = np.array(volume.geometry.shape) - 0.5
     index = volume.geometry.to_index(places_mm)
-    held = np.all((index > -0.5) & (index < last), axis=1)
-    hu = sample_hu(volume, places_mm[held])
+    mask = np.all((index > -0.5) & (index < last), axis=1)
+    hu = sample_hu(volume, places_mm[mask])
     bone = np.flatnonzero(hu > BONE_HU)
-    return float(steps_mm[held][bone[0]]) if len(bone) and len(hu) == held.sum() else float("nan")
+    return float(steps_mm[mask][bone[0]]) if len(bone) and len(hu) == mask.sum() else float("nan")

@@ -46,7 +46,7 @@ class StereoSight:
     @classmethod
     def of(cls, calibration: StereoHeadCalibration) -> Self:
         """Read the cameras' positions from the calibration record of the stereo head."""
-        return cls(_centre(calibration.left), _centre(calibration.right))
+        return cls(_projection_centre(calibration.left), _projection_centre(calibration.right))
 
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
         """Find localizations in which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
@@ -59,25 +59,25 @@ class StereoSight:
             if visit.kind is not VisitKind.LOCALIZATION or visit.fiducial is None:
                 continue
             for name, camera_mm in (("left", self.left_mm), ("right", self.right_mm)):
-                neighbour = _touching(visit.pose.apply(camera_mm), spheres, visit.fiducial)
+                neighbour = _find_touching(visit.pose.apply(camera_mm), spheres, visit.fiducial)
                 if neighbour is not None:
                     reason = f"sphere {neighbour + 1} is in front of or behind it in the {name} camera"
                     found.append(Unmet(visit.identifier, reason))
         return tuple(found)
 
 
-def _centre(camera: CameraCalibration) -> Array:
+def _projection_centre(camera: CameraCalibration) -> Array:
     """Centre of projection in the tool frame; either camera's frame name will do."""
     return camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse().translation_mm
 
 
-def _touching(camera_mm: Array, spheres_mm: Array, looked_at: int) -> int | None:
+def _find_touching(camera_mm: Array, spheres_mm: Array, index: int) -> int | None:
     rays = spheres_mm - camera_mm
     distances = np.linalg.norm(rays, axis=1)
     radii = np.arcsin(np.minimum(1.0, (SPHERE_RADIUS_MM + CLEARANCE_MM) / distances))
-    cosines = np.clip(rays @ rays[looked_at] / (distances * distances[looked_at]), -1.0, 1.0)
-    gaps = np.arccos(cosines) - radii - radii[looked_at]
-    gaps[looked_at] = np.inf
+    cosines = np.clip(rays @ rays[index] / (distances * distances[index]), -1.0, 1.0)
+    gaps = np.arccos(cosines) - radii - radii[index]
+    gaps[index] = np.inf
     nearest = int(np.argmin(gaps))
     return nearest if gaps[nearest] < 0.0 else None
 
@@ -106,7 +106,7 @@ class TrackerSight:
         return np.asarray(~hidden.any(axis=(0, 1)))
 
 
-def frame_unseen(
+def explain_hidden_frame(
     robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
 ) -> str:
     """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if it may."""
@@ -114,8 +114,8 @@ def frame_unseen(
     x_mm, y_mm, z_mm = marker.translation_mm.tolist()
     depths_mm, *halves_mm = np.transpose(VOLUME_MM)
     half_x_mm, half_y_mm = (float(np.interp(z_mm, depths_mm, half)) for half in halves_mm)
-    beyond_mm = max(abs(x_mm) - half_x_mm, abs(y_mm) - half_y_mm, depths_mm[0] - z_mm, z_mm - depths_mm[-1])
-    if beyond_mm > -FRAME_MM:
+    outside_mm = max(abs(x_mm) - half_x_mm, abs(y_mm) - half_y_mm, depths_mm[0] - z_mm, z_mm - depths_mm[-1])
+    if outside_mm > -FRAME_MM:
         return "the frame on the arm at home is outside the measuring volume of the tracker"
     if ((np.array(SENSORS_MM) - marker.translation_mm) @ marker.rotation_matrix[:, 2]).min() <= 0.0:
         return "the frame on the arm at home faces away from the tracker"

@@ -28,7 +28,7 @@ from ronna_hw.bounded_input import read_toml
 from ronna_hw.calibration import Numbers3, Strict
 from ronna_hw.marker_template import MarkerTemplate, TemplateMarker
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.imaging.volume import Volume
@@ -105,24 +105,25 @@ def propose_markers(
     another. The best of many random sets, improved by exchanging one marker at a time. Raises PLAN-021.
     """
     random = np.random.default_rng(seed)
-    centres, posts = _free_sites(head, trajectories, volume, random)
+    centres, posts = _find_free_sites(head, trajectories, volume, random)
     targets = np.array([one.target_mm for one in trajectories])
     sets = (
         random.integers(len(centres), size=(DRAWS, count)) if len(centres) else np.empty((0, count), np.int64)
     )
-    sets = sets[allowed(centres[sets])] if len(sets) else sets
+    sets = sets[mark_allowed(centres[sets])] if len(sets) else sets
     if not len(sets):
         raise NoMarkerSites(
             f"there is no room for {count} markers clear of the trajectories and of one another",
             got=f"{len(centres)} positions on the skin between forehead and vertex",
         )
     by_target = tre_principal_axes_mm(targets, centres[sets], 1.0)
-    chosen = _exchanged(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])
+    chosen = _exchange_markers(centres, targets, sets[int(np.square(by_target).sum(axis=1).argmin())])
     expected = tre_principal_axes_mm(targets, centres[chosen], marker_error_mm)
     usual = np.percentile(by_target, USUAL, axis=0)
     return ProposedMarkers(
         markers=tuple(
-            TemplateMarker(centre_mm=_rounded(centres[site]), post=_rounded(posts[site])) for site in chosen
+            TemplateMarker(centre_mm=_round_vector(centres[site]), post=_round_vector(posts[site]))
+            for site in chosen
         ),
         marker_error_mm=marker_error_mm,
         targets=tuple(
@@ -146,22 +147,22 @@ def propose_further(
     seed: int = 0,
 ) -> FurtherMarker:
     """Find the position where one more marker, besides those (n, 3), helps most. Raises PLAN-021."""
-    centres, _ = _free_sites(head, trajectories, volume, np.random.default_rng(seed))
-    apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
-    if not apart.any():
+    centres, _ = _find_free_sites(head, trajectories, volume, np.random.default_rng(seed))
+    is_apart = np.linalg.norm(centres[:, None] - present_mm, axis=2).min(axis=1) >= APART_MM
+    if not is_apart.any():
         raise NoMarkerSites("there is no room for one more marker clear of the trajectories and the others")
-    centres = centres[apart]
+    centres = centres[is_apart]
     targets = np.array([one.target_mm for one in trajectories])
     sets = np.concatenate(
         [np.broadcast_to(present_mm, (len(centres), *present_mm.shape)), centres[:, None]], axis=1
     )
-    with_it = tre_principal_axes_mm(targets, sets, marker_error_mm)
-    best = int(np.square(with_it).sum(axis=1).argmin())
-    now = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
+    extended_errors_mm = tre_principal_axes_mm(targets, sets, marker_error_mm)
+    best = int(np.square(extended_errors_mm).sum(axis=1).argmin())
+    present_errors_mm = tre_principal_axes_mm(targets, present_mm, marker_error_mm)
     names = (one.identifier for one in trajectories)
     return FurtherMarker(
-        centre_mm=_rounded(centres[best]),
-        targets=tuple(zip(names, now.tolist(), with_it[best].tolist(), strict=True)),
+        centre_mm=_round_vector(centres[best]),
+        targets=tuple(zip(names, present_errors_mm.tolist(), extended_errors_mm[best].tolist(), strict=True)),
     )
 
 
@@ -179,15 +180,15 @@ def propose_template(
     largest margin found.
     """
     random = np.random.default_rng(seed)
-    centres, posts = sites_on(head, volume, random)
+    centres, posts = list_sites(head, volume, random)
     if len(centres) < markers:
         raise NoTemplate("the CT shows no skin between forehead and vertex", got=f"{len(centres)} positions")
     sets = random.integers(len(centres), size=(TEMPLATE_DRAWS, markers))
     points = centres[sets]
     first, second = np.array(list(combinations(range(markers), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
-    apart = distances[:, 0] >= APART_MM
-    margins = np.where(apart, np.diff(distances, axis=1).min(axis=1), 0.0)
+    is_apart = distances[:, 0] >= APART_MM
+    margins = np.where(is_apart, np.diff(distances, axis=1).min(axis=1), 0.0)
     if margins.max() < margin_mm:
         raise NoTemplate(
             f"no {markers} positions have distances that differ that much",
@@ -199,25 +200,25 @@ def propose_template(
     best = good[int(expected.argmin())]
     return MarkerTemplate(
         markers=tuple(
-            TemplateMarker(centre_mm=_rounded(centres[site], 6), post=_rounded(posts[site], 6))
+            TemplateMarker(centre_mm=_round_vector(centres[site], 6), post=_round_vector(posts[site], 6))
             for site in sets[best]
         )
     )
 
 
-def _free_sites(
+def _find_free_sites(
     head: HeadEllipsoid,
     trajectories: Sequence[Trajectory],
     volume: Volume | None,
     random: np.random.Generator,
 ) -> tuple[Array, Array]:
     """Positions on the skin clear of the trajectories, and directions of their posts."""
-    centres, posts = sites_on(head, volume, random)
-    free = np.array([clear_of(trajectories, one) for one in centres], dtype=bool)
+    centres, posts = list_sites(head, volume, random)
+    free = np.array([is_clear_of(trajectories, one) for one in centres], dtype=bool)
     return centres[free], posts[free]
 
 
-def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
+def _exchange_markers(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDArray[np.int64]:
     """Move single markers to other positions as long as that lowers the error."""
 
     def cost(points: Array) -> Array:
@@ -229,7 +230,7 @@ def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDA
         for marker in range(len(chosen)):
             sets = np.tile(chosen, (len(centres), 1))
             sets[:, marker] = np.arange(len(centres))
-            sets = sets[allowed(centres[sets])]
+            sets = sets[mark_allowed(centres[sets])]
             costs = cost(centres[sets])
             best = int(costs.argmin())
             if costs[best] < least:
@@ -239,7 +240,7 @@ def _exchanged(centres: Array, targets: Array, chosen: NDArray[np.int64]) -> NDA
     return chosen
 
 
-def allowed(points: Array) -> NDArray[np.bool_]:
+def mark_allowed(points: Array) -> NDArray[np.bool_]:
     """Flag the sets (s, n, 3) with enough spacing and, for few markers, distinct distances."""
     first, second = np.array(list(combinations(range(points.shape[1]), 2))).T
     distances = np.sort(np.linalg.norm(points[:, first] - points[:, second], axis=2), axis=1)
@@ -249,28 +250,32 @@ def allowed(points: Array) -> NDArray[np.bool_]:
     return np.asarray(good)
 
 
-def clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
+def is_clear_of(trajectories: Sequence[Trajectory], centre_mm: Array) -> bool:
     """Whether a position is clear of every trajectory's line."""
-    away = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
-    return all(np.linalg.norm(to - (to @ axis) * axis) >= CLEAR_OF_PATH_MM for to, axis in away)
+    offsets = ((centre_mm - np.array(one.target_mm), one.axis_ct) for one in trajectories)
+    return all(
+        np.linalg.norm(offset - (offset @ axis) * axis) >= CLEAR_OF_PATH_MM for offset, axis in offsets
+    )
 
 
-def sites_on(head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator) -> tuple[Array, Array]:
+def list_sites(
+    head: HeadEllipsoid, volume: Volume | None, random: np.random.Generator
+) -> tuple[Array, Array]:
     """Possible centres of spheres (s, 3) and their posts (s, 3)."""
     axes, middle = np.array(head.semi_axes_mm), np.array(head.centre_mm)
-    directions = _cap(random)
+    directions = _cap_directions(random)
     skin = directions / np.linalg.norm(directions / axes, axis=1, keepdims=True)
     posts = skin / axes**2
     posts /= np.linalg.norm(posts, axis=1, keepdims=True)
     skin = skin + middle
     if volume is not None:
-        depth = np.array([_above_skin_mm(volume, one, post) for one, post in zip(skin, posts, strict=True)])
-        seen = np.isfinite(depth)
-        skin, posts = skin[seen] + depth[seen, None] * posts[seen], posts[seen]
+        depth = np.array([_skin_offset_mm(volume, one, post) for one, post in zip(skin, posts, strict=True)])
+        shows_skin = np.isfinite(depth)
+        skin, posts = skin[shows_skin] + depth[shows_skin, None] * posts[shows_skin], posts[shows_skin]
     return skin + STANDOFF_MM * posts, posts
 
 
-def _cap(random: np.random.Generator) -> Array:
+def _cap_directions(random: np.random.Generator) -> Array:
     """Directions (s, 3), uniform over the cap."""
     cosine = random.uniform(np.cos(CAP_HALF_ANGLE_RAD), 1.0, SITES)
     turn, sine = random.uniform(0.0, 2.0 * np.pi, SITES), np.sqrt(1.0 - cosine**2)
@@ -283,21 +288,21 @@ def _cap(random: np.random.Generator) -> Array:
     )
 
 
-def _above_skin_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
+def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
     """Distance outwards from a point to the skin; NaN if the CT shows none, or something on it."""
     side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
     side /= np.linalg.norm(side)
     turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
     ring = np.outer(np.cos(turns), side) + np.outer(np.sin(turns), np.cross(outward, side))
-    here = _first_solid_mm(volume, at_mm, outward)
-    around = np.median([_first_solid_mm(volume, at_mm + RING_MM * one, outward) for one in ring])
+    here = _first_solid_mm(volume, start_mm, outward)
+    around = np.median([_first_solid_mm(volume, start_mm + RING_MM * one, outward) for one in ring])
     return here if abs(here - around) < FREE_SKIN_MM else float("nan")
 
 
-def _first_solid_mm(volume: Volume, at_mm: Array, outward: Array) -> float:
+def _first_solid_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
     """Distance outwards from a point to the first object that is not a sheet; NaN without one."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
-    hu = sample_hu(volume, at_mm + steps_mm[:, None] * outward)
+    hu = sample_hu(volume, start_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):
         return float("nan")  # beyond the CT
     solid = np.convolve(hu > AIR_BELOW_HU, np.ones(round(SKIN_THICK_MM / SKIN_STEP_MM)), "valid")
@@ -321,7 +326,7 @@ class _Head(Strict):
     targets: tuple[_Target, ...] = ()
 
 
-def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
+def read_scene_head(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
     """Read the head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 without a planned target."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
@@ -331,8 +336,12 @@ def head_of_scene(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
         found = _Head.model_validate_json(json.dumps(head, default=str))
     except ValidationError as error:
         raise HeadUnreadable(f"{path.name}, [head]: " + "; ".join(describe_mistakes(error))) from error
-    there = {one.target_ct_mm for one in found.targets}
-    if plan is not None and there and there.isdisjoint(one.target_mm for one in plan.trajectories):
+    scene_targets = {one.target_ct_mm for one in found.targets}
+    if (
+        plan is not None
+        and scene_targets
+        and scene_targets.isdisjoint(one.target_mm for one in plan.trajectories)
+    ):
         raise WrongSeries(
             f"{path.name} has none of the plan's targets: it is the scene of another head",
             action="Give the scene that the plan was made with, or the CT it was planned on (--ct).",
@@ -344,9 +353,9 @@ def write_template(path: Path, template: MarkerTemplate) -> None:
     """Write a template as TOML."""
     import tomli_w
 
-    write_whole(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())
+    write_atomically(path, tomli_w.dumps(template.model_dump(mode="json", by_alias=True)).encode())
 
 
-def _rounded(vector: Array, decimals: int = 3) -> Numbers3:
+def _round_vector(vector: Array, decimals: int = 3) -> Numbers3:
     x, y, z = (round(float(value), decimals) for value in vector)
     return x, y, z

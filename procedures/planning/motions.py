@@ -14,7 +14,7 @@ from procedures.planning.visits import ArmSetting, PathCheck, Reached, Unmet, Vi
 from procedures.strategies.strategy import AXIAL_SPEED_FRACTION, ONE_SIDE, approach_joints
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.clearance.bodies import Surroundings
-from ronna_hw.arm.clearance.sweep import Closest, sweep_path
+from ronna_hw.arm.clearance.sweep import ClosestPair, sweep_path
 from ronna_hw.arm.motion.planning import MotionPlan, plan_joint_move, plan_line, require_in_range
 from ronna_hw.arm.path_preview import PathPreview
 from ronna_hw.errors import LimitError
@@ -30,22 +30,22 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 class Motion:
     """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
 
-    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `clear` says that another
-    sweep covers it: the one that chose it, or that of the line it retraces (`back`).
+    `plan` is at working speed; the arm drives it at `speed_fraction` of that. `is_cleared` says that another
+    sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`).
     """
 
     start: str
     end: str
     plan: MotionPlan
     around: Surroundings
-    clear: bool = False
-    back: bool = False
+    is_cleared: bool = False
+    is_retrace: bool = False
     speed_fraction: float = 1.0
 
     @property
     def kind(self) -> str:
-        """`move`, `line` or `back`."""
-        if self.back:
+        """`move`, `line` or `is_retrace`."""
+        if self.is_retrace:
             return BACK
         return MOVE if self.plan.target is None else LINE
 
@@ -63,7 +63,7 @@ class PreviewedMotion:
         return {"from": motion.start, "to": motion.end, "kind": motion.kind, **self.preview.as_payload()}
 
 
-def unclear(
+def find_unclear(
     setting: ArmSetting,
     scene: PlanningScene,
     check: PathCheck,
@@ -77,38 +77,40 @@ def unclear(
     """
     found: dict[str, Unmet] = {}
     standoffs_mm = {f"{one.identifier}/target": one.standoff_mm for one in trajectories}
-    for motion in motions_of(setting, scene, check, trajectories):
-        if motion.clear:
+    for motion in plan_motions(setting, scene, check, trajectories):
+        if motion.is_cleared:
             continue
-        bad = sweep_path(setting.kinematics, motion.plan, motion.around, to_the_worst=not first_only).refused
-        if bad is not None:
+        breach = sweep_path(
+            setting.kinematics, motion.plan, motion.around, search_closest=not first_only
+        ).refused
+        if breach is not None:
             pose = motion.start if motion.end == HOME else motion.end
-            short_mm = motion.around.margin_mm - bad.distance_mm
+            short_mm = motion.around.margin_mm - breach.distance_mm
             found.setdefault(
-                pose, Unmet(pose, _collision_in_words(motion, bad, standoffs_mm.get(pose)), short_mm)
+                pose, Unmet(pose, _describe_collision(motion, breach, standoffs_mm.get(pose)), short_mm)
             )
             if first_only:
                 break
     return tuple(found.values())
 
 
-def fixed_unmet(setting: ArmSetting) -> tuple[Unmet, ...]:
+def check_fixed_places(setting: ArmSetting) -> tuple[Unmet, ...]:
     """Find reasons why home or gauge cannot be reached at any angle of the trajectories."""
-    for name, joints_rad in _fixed_places(setting):
+    for name, joints_rad in _list_fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
         except LimitError as error:
-            return (Unmet.by(name, error),)
+            return (Unmet.from_error(name, error),)
     if setting.scene is None:
         return ()
-    for motion in _over_gauge(setting, setting.scene):
-        bad = sweep_path(setting.kinematics, motion.plan, motion.around).refused
-        if bad is not None:
-            return (Unmet(GAUGE, _collision_in_words(motion, bad)),)
+    for motion in _plan_gauge_motions(setting, setting.scene):
+        breach = sweep_path(setting.kinematics, motion.plan, motion.around).refused
+        if breach is not None:
+            return (Unmet(GAUGE, _describe_collision(motion, breach)),)
     return ()
 
 
-def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
+def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
     yield HOME, setting.start_rad
     yield HOME, approach_joints(setting.start_rad, ONE_SIDE)
     if setting.gauge_rad is not None:
@@ -116,21 +118,21 @@ def _fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]:
         yield GAUGE, approach_joints(setting.gauge_rad, ONE_SIDE)
 
 
-def _over_gauge(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
+def _plan_gauge_motions(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
     """Plan the motions of the tool check, from home and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
     onto = plan_joint_move(setting.kinematics, setting.start_rad, setting.gauge_rad, setting.limits)
     yield Motion(HOME, GAUGE, onto, around)
-    yield from _home(setting, (GAUGE, setting.gauge_rad), around)
+    yield from _plan_homing(setting, (GAUGE, setting.gauge_rad), around)
 
 
-def previews_of(
+def preview_motions(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
     """Preview the motions of the procedure in order."""
-    return tuple(_preview(setting, motion) for motion in motions_of(setting, scene, check, trajectories))
+    return tuple(_preview(setting, motion) for motion in plan_motions(setting, scene, check, trajectories))
 
 
 def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
@@ -140,7 +142,7 @@ def _preview(setting: ArmSetting, motion: Motion) -> PreviewedMotion:
     return PreviewedMotion(motion, preview(setting.kinematics, plan, motion.around, limits))
 
 
-def motions_of(
+def plan_motions(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> Iterator[Motion]:
     """Plan the motions from home through all visits and back home."""
@@ -158,22 +160,24 @@ def motions_of(
             before = around
             around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, trajectory)
         if kind is not None and visit.kind is not kind:  # tools are exchanged at home
-            yield from _home(setting, here, before)
+            yield from _plan_homing(setting, here, before)
             here = (HOME, setting.start_rad)
         if visit.kind is VisitKind.TARGET and kind is not visit.kind:
-            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))  # see `fixed_unmet`
+            yield from (
+                replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene)
+            )  # see `check_fixed_places`
         kind = visit.kind
-        yield from _to(setting, here, reached, around)
+        yield from _plan_visit(setting, here, reached, around)
         here = (visit.identifier, reached.approach_rad)
         if visit.kind is VisitKind.TARGET:  # and the guide on its gauge, before the next
-            yield from _home(setting, here, around)
+            yield from _plan_homing(setting, here, around)
             here = (HOME, setting.start_rad)
-            yield from (replace(one, clear=True) for one in _over_gauge(setting, scene))
+            yield from (replace(one, is_cleared=True) for one in _plan_gauge_motions(setting, scene))
     if kind is VisitKind.LOCALIZATION:
-        yield from _home(setting, here, around)
+        yield from _plan_homing(setting, here, around)
 
 
-def _to(
+def _plan_visit(
     setting: ArmSetting, here: tuple[str, JointVector], reached: Reached, around: Surroundings
 ) -> Iterator[Motion]:
     start, joints = here
@@ -181,43 +185,45 @@ def _to(
     straight = Motion(start, name, plan_joint_move(kinematics, joints, reached.approach_rad, limits), around)
     if start == HOME:
         yield straight
-    elif sweep_path(kinematics, straight.plan, around, to_the_worst=False).refused is None:
-        yield replace(straight, clear=True)
+    elif sweep_path(kinematics, straight.plan, around, search_closest=False).refused is None:
+        yield replace(straight, is_cleared=True)
     else:
-        yield from _home(setting, here, around)
+        yield from _plan_homing(setting, here, around)
         onwards = plan_joint_move(kinematics, setting.start_rad, reached.approach_rad, limits)
         yield Motion(HOME, name, onwards, around)
     onto = AXIAL_SPEED_FRACTION if reached.visit.kind is VisitKind.TARGET else 1.0
     yield Motion(name, name, reached.line, around, speed_fraction=onto)
-    yield Motion(name, name, _reverse(setting, reached.line), around, clear=True, back=True)
+    yield Motion(name, name, _reverse(setting, reached.line), around, is_cleared=True, is_retrace=True)
 
 
 def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
     """Reverse the line, with the same poses and speed limits."""
-    began = setting.kinematics.forward(line.start_rad)
-    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=began)
+    start_pose = setting.kinematics.forward(line.start_rad)
+    return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=start_pose)
 
 
-def _home(setting: ArmSetting, here: tuple[str, JointVector], around: Surroundings) -> Iterator[Motion]:
+def _plan_homing(
+    setting: ArmSetting, here: tuple[str, JointVector], around: Surroundings
+) -> Iterator[Motion]:
     start, joints = here
     arm, home_rad, limits = setting.kinematics, setting.start_rad, setting.limits
     back_rad = approach_joints(home_rad, ONE_SIDE)
     yield Motion(start, HOME, plan_joint_move(arm, joints, back_rad, limits), around)
-    yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, clear=True)
+    yield Motion(HOME, HOME, plan_joint_move(arm, back_rad, home_rad, limits), around, is_cleared=True)
 
 
-def _collision_in_words(motion: Motion, bad: Closest, standoff_mm: float | None = None) -> str:
+def _describe_collision(motion: Motion, breach: ClosestPair, standoff_mm: float | None = None) -> str:
     """Describe a collision; `standoff_mm` is the plan's for the target at the motion's end."""
-    leads = (
+    lead_in = (
         "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )
-    near = f"comes within {bad.distance_mm:.1f} mm of"
-    if bad.distance_mm < 0.0:
-        near = f"runs {-bad.distance_mm:.1f} mm into"
-    where = f"{bad.fraction:.0%} of the way"
-    if standoff_mm is not None and motion.kind == LINE and bad.fraction > AT_THE_END:
-        where = f"where the guide is held, with the plan's standoff_mm of {standoff_mm:g}"
+    near = f"comes within {breach.distance_mm:.1f} mm of"
+    if breach.distance_mm < 0.0:
+        near = f"runs {-breach.distance_mm:.1f} mm into"
+    location = f"{breach.fraction:.0%} of the way"
+    if standoff_mm is not None and motion.kind == LINE and breach.fraction > AT_THE_END:
+        location = f"where the guide is held, with the plan's standoff_mm of {standoff_mm:g}"
     return (
-        f"{leads} the {bad.first} {near} the {bad.second}, {where}: expected at least "
+        f"{lead_in} the {breach.first} {near} the {breach.second}, {location}: expected at least "
         f"{motion.around.margin_mm:g} mm between them [ARM-007]"
     )

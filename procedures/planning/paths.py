@@ -11,7 +11,7 @@ from dataclasses import replace
 
 from numpy.typing import ArrayLike
 
-from procedures.planning.motions import unclear
+from procedures.planning.motions import find_unclear
 from procedures.planning.visits import (
     ArmSetting,
     Axes,
@@ -20,9 +20,9 @@ from procedures.planning.visits import (
     Unmet,
     Visit,
     VisitKind,
-    localizations_along,
-    target_visit,
-    visits_of,
+    build_target_visit,
+    list_localizations,
+    list_visits,
 )
 from procedures.strategies.strategy import APPROACH_RAD
 from procedures.strategies.trajectory import Trajectory
@@ -49,8 +49,8 @@ def check_paths(
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
     """Check axes that have already been turned; otherwise as `check_paths`."""
     best: PathCheck | None = None
-    for branch in branches_for(setting, axes, fiducials_mm):
-        checked = drive(setting, axes, fiducials_mm, branch)
+    for branch in order_branches(setting, axes, fiducials_mm):
+        checked = check_branch(setting, axes, fiducials_mm, branch)
         if checked.passed:
             return checked
         if best is None or len(checked.unmet) < len(best.unmet):
@@ -58,18 +58,18 @@ def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> Path
     return best or PathCheck(None, (), ())
 
 
-def branches_for(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
+def order_branches(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
     """Order the branches by promise for these axes."""
     own = setting.kinematics.branch_of(setting.start_rad)
     try:
-        visits = visits_of(setting, axes, fiducials_mm, own)
+        visits = list_visits(setting, axes, fiducials_mm, own)
     except LimitError:  # poses depend on the branch: the start's own has none
-        visits = tuple(target_visit(setting, trajectory) for trajectory in axes.targeted)
-    flanges = [visit.pose @ _tool(setting, visit).inverse() for visit in visits]
+        visits = tuple(build_target_visit(setting, trajectory) for trajectory in axes.targeted)
+    flanges = [visit.pose @ _select_tool(setting, visit).inverse() for visit in visits]
     return rank_branches(setting.kinematics, flanges, setting.start_rad)
 
 
-def drive(
+def check_branch(
     setting: ArmSetting,
     axes: Axes,
     fiducials_mm: ArrayLike,
@@ -85,13 +85,15 @@ def drive(
     near_rad, largest_rad = setting.start_rad, 0.0
     reached: list[Reached] = []
     unmet: list[Unmet] = []
-    for visit in _visits(setting, axes, fiducials_mm, branch, unmet):
+    for visit in _iterate_visits(setting, axes, fiducials_mm, branch, unmet):
         if first_only and unmet:
             break
         try:
-            here = place(setting.kinematics, visit, _tool(setting, visit), branch, near_rad, setting.limits)
+            here = solve_visit(
+                setting.kinematics, visit, _select_tool(setting, visit), branch, near_rad, setting.limits
+            )
         except LimitError as error:
-            unmet.append(Unmet.by(visit.identifier, error))
+            unmet.append(Unmet.from_error(visit.identifier, error))
             continue
         turns_rad = (abs(to - at) for at, to in zip(near_rad, here.approach_rad, strict=True))
         near_rad, largest_rad = here.approach_rad, max(largest_rad, *turns_rad)
@@ -99,23 +101,25 @@ def drive(
     check = PathCheck(branch, tuple(reached), tuple(unmet), largest_rad)
     if setting.scene is None or not check.passed:
         return check
-    return replace(check, unmet=unclear(setting, setting.scene, check, axes.targeted, first_only=first_only))
+    return replace(
+        check, unmet=find_unclear(setting, setting.scene, check, axes.targeted, first_only=first_only)
+    )
 
 
-def _visits(
+def _iterate_visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, unmet: list[Unmet]
 ) -> Iterator[Visit]:
     """Yield visits in order; add to `unmet` the axes for which the strategy finds no poses in this branch."""
     for axis in axes.localized:
         try:
-            yield from localizations_along(setting, axis, fiducials_mm, branch)
+            yield from list_localizations(setting, axis, fiducials_mm, branch)
         except LimitError as error:
-            unmet.append(Unmet.by(f"{axis.identifier}/fiducials", error))
+            unmet.append(Unmet.from_error(f"{axis.identifier}/fiducials", error))
     for trajectory in axes.targeted:
-        yield target_visit(setting, trajectory)
+        yield build_target_visit(setting, trajectory)
 
 
-def _tool(setting: ArmSetting, visit: Visit) -> Transform:
+def _select_tool(setting: ArmSetting, visit: Visit) -> Transform:
     if visit.kind is VisitKind.LOCALIZATION and setting.flange_from_stereo is not None:
         return setting.flange_from_stereo
     return setting.flange_from_tool
@@ -133,7 +137,7 @@ def rank_branches(
     travel = dict.fromkeys(kinematics.branches, 0.0)
     for flange in flanges:
         nearest: dict[Branch, float] = {}
-        for solution in _solutions(kinematics, flange):
+        for solution in _find_solutions(kinematics, flange):
             distance = math.dist(solution.joints_rad, start_rad)
             nearest[solution.branch] = min(distance, nearest.get(solution.branch, math.inf))
         for branch, distance in nearest.items():
@@ -142,7 +146,7 @@ def rank_branches(
     return tuple(sorted(kinematics.branches, key=lambda one: (-served[one], one != own, travel[one])))
 
 
-def place(
+def solve_visit(
     kinematics: Kinematics,
     visit: Visit,
     flange_from_tool: Transform,
@@ -164,7 +168,7 @@ def place(
     return Reached(visit, begin, line)
 
 
-def _solutions(kinematics: Kinematics, flange: Transform) -> tuple[Solution, ...]:
+def _find_solutions(kinematics: Kinematics, flange: Transform) -> tuple[Solution, ...]:
     try:
         return kinematics.solutions(Pose.from_transform(flange))
     except LimitError:

@@ -22,17 +22,17 @@ from procedures.planning.errors import (
     WrongSeries,
     raise_together,
 )
-from procedures.planning.guide import held_trajectories, too_short
-from procedures.planning.head_in_ct import check_entry_path, standoff_in_skin
-from procedures.planning.plan_file import other_voxels
+from procedures.planning.guide import find_stops_beyond_end, place_guides
+from procedures.planning.head_in_ct import check_entry_path, check_standoff
+from procedures.planning.plan_file import check_voxels
 from procedures.planning.plan_model import FiducialKind, Plan
-from procedures.planning.structures import StructureDistance, structure_distances, structure_findings
+from procedures.planning.structures import StructureDistance, check_structures, measure_distances
 from procedures.registration import MatchStatus, match
 from procedures.registration.errors import LayoutNotFound
 from procedures.registration.template import find_layout
 from ronna_hw.errors import RonnaError
 from ronna_hw.marker_template import IMPLANTED_SIGMA_MM
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 from ronna_hw.tool_record import GuideBore
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -134,7 +134,7 @@ def check_plan(
     Never raises for an invalid plan: all findings are returned together; `PlanCheck.require` raises them.
     """
     findings: list[RonnaError] = [
-        *_unknown_tools(plan),
+        *_check_tool(plan),
         *([] if bore is None else _check_instrument(plan, bore)),
     ]
     warnings = [
@@ -148,11 +148,11 @@ def check_plan(
             f"standoff_mm: {plan.standoff_mm:g} mm holds the guide close to the skin; {USUAL_STANDOFF_MM:g} "
             "is usual; give millimetres, not centimetres"
         )
-    distances = structure_distances(plan)
+    distances = measure_distances(plan)
     for found, warned in (
         _check_series(plan, volume),
         _check_patient(plan, volume),
-        structure_findings(plan, distances, volume),
+        check_structures(plan, distances, volume),
     ):
         findings += found
         warnings += warned
@@ -162,11 +162,11 @@ def check_plan(
         warnings += warned
     check = PlanCheck(plan, (), (), distances=distances)
     if arm is not None:
-        held = tuple(one.trajectory for one in plan.trajectories)
-        held = held if bore is None else held_trajectories(plan, bore)
-        check = _check_arm(check, held, fiducials_mm if to_fiducials else None, arm, sight)
+        guided = tuple(one.trajectory for one in plan.trajectories)
+        guided = guided if bore is None else place_guides(plan, bore)
+        check = _check_arm(check, guided, fiducials_mm if to_fiducials else None, arm, sight)
         findings += check.findings
-        warnings += _close_at_start(check.motions)
+        warnings += _warn_close_at_start(check.motions)
     return replace(check, findings=tuple(findings), warnings=tuple(warnings))
 
 
@@ -179,13 +179,13 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
             got=volume.series_instance_uid,
         )
         return [wrong], []
-    altered = other_voxels(plan, volume)
-    findings = [*_points_outside(plan, volume), *([] if altered is None else [altered])]
+    altered = check_voxels(plan, volume)
+    findings = [*_find_points_outside(plan, volume), *([] if altered is None else [altered])]
     if findings:
         return findings, []
     into_head = [check_entry_path(volume, one) for one in plan.trajectories]
     findings += [finding for finding, _ in into_head if finding]
-    in_skin = [standoff_in_skin(volume, one, plan.standoff_mm) for one in plan.trajectories]
+    in_skin = [check_standoff(volume, one, plan.standoff_mm) for one in plan.trajectories]
     findings += [finding for finding in in_skin if finding]
     return findings, [warning for _, warning in into_head if warning]
 
@@ -218,7 +218,7 @@ def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
         return _check_frame(points_mm)
     if len(points_mm) == plan.implanted:
         if plan.template_mm is None or shows_template(plan.template_mm, points_mm):
-            return [], layout_warnings(points_mm)
+            return [], warn_of_ambiguity(points_mm)
         return [NotTheTemplate("the fiducials in the CT do not match the plan's template")], []
     wrong = WrongMarkerCount(
         "the CT shows a different number of fiducials",
@@ -251,11 +251,11 @@ def _check_arm(
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
-        alternatives,
         choose_free_angles,
-        unreached,
+        find_alternatives,
+        find_unreached,
     )
-    from procedures.planning.motions import previews_of
+    from procedures.planning.motions import preview_motions
     from procedures.planning.paths import check_paths
     from procedures.planning.target_error import choose_best_strategies
     from procedures.planning.visits import Axes
@@ -263,45 +263,45 @@ def _check_arm(
     fiducials = np.asarray([] if fiducials_mm is None else fiducials_mm, dtype=float).reshape(-1, 3)
     if sight is None:
         axes = Axes.of(arm, trajectories, fiducials)
-        own = dict.fromkeys((one.identifier for one in axes.each), 0.0)
+        own = dict.fromkeys((one.identifier for one in axes.distinct), 0.0)
         turned = TurnedPaths(check_paths(arm, trajectories, fiducials), axes, own)
     else:
         arm = choose_best_strategies(arm, trajectories, fiducials, sight)
         turned = choose_free_angles(arm, trajectories, fiducials, sight)
     if not turned.check.passed:
-        would: dict[str, tuple[Strategy, ...]] = {}
+        alternatives_by_trajectory: dict[str, tuple[Strategy, ...]] = {}
         if sight is not None and len(fiducials):
-            missed = unreached(turned.check, trajectories)
-            would = {
-                one.identifier: alternatives(arm, one, fiducials, sight)
+            unreached_reasons = find_unreached(turned.check, trajectories)
+            alternatives_by_trajectory = {
+                one.identifier: find_alternatives(arm, one, fiducials, sight)
                 for one in trajectories
-                if one.identifier in missed
+                if one.identifier in unreached_reasons
             }
-        how = advice(would)
-        unmet = (NotReachable(f"{one.pose}: {one.reason}", action=how) for one in turned.check.unmet)
+        action_text = advice(alternatives_by_trajectory)
+        unmet = (NotReachable(f"{one.pose}: {one.reason}", action=action_text) for one in turned.check.unmet)
         return replace(check, findings=tuple(unmet))
     motions: tuple[PreviewedMotion, ...] = ()
     if arm.scene is not None:
-        motions = previews_of(arm, arm.scene, turned.check, turned.axes.targeted)
+        motions = preview_motions(arm, arm.scene, turned.check, turned.axes.targeted)
     return replace(check, motions=motions, turns_rad=tuple(turned.turns_rad.items()), paths=turned.check)
 
 
-def _close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
+def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
     """Warn of bodies closer than the margin at the start of a motion; they may stay or move away."""
-    named: dict[tuple[str, str], str] = {}
+    warnings_by_pair: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
         if closest is not None and closest.distance_mm < one.motion.around.margin_mm - WITHIN_ROUNDING_MM:
             pair = (closest.first, closest.second)
-            named.setdefault(
+            warnings_by_pair.setdefault(
                 pair,
                 f"the {closest.first} is {closest.distance_mm:.1f} mm from the {closest.second} at "
                 f"{one.motion.start} already: change the position of the head or home",
             )
-    return list(named.values())
+    return list(warnings_by_pair.values())
 
 
-def _unknown_tools(plan: Plan) -> list[RonnaError]:
+def _check_tool(plan: Plan) -> list[RonnaError]:
     if plan.tool in KNOWN_TOOLS:
         return []
     return [UnknownTool("the plan names an unknown tool", expected=" or ".join(KNOWN_TOOLS), got=plan.tool)]
@@ -313,13 +313,13 @@ def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
         StopBeyondInstrument(
             f"trajectory {one.id}: the depth stop would be beyond the instrument's end",
             limit=f"{plan.instrument_length_mm:g} mm",
-            got=f"{beyond(stop_mm, plan.instrument_length_mm, 1)} mm",
+            got=f"{format_against_limit(stop_mm, plan.instrument_length_mm, 1)} mm",
         )
-        for one, stop_mm in too_short(plan, bore)
+        for one, stop_mm in find_stops_beyond_end(plan, bore)
     ]
 
 
-def _points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
+def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
     """Find points outside the CT, beyond the outer faces of the outermost voxels."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5
@@ -327,9 +327,9 @@ def _points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
         for name, point in (("entry", one.entry_mm), ("target", one.target_mm)):
             index = volume.geometry.to_index(point)
             if np.any(index < -0.5) or np.any(index > last):
-                where = ", ".join(f"{value:.1f}" for value in point)
+                coordinates = ", ".join(f"{value:.1f}" for value in point)
                 found.append(
-                    OutsideField(f"the {name} of trajectory {one.id} at ({where}) mm is outside the CT")
+                    OutsideField(f"the {name} of trajectory {one.id} at ({coordinates}) mm is outside the CT")
                 )
     return found
 
@@ -353,7 +353,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
     return found.status is MatchStatus.UNIQUE
 
 
-def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
+def warn_of_ambiguity(fiducials_mm: NDArray[np.float64]) -> list[str]:
     """Warn of an ambiguous layout of fiducials (n, 3) in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)
@@ -363,8 +363,8 @@ def layout_warnings(fiducials_mm: NDArray[np.float64]) -> list[str]:
             f"two sides of the fiducial triangle differ by {smallest:.1f} mm (at least "
             f"{LEAST_SIDE_DIFFERENCE_MM:g} mm are needed to tell them apart)"
         ]
-    alike = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
-    if alike.status is not MatchStatus.AMBIGUOUS or alike.runner_up is None:
+    self_match = match(fiducials_mm, fiducials_mm, sigma_image_mm=0.0, sigma_physical_mm=ROOM_SIGMA_MM)
+    if self_match.status is not MatchStatus.AMBIGUOUS or self_match.runner_up is None:
         return []
-    taken = [f"{i + 1} for {j + 1}" for i, j in alike.runner_up.pairs.tolist() if i != j]
-    return [f"the fiducials look alike from another side: {', '.join(taken)} could be mistaken"]
+    swaps = [f"{i + 1} for {j + 1}" for i, j in self_match.runner_up.pairs.tolist() if i != j]
+    return [f"the fiducials look alike from another side: {', '.join(swaps)} could be mistaken"]

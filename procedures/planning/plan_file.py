@@ -35,13 +35,13 @@ from procedures.planning.plan_model import (
     Plan,
     Seal,
     Structure,
-    in_metres,
+    is_in_metres,
     span,
 )
 from procedures.planning.structures import LEAST_MARGIN_MM
-from ronna_hw.bounded_input import read_toml, toml_of
+from ronna_hw.bounded_input import parse_toml_bytes, read_toml
 from ronna_hw.mistakes import describe_mistakes, mistakes_in
-from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.records import canonical_json, write_atomically
 from ronna_hw.text import printable
 
 if TYPE_CHECKING:
@@ -82,7 +82,7 @@ def read_plan(path: Path, *, sealed_only: bool = True) -> Plan:
 
 def parse_plan_bytes(content: bytes, name: str) -> Plan:
     """Parse the content of a plan file with this name. Raises like `read_plan`."""
-    return parse_plan(toml_of(content, name, PlanUnreadable), name)
+    return parse_plan(parse_toml_bytes(content, name, PlanUnreadable), name)
 
 
 def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: bool = True) -> Plan:
@@ -101,14 +101,14 @@ def parse_plan(content: dict[str, Any], name: str = "the plan", *, sealed_only: 
         lines = describe_mistakes(error, Plan)
         for mistake, line in zip(mistakes_in(error), lines, strict=False):
             kind = BadTrajectoryGeometry if mistake["type"] == "trajectory_geometry" else PlanMistakes
-            message = _name_of(line, mistake["loc"], content) + _to_add(mistake)
+            message = _name_item(line, mistake["loc"], content) + _advise_missing_key(mistake)
             found.append(kind(message))
     found += [
         DuplicateTrajectory(f"{count} trajectories have the id {identifier!r}")
-        for identifier, count in _ids(content).items()
+        for identifier, count in _count_ids(content).items()
         if count > 1
     ]
-    found += [] if plan is None else in_another_unit(plan)
+    found += [] if plan is None else find_unit_mistakes(plan)
     if len(found) == 1:
         raise type(found[0])(f"{name}: {found[0].what}")
     raise_together(found, name)
@@ -126,12 +126,12 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
     head = "".join(f"# {printable(line)}\n" for line in notes)
     content = plan.model_dump(mode="json", by_alias=True, exclude_none=True)
     try:
-        write_whole(path, (head + tomli_w.dumps(content)).encode())
+        write_atomically(path, (head + tomli_w.dumps(content)).encode())
     except OSError as error:
         raise PlanNotSaved(f"cannot write {path.name}: {error.strerror}") from error
 
 
-def _name_of(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
+def _name_item(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
     """Name the trajectory or structure in the line, or else give its number."""
     match place:
         case ("trajectories" | "structures" as table, int(index), *_):
@@ -143,12 +143,12 @@ def _name_of(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -
     return line
 
 
-def _to_add(mistake: Mapping[str, Any]) -> str:
+def _advise_missing_key(mistake: Mapping[str, Any]) -> str:
     key = str(mistake["loc"][-1]) if mistake["loc"] else ""
     return f"; {ADDED[key]}" if mistake["type"] == "missing" and key in ADDED else ""
 
 
-def _ids(content: dict[str, Any]) -> Counter[str]:
+def _count_ids(content: dict[str, Any]) -> Counter[str]:
     """Count the ids in the raw content, as other mistakes may prevent parsing the model."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
@@ -156,7 +156,7 @@ def _ids(content: dict[str, Any]) -> Counter[str]:
     return Counter(row["id"] for row in rows if isinstance(row, dict) and isinstance(row.get("id"), str))
 
 
-def in_another_unit(plan: Plan) -> list[PlanMistakes]:
+def find_unit_mistakes(plan: Plan) -> list[PlanMistakes]:
     """List values of a plan that are typical of another unit."""
     found = [
         PlanMistakes(
@@ -166,7 +166,7 @@ def in_another_unit(plan: Plan) -> list[PlanMistakes]:
         for one in plan.trajectories
         if one.margin_mm < LEAST_TARGET_MARGIN_MM
     ]
-    found += [mistake for one in plan.structures or () for mistake in structure_in_another_unit(one)]
+    found += [mistake for one in plan.structures or () for mistake in find_structure_unit_mistakes(one)]
     if 0.0 < plan.standoff_mm < LEAST_GAP_MM:
         found.append(
             PlanMistakes(f"standoff_mm: {plan.standoff_mm:g} mm is closer than a guide is held: {NOT_METRES}")
@@ -184,7 +184,7 @@ def in_another_unit(plan: Plan) -> list[PlanMistakes]:
     return found
 
 
-def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
+def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
     """List values of a structure that are typical of another unit."""
     found = []
     if structure.margin_mm < LEAST_MARGIN_MM:
@@ -194,7 +194,7 @@ def structure_in_another_unit(structure: Structure) -> list[PlanMistakes]:
                 f"thickness of any instrument: {NOT_METRES}, and at least {LEAST_MARGIN_MM:g}"
             )
         )
-    if in_metres(structure.points_mm):
+    if is_in_metres(structure.points_mm):
         found.append(
             PlanMistakes(
                 f"structure {structure.name}.points_mm: all within {span(structure.points_mm):.3g} mm of "
@@ -219,7 +219,7 @@ def require_unaltered(plan: Plan, name: str) -> None:
         raise AlteredPlan(f"{name} was altered after {plan.seal.author} saved it")
 
 
-def other_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
+def check_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
     """Return a finding if a sealed plan was made on other voxels, else None."""
     if plan.seal is None:
         return None
@@ -252,20 +252,20 @@ def ct_digest(volume: Volume) -> str:
 
 def _plan_digest(plan: Plan) -> str:
     assert plan.seal is not None
-    as_signed = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
+    without_digest = plan.model_copy(update={"seal": plan.seal.model_copy(update={"plan_sha256": UNSEALED})})
     return hashlib.sha256(
-        canonical_json(as_signed.model_dump(mode="json", by_alias=True, exclude_none=True))
+        canonical_json(without_digest.model_dump(mode="json", by_alias=True, exclude_none=True))
     ).hexdigest()
 
 
-def new_plan(
+def compose_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
     """Compose the text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
-    return "\n".join(_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
+    return "\n".join(_compose_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 
-def _lines(
+def _compose_lines(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> Iterable[str]:
     yield f"# Created from the CT in {source}. Coordinates are LPS mm of that series."

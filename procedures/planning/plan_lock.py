@@ -15,7 +15,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 
 @dataclass(frozen=True)
-class HeldPlan:
+class LockedPlan:
     """Content of a plan file when a case locked it."""
 
     content: bytes
@@ -27,7 +27,7 @@ class HeldPlan:
 
 
 @contextmanager
-def lock_plan(path: Path) -> Iterator[HeldPlan]:
+def lock_plan(path: Path) -> Iterator[LockedPlan]:
     """Hold a plan file for a case, shared with other cases; released when the program ends, in any way.
 
     Raises PLAN-001.
@@ -39,7 +39,7 @@ def lock_plan(path: Path) -> Iterator[HeldPlan]:
             content = os.pread(file, LARGEST_TOML_BYTES + 1, 0)
         except OSError as error:
             raise PlanUnreadable(f"cannot read {path}: {error.strerror}") from error
-        yield HeldPlan(content)
+        yield LockedPlan(content)
 
 
 @contextmanager
@@ -63,7 +63,7 @@ def plan_replacement(path: Path) -> Iterator[None]:
         os.close(file)
 
 
-def plan_in_use(path: Path) -> bool:
+def is_plan_in_use(path: Path) -> bool:
     """Whether a running case holds this plan file."""
     try:
         file = _lock(path, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -81,11 +81,11 @@ class PlannerLock:
     def __init__(self, plan: Path) -> None:
         self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
         self._file: int | None = None
-        self._has_left = False
+        self._is_released = False
 
     def take(self) -> bool:
         """Take the lock; False if another planner holds it. True where files cannot be locked."""
-        if self._has_left:
+        if self._is_released:
             return False
         if self._file is None:
             try:
@@ -102,7 +102,7 @@ class PlannerLock:
 
     def leave(self) -> None:
         """Release it for good."""
-        self._has_left = True
+        self._is_released = True
         if self._file is not None:
             with suppress(OSError):  # in a folder that is no longer writable; only the lock counts
                 self._path.unlink()

@@ -76,7 +76,7 @@ class PlannedTrajectory(Strict):
     margin_mm: Margin = Field(description="Largest accepted target error.")
 
     @model_validator(mode="after")
-    def _has_a_way(self) -> PlannedTrajectory:
+    def _check_depth(self) -> PlannedTrajectory:
         if self.depth_mm < LEAST_DEPTH_MM:
             raise PydanticCustomError(
                 "trajectory_geometry",
@@ -84,7 +84,7 @@ class PlannedTrajectory(Strict):
                 {
                     "depth": f"{self.depth_mm:.3g}",
                     "limit": f"{LEAST_DEPTH_MM:g}",
-                    "unit": f": {NOT_METRES}" if in_metres((self.entry_mm, self.target_mm)) else "",
+                    "unit": f": {NOT_METRES}" if is_in_metres((self.entry_mm, self.target_mm)) else "",
                 },
             )
         if self.depth_mm > MOST_DEPTH_MM:
@@ -129,7 +129,7 @@ class Structure(Strict):
     )
 
 
-def _some(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
+def _check_count(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTrajectory, ...]:
     # Not a length constraint on the field, whose message would suspect a decimal comma.
     if not 1 <= len(trajectories) <= MOST_TRAJECTORIES:
         raise ValueError(f"1 to {MOST_TRAJECTORIES} trajectories are needed, got {len(trajectories)}")
@@ -174,7 +174,7 @@ class Plan(Strict):
         le=MOST_INSTRUMENT_MM,
         description="Length of the instrument, from its tip to the end that still holds a depth stop.",
     )
-    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_some)] = Field(
+    trajectories: Annotated[tuple[PlannedTrajectory, ...], AfterValidator(_check_count)] = Field(
         description="In the intended order."
     )
     structures: Annotated[tuple[Structure, ...], Field(min_length=1, max_length=MOST_STRUCTURES)] | None = (
@@ -185,7 +185,7 @@ class Plan(Strict):
     )
 
     @model_validator(mode="after")
-    def _is_the_frame(self) -> Plan:
+    def _check_frame(self) -> Plan:
         if self.fiducials is FiducialKind.XFRAME:
             spheres = len(SPHERE_CENTRES_MM)
             if self.implanted != spheres:
@@ -201,7 +201,7 @@ class Plan(Strict):
         return self
 
     @model_validator(mode="after")
-    def _is_a_template(self) -> Plan:
+    def _check_template(self) -> Plan:
         if self.template_mm is None:
             return self
         count = len(self.template_mm)
@@ -216,7 +216,7 @@ class Plan(Strict):
         return self
 
     @model_validator(mode="after")
-    def _are_apart(self) -> Plan:
+    def _check_structures(self) -> Plan:
         names = [one.name for one in self.structures or ()]
         if len(set(names)) < len(names):
             raise PydanticCustomError("structure", "two structures have the same name")
@@ -230,7 +230,7 @@ class Plan(Strict):
         return self
 
     @property
-    def lies(self) -> PatientPosition:
+    def table_orientation(self) -> PatientPosition:
         """Patient position on the operating table."""
         return self.table_position or self.patient_orientation
 
@@ -247,10 +247,10 @@ def span(points: ArrayLike) -> float:
     return float(np.linalg.norm(np.ptp(np.asarray(points, dtype=float), axis=0)))
 
 
-def in_metres(points: ArrayLike) -> bool:
+def is_in_metres(points: ArrayLike) -> bool:
     """Whether points (n, 3), given as millimetres, are so close together that they must be metres.
 
     One point alone, as drawn first, says nothing about its unit.
     """
-    given = np.asarray(points, dtype=float)
-    return len(given) > 1 and span(given) < HEAD_SPAN and float(np.abs(given).max()) < TABLE_TRAVEL
+    values = np.asarray(points, dtype=float)
+    return len(values) > 1 and span(values) < HEAD_SPAN and float(np.abs(values).max()) < TABLE_TRAVEL

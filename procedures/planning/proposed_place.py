@@ -29,7 +29,7 @@ TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are t
 
 
 @dataclass(frozen=True)
-class BesideProposal:
+class ProposalDeviation:
     """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and rotation.
 
     `head_mm` and `head_deg` are deviations that a cart on the floor cannot cause: the head
@@ -64,17 +64,17 @@ class ProposedPlace(Strict):
     free_mm: float = Field(ge=0.0, le=FURTHEST_MM, description="Position tolerance of the cart.")
     turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
-    def beside(self, robot_from_ct: Transform) -> BesideProposal:
+    def drift(self, robot_from_ct: Transform) -> ProposalDeviation:
         """Deviation of a cart that sees the CT at this pose ROBOT <- CT."""
         assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
-        then = Transform.of(
+        assumed_ct = Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
         )
-        moved = then.rigid * robot_from_ct.rigid.inv()  # the current base in the base assumed then
+        moved = assumed_ct.rigid * robot_from_ct.rigid.inv()  # the current base in the base assumed then
         x_mm, y_mm, z_mm = moved.translation.tolist()
         axes = moved.rotation.as_matrix()
         turned_deg = math.degrees(math.atan2(axes[1, 0], axes[0, 0]))
-        return BesideProposal(
+        return ProposalDeviation(
             x_mm=x_mm - self.best_mm[0],
             y_mm=y_mm - self.best_mm[1],
             turned_deg=(turned_deg - self.turned_deg + 180.0) % 360.0 - 180.0,
@@ -82,12 +82,14 @@ class ProposedPlace(Strict):
             head_deg=math.degrees(math.acos(float(np.clip(axes[2, 2], -1.0, 1.0)))),
         )
 
-    def allows(self, beside: BesideProposal) -> bool:
+    def allows(self, drift: ProposalDeviation) -> bool:
         """Whether a deviation is within the tolerance, rotated no more than was tried."""
-        less, more = self.turns_deg
-        turned = abs(beside.turned_deg) > UNTURNED_DEG
+        most_negative_deg, most_positive_deg = self.turns_deg
+        turned = abs(drift.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
-        return beside.off_mm <= free_mm and (not turned or -less <= beside.turned_deg <= more)
+        return drift.off_mm <= free_mm and (
+            not turned or -most_negative_deg <= drift.turned_deg <= most_positive_deg
+        )
 
 
 @dataclass(frozen=True)

@@ -59,7 +59,7 @@ class PlanningScene:
             entry, target = robot_from_ct.apply([trajectory.entry_mm, trajectory.target_mm]).tolist()
             corridor = Corridor(tuple(entry), tuple(target), self.surroundings.corridor_mm)
         in_robot = Pose.from_matrix(robot_from_ct.as_matrix().tolist())
-        around = self.surroundings.around_head(
+        around = self.surroundings.build_surroundings(
             tool,
             Pose.from_matrix(flange_from_tool.as_matrix().tolist()),
             Pose(in_robot.apply(self.head.centre_mm), in_robot.rotation),
@@ -71,7 +71,7 @@ class PlanningScene:
         return replace(around, obstacles=(*around.obstacles, *frame))
 
 
-def frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
+def build_frame_bodies(fiducials: FiducialKind, spheres_ct_mm: ArrayLike) -> tuple[Obstacle, ...]:
     """Place the rods of the x-shaped frame in the CT; none for free spheres. Raises REG-012 if not found."""
     if fiducials is not FiducialKind.XFRAME:
         return ()

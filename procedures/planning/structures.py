@@ -20,7 +20,7 @@ from procedures.planning.plan_model import (
     NOT_METRES,
     Plan,
     Structure,
-    in_metres,
+    is_in_metres,
     span,
 )
 from ronna_hw.errors import RonnaError
@@ -56,16 +56,16 @@ class StructureDistance:
         return self.distance_mm >= self.margin_mm
 
 
-def structure_distances(plan: Plan) -> tuple[StructureDistance, ...]:
+def measure_distances(plan: Plan) -> tuple[StructureDistance, ...]:
     """Distances from every trajectory to every structure."""
     return tuple(
-        _distance(structure, one.id, one.entry_mm, one.target_mm)
+        _measure_distance(structure, one.id, one.entry_mm, one.target_mm)
         for structure in plan.structures or ()
         for one in plan.trajectories
     )
 
 
-def _distance(
+def _measure_distance(
     structure: Structure, trajectory: str, entry_mm: ArrayLike, target_mm: ArrayLike
 ) -> StructureDistance:
     points = np.array(structure.points_mm)
@@ -91,7 +91,7 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
     return float(linkage(np.array(points_mm), "single")[-1, 2]) if len(points_mm) > 1 else 0.0
 
 
-def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
+def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
     """Build a structure from any number of points (n, 3), thinned to as many as a plan stores.
 
     All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
@@ -103,11 +103,11 @@ def structure_of(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: f
         _, first = np.unique(np.floor(rounded / cell_mm), axis=0, return_index=True)
         kept, cell_mm = rounded[np.sort(first)], cell_mm * _THINNING
     points = tuple((x, y, z) for x, y, z in kept.tolist())
-    within_mm += _left_out_mm(rounded, kept)
+    within_mm += _thinning_gap_mm(rounded, kept)
     return Structure(name=name, margin_mm=margin_mm, within_mm=within_mm, points_mm=points)
 
 
-def _left_out_mm(points: Array, kept: Array) -> float:
+def _thinning_gap_mm(points: Array, kept: Array) -> float:
     """Largest distance from a dropped point to the nearest kept one, rounded up."""
     from scipy.spatial import cKDTree
 
@@ -128,16 +128,16 @@ def read_structure(
         points_mm = parse_points(content, file_name)
     except PicksUnreadable as refused:
         raise StructureUnreadable(refused.what, expected=refused.expected, got=refused.got) from refused
-    if in_metres(points_mm):
+    if is_in_metres(points_mm):
         raise StructureUnreadable(
             f"the points in {file_name} are within {span(points_mm):.3g} mm of each other: {NOT_METRES}"
         )
-    if (outside := _outside(points_mm, geometry)) > MOST_OUTSIDE:
+    if (outside := _share_outside(points_mm, geometry)) > MOST_OUTSIDE:
         raise OutsideField(f"{outside:.0%} of the points in {file_name} are outside the CT")
-    return structure_of(name, margin_mm, points_mm)
+    return build_structure(name, margin_mm, points_mm)
 
 
-def structure_findings(
+def check_structures(
     plan: Plan, distances: Sequence[StructureDistance], volume: Volume
 ) -> tuple[list[RonnaError], list[str]]:
     """Findings that refuse the plan, and warnings for the surgeon."""
@@ -152,7 +152,7 @@ def structure_findings(
     ]
     warnings = []
     for one in plan.structures or ():
-        outside = _outside(one.points_mm, volume.geometry)
+        outside = _share_outside(one.points_mm, volume.geometry)
         if outside > MOST_OUTSIDE:
             findings.append(OutsideField(f"{outside:.0%} of the points of {one.name} are outside the CT"))
         elif outside:
@@ -165,7 +165,7 @@ def structure_findings(
     return findings, warnings
 
 
-def _outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
+def _share_outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
     """Fraction of points (n, 3) beyond the outer faces of the outermost voxels."""
     index = geometry.to_index(points_mm)
     return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())

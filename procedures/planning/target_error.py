@@ -25,7 +25,7 @@ from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import Plan, PlannedTrajectory
 from procedures.planning.visits import ArmSetting, PathCheck, Reached, VisitKind
 from procedures.registration.target_prediction import (
-    OwnErrors,
+    IndependentErrors,
     SharedErrors,
     TargetPrediction,
     predict_target_error,
@@ -48,7 +48,9 @@ def predict_by_markers(
 ) -> TargetPrediction:
     """Predict the error at a target from CT and seating of markers (n, 3), covariance (n, 3, 3); CT frame."""
     return predict_target_error(
-        markers_mm, target_mm, [ct_errors(covariances_mm2), _seating(len(markers_mm), USUAL_SEATING_MM)]
+        markers_mm,
+        target_mm,
+        [ct_errors(covariances_mm2), _seating_errors(len(markers_mm), USUAL_SEATING_MM)],
     )
 
 
@@ -58,37 +60,37 @@ def predict_with_arm(
     """Predict the error at a target with arm, tool frame, calibrations and instrument, for a passed check."""
     planned = plan.trajectory(identifier)
     setting = theatre.arm
-    looks, target = poses_for(setting, check, identifier)
+    sphere_visits, target = select_poses(setting, check, identifier)
     rotation = setting.robot_from_ct.rotation_matrix
-    fiducials = [one.visit.fiducial for one in looks if one.visit.fiducial is not None]
+    fiducials = [one.visit.fiducial for one in sphere_visits if one.visit.fiducial is not None]
     tip_mm = np.asarray(setting.robot_from_ct.apply(planned.target_mm), dtype=float)
-    nothing = np.zeros((len(looks), 3, 3))
+    zero = np.zeros((len(sphere_visits), 3, 3))
     sources = [
         ct_errors(rotation @ covariances_mm2[fiducials] @ rotation.T),
-        _seating(len(looks), theatre.seating_error_mm),
-        *arm_error_sources(setting, looks, target, tip_mm),
-        *_guide(theatre, plan, planned, target, nothing),
-        *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
+        _seating_errors(len(sphere_visits), theatre.seating_error_mm),
+        *arm_error_sources(setting, sphere_visits, target, tip_mm),
+        *_guide_errors(theatre, plan, planned, target, zero),
+        *(IndependentErrors(name, zero, np.eye(3) * rms**2 / 3.0) for name, rms in theatre.at_target_mm),
     ]
-    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
     return predict_target_error(spheres, tip_mm, sources)
 
 
-def poses_for(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
+def select_poses(setting: ArmSetting, check: PathCheck, identifier: str) -> tuple[list[Reached], Reached]:
     """Select the localizations that serve a target, and the target, from a passed check."""
     target = next(
         one
         for one in check.reached
         if one.visit.kind is VisitKind.TARGET and one.visit.trajectory == identifier
     )
-    every = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
-    own = [one for one in every if one.visit.trajectory == identifier]
-    return own if setting.strategy.localizes_per_trajectory else every, target
+    all_localizations = [one for one in check.reached if one.visit.kind is VisitKind.LOCALIZATION]
+    own = [one for one in all_localizations if one.visit.trajectory == identifier]
+    return own if setting.strategy.localizes_per_trajectory else all_localizations, target
 
 
 def arm_error_sources(
-    setting: ArmSetting, looks: Sequence[Reached], target: Reached, tip_mm: Array
-) -> tuple[SharedErrors | OwnErrors, ...]:
+    setting: ArmSetting, sphere_visits: Sequence[Reached], target: Reached, tip_mm: Array
+) -> tuple[SharedErrors | IndependentErrors, ...]:
     """The arm's own errors and the tool frame's between localizations and a tip (3,) mm, robot frame.
 
     If a strategy does not control the approach, the side of backlash on which a joint rests is unknown.
@@ -100,9 +102,9 @@ def arm_error_sources(
     return arm_sources(
         setting.kinematics.chain,
         ArmPoses(
-            np.array([one.at_rad for one in looks]),
-            np.array([one.visit.pose.translation_mm for one in looks]),
-            np.repeat(signs, len(looks), axis=0) if setting.strategy.controls_approach else None,
+            np.array([one.at_rad for one in sphere_visits]),
+            np.array([one.visit.pose.translation_mm for one in sphere_visits]),
+            np.repeat(signs, len(sphere_visits), axis=0) if setting.strategy.controls_approach else None,
         ),
         ArmPoses(np.array([target.at_rad]), tip_mm[None], signs),
         setting.sizes,
@@ -110,17 +112,17 @@ def arm_error_sources(
     )
 
 
-def _seating(markers: int, per_axis_mm: float) -> OwnErrors:
-    return OwnErrors(SEATING, np.tile(np.eye(3) * per_axis_mm**2, (markers, 1, 1)), np.zeros((3, 3)))
+def _seating_errors(markers: int, per_axis_mm: float) -> IndependentErrors:
+    return IndependentErrors(SEATING, np.tile(np.eye(3) * per_axis_mm**2, (markers, 1, 1)), np.zeros((3, 3)))
 
 
-def _guide(
-    theatre: TheatreArm, plan: Plan, planned: PlannedTrajectory, target: Reached, nothing: Array
-) -> Iterable[OwnErrors]:
+def _guide_errors(
+    theatre: TheatreArm, plan: Plan, planned: PlannedTrajectory, target: Reached, zero: Array
+) -> Iterable[IndependentErrors]:
     held = target.visit.pose.rotation_matrix
-    yield OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, theatre.bore, held))
+    yield IndependentErrors(INSTRUMENT, zero, instrument_covariance_mm2(plan, planned, theatre.bore, held))
     turned = direction_covariance_mm2(plan, planned, theatre.bore, theatre.guide_direction_rad, held)
-    yield OwnErrors(DIRECTION, nothing, turned)
+    yield IndependentErrors(DIRECTION, zero, turned)
 
 
 def choose_best_strategies(
@@ -151,7 +153,7 @@ def predict_arm_error_mm(setting: ArmSetting, check: PathCheck, trajectory: Traj
     Evaluated at the instrument's tip, wherever on the axis the guide is held. Errors of CT and stereo head do
     not depend on the orientation.
     """
-    looks, target = poses_for(setting, check, trajectory.identifier)
-    spheres = np.array([one.visit.pose.translation_mm for one in looks])
+    sphere_visits, target = select_poses(setting, check, trajectory.identifier)
+    spheres = np.array([one.visit.pose.translation_mm for one in sphere_visits])
     tip = np.asarray(setting.robot_from_ct.apply(trajectory.target_mm))
-    return predict_target_error(spheres, tip, arm_error_sources(setting, looks, target, tip)).rms_mm
+    return predict_target_error(spheres, tip, arm_error_sources(setting, sphere_visits, target, tip)).rms_mm

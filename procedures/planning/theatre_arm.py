@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, cast
 
-from procedures.planning.head_in_ct import head_shape
+from procedures.planning.head_in_ct import fit_head
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.plan_model import FiducialKind
-from procedures.planning.scene import PlanningScene, frame_bodies
+from procedures.planning.scene import PlanningScene, build_frame_bodies
 from procedures.planning.tool_records import ToolRecords
 from procedures.planning.visits import ArmSetting
 from procedures.registration.errors import LayoutNotFound
@@ -47,13 +47,13 @@ class TheatreArm:
     guide_direction_rad: float  # stated error of the bore's direction
     at_target_mm: tuple[tuple[str, float], ...]  # stated by calibrations, 3-D rms, by source
 
-    def in_its_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
+    def with_scene(self, volume: Volume, fiducials: FiducialKind, markers_mm: Points) -> ArmSetting:
         """Add the surroundings, and head and markers of this CT, to the arm. Raises PLAN-014."""
         try:
-            frame = frame_bodies(fiducials, markers_mm)
+            frame = build_frame_bodies(fiducials, markers_mm)
         except LayoutNotFound:  # refused by the check itself
             frame = ()
-        scene = PlanningScene(self.surroundings, head_shape(volume), markers_mm, frame)
+        scene = PlanningScene(self.surroundings, fit_head(volume), markers_mm, frame)
         return replace(self.arm, scene=scene.with_reserve(self.reserve_mm))
 
 
@@ -64,8 +64,8 @@ def theatre_arm(
     theatre = read_theatre_file(config)
     if MASTER not in theatre.robot or theatre.calibration is None:
         raise UsageMistake(f"{config.name} needs robot.{MASTER} and a calibration to check reach")
-    opens_nothing = cast("RobotArm", make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock()))
-    kinematics = opens_nothing.kinematics
+    arm_device = cast("RobotArm", make_device(f"robot.{MASTER}", theatre.robot[MASTER], HostClock()))
+    kinematics = arm_device.kinematics
     start_rad = kinematics.home_rad if home_deg is None else radians6(*home_deg)
     require_in_range(kinematics, start_rad)
     pose = Pose.from_kuka(*robot_from_ct)
@@ -81,7 +81,7 @@ def theatre_arm(
         strategy=strategy,
         flange_from_stereo=calibration.stereo_head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL),
         start_rad=start_rad,
-        limits=opens_nothing.limits(),
+        limits=arm_device.limits(),
         approach_mm=theatre.procedure.approach_mm,
         sizes=sizes,
         gauge_rad=radians6(*guide.gauge.joints_deg),

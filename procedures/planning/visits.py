@@ -82,7 +82,7 @@ class Unmet:
     short_mm: float | None = None
 
     @classmethod
-    def by(cls, pose: str, error: LimitError) -> Self:
+    def from_error(cls, pose: str, error: LimitError) -> Self:
         """Build the failure that an error of the arm's kinematics or planner describes."""
         return cls(pose, f"{error.summary} [{error.code}]")
 
@@ -183,7 +183,7 @@ class Axes:
         return cls(along, tuple(trajectories))
 
     @property
-    def each(self) -> tuple[Trajectory, ...]:
+    def distinct(self) -> tuple[Trajectory, ...]:
         """Axes without repetition."""
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
@@ -205,21 +205,23 @@ class Axes:
         return Axes(turn(self.localized), turn(self.targeted))
 
 
-def visits_of(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch) -> tuple[Visit, ...]:
+def list_visits(
+    setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
+) -> tuple[Visit, ...]:
     """List poses in the order of the procedure: localizations, then, after the tool change, targets.
 
     Raises the strategy's errors when it finds no poses in this branch.
     """
     localizations = [
-        visit for axis in axes.localized for visit in localizations_along(setting, axis, fiducials_mm, branch)
+        visit for axis in axes.localized for visit in list_localizations(setting, axis, fiducials_mm, branch)
     ]
-    return (*localizations, *(target_visit(setting, trajectory) for trajectory in axes.targeted))
+    return (*localizations, *(build_target_visit(setting, trajectory) for trajectory in axes.targeted))
 
 
-def localizations_along(
+def list_localizations(
     setting: ArmSetting, axis: Trajectory, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """List the poses of all fiducials (n, 3) in CT mm along one axis. Raises like `visits_of`."""
+    """List the poses of all fiducials (n, 3) in CT mm along one axis. Raises like `list_visits`."""
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     arm = setting.in_branch(branch)
     poses = setting.strategy.localization_poses(axis, points, setting.robot_from_ct, arm)
@@ -236,7 +238,7 @@ def localizations_along(
     )
 
 
-def target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
+def build_target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
     """Pose at a target, with the guide held outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
     name = trajectory.identifier

@@ -56,7 +56,7 @@ class _Level:
     values: NDArray[np.float32]  # (slices, rows, columns)
     geometry: VoxelGeometry
 
-    def at(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
+    def interpolate(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
         """Values at patient positions (n, 3), by cubic splines, and which of them are inside the scan."""
         indices = self.geometry.to_index(points_mm).T
         last = np.array(self.geometry.shape)[:, None] - 1.0
@@ -69,20 +69,22 @@ def register_on_bone(pre: Volume, post: Volume) -> BoneRegistration:
     found: RigidTransform | None = None
     middle = np.zeros(3)
     for spacing_mm in LEVELS_MM:
-        fixed, moving = _level(pre, spacing_mm), _level(post, spacing_mm)
-        points, values = _bone_points(fixed, spacing_mm)
+        fixed, moving = _build_level(pre, spacing_mm), _build_level(post, spacing_mm)
+        points, values = _find_bone_points(fixed, spacing_mm)
         target = _Level(ndimage.spline_filter(moving.values, order=3, output=np.float32), moving.geometry)
         if found is None:
             middle = points.mean(axis=0)
-            there = _bone_points(moving, spacing_mm)[0].mean(axis=0)
+            there = _find_bone_points(moving, spacing_mm)[0].mean(axis=0)
             few = slice(None, None, max(1, len(points) // LEAST_POINTS))
-            tried = [_descend(points[few], values[few], target, start) for start in _starts(middle, there)]
-            found = max(tried, key=lambda one: _judge(points, values, target, one)[0])
-            _require_one_skull(*_judge(points, values, target, found)[:2])
+            tried = [
+                _refine_pose(points[few], values[few], target, start) for start in _list_starts(middle, there)
+            ]
+            found = max(tried, key=lambda one: _rate_pose(points, values, target, one)[0])
+            _require_one_skull(*_rate_pose(points, values, target, found)[:2])
         else:
-            found = _descend(points, values, target, found)
+            found = _refine_pose(points, values, target, found)
     assert found is not None
-    agreement, overlap, residual_hu = _judge(points, values, target, found)
+    agreement, overlap, residual_hu = _rate_pose(points, values, target, found)
     _require_one_skull(agreement, overlap)
     return BoneRegistration(found, agreement, overlap, residual_hu)
 
@@ -98,12 +100,12 @@ def _require_one_skull(agreement: float, overlap: float) -> None:
         )
 
 
-def bone_at(volume: Volume, places_mm: Array) -> Array:
+def sample_bone(volume: Volume, places_mm: Array) -> Array:
     """HU of a scan at positions (..., 3), clipped to bone; soft tissue outside the scan."""
     return np.asarray(np.clip(volume.sample(places_mm, SOFT_HU), SOFT_HU, COMPACT_HU), dtype=float)
 
 
-def bone_spline_at(volume: Volume, places_mm: Array) -> Array:
+def sample_bone_spline(volume: Volume, places_mm: Array) -> Array:
     """HU at a few positions (n, 3) close together and within the scan, by cubic splines, clipped to bone."""
     index = volume.geometry.to_index(places_mm)
     low = np.clip(np.floor(index.min(axis=0)).astype(int) - SPLINE_REACH, 0, None)
@@ -113,7 +115,7 @@ def bone_spline_at(volume: Volume, places_mm: Array) -> Array:
     return np.asarray(np.clip(values, SOFT_HU, COMPACT_HU))
 
 
-def _level(volume: Volume, spacing_mm: float) -> _Level:
+def _build_level(volume: Volume, spacing_mm: float) -> _Level:
     """Clip to bone, blur by half the spacing, and subsample to about that spacing."""
     geometry = volume.geometry
     strides = np.maximum(1, np.rint(spacing_mm / geometry.spacing_mm)).astype(int)
@@ -128,7 +130,7 @@ def _level(volume: Volume, spacing_mm: float) -> _Level:
     return _Level(values, thinned)
 
 
-def _bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
+def _find_bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
     """Voxel centres (n, 3) mm on and around the largest piece of bone, and their values."""
     labels, count = ndimage.label(level.values > BONE_HU)
     sizes = np.bincount(labels.ravel())[1:] if count else np.zeros(1, dtype=int)
@@ -141,14 +143,14 @@ def _bone_points(level: _Level, spacing_mm: float) -> tuple[Array, Array]:
     return level.geometry.to_patient_mm(index), level.values[tuple(index.T)].astype(float)
 
 
-def _starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
+def _list_starts(middle: Array, there: Array) -> Iterator[RigidTransform]:
     for turns in product(START_TURNS_RAD, repeat=3):
         if np.count_nonzero(turns) < 2:
             rotation = Rotation.from_rotvec(turns)
             yield RigidTransform.from_components(there - rotation.apply(middle), rotation)
 
 
-def _descend(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
+def _refine_pose(points: Array, values: Array, target: _Level, start: RigidTransform) -> RigidTransform:
     """Gauss-Newton over six parameters: rotation about the points' centroid, and translation."""
     rotation, shift = start.rotation, start.translation
     middle = points.mean(axis=0)
@@ -172,20 +174,23 @@ def _descend(points: Array, values: Array, target: _Level, start: RigidTransform
 
 def _sample(target: _Level, points_mm: Array) -> tuple[Array, Array, NDArray[np.bool_]]:
     """Gradient (n, 3) in HU per mm, values (n,), and which positions are inside."""
-    there, inside = target.at(points_mm)
+    there, inside = target.interpolate(points_mm)
     half_mm = 0.25 * float(target.geometry.spacing_mm.min())
     gradient = np.column_stack(
         [
-            (target.at(points_mm + offset)[0] - target.at(points_mm - offset)[0]) / (2.0 * half_mm)
+            (target.interpolate(points_mm + offset)[0] - target.interpolate(points_mm - offset)[0])
+            / (2.0 * half_mm)
             for offset in half_mm * np.eye(3)
         ]
     )
     return gradient, there, inside
 
 
-def _judge(points: Array, values: Array, target: _Level, pose: RigidTransform) -> tuple[float, float, float]:
+def _rate_pose(
+    points: Array, values: Array, target: _Level, pose: RigidTransform
+) -> tuple[float, float, float]:
     """Correlation, overlap and robust residual of a pose."""
-    there, inside = target.at(pose.apply(points))
+    there, inside = target.interpolate(pose.apply(points))
     overlap = float(inside.mean())
     if np.count_nonzero(inside) < LEAST_POINTS // 2:
         return 0.0, overlap, float("inf")

@@ -33,7 +33,9 @@ from ronna_hw.calibration import Numbers3, Strict
 Array = NDArray[np.float64]
 
 ONE_INSTRUMENT_MM = 1.5  # axes closer than this are one instrument; electrodes are wider
-INSTEAD_MM = 10.0 * SEARCH_MM  # a hole counts only if no instrument is left, a failed fit only after both
+SUBSTITUTE_PENALTY_MM = (
+    10.0 * SEARCH_MM
+)  # a hole counts only if no instrument is left, a failed fit only after both
 NOTHING_MM = 1e6  # and none only if nothing is left
 
 Point = tuple[float, float, float]
@@ -71,14 +73,16 @@ class FoundTrajectory(Strict):
 
 
 @dataclass(frozen=True, eq=False)
-class Proof:
+class PostoperativeComparison:
     """Registration of both scans, and every requested trajectory."""
 
     registration: BoneRegistration
     trajectories: tuple[FoundTrajectory, ...]
 
 
-def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> Proof:
+def compare_with_plan(
+    plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
+) -> PostoperativeComparison:
     """Find the object along each trajectory of a plan; `only` names those carried out, by default all.
 
     Raises PLAN-003, POST-001 to POST-004, POST-006, POST-007, POST-009.
@@ -89,10 +93,10 @@ def compare(plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()) -> 
 
 def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
-) -> Proof:
+) -> PostoperativeComparison:
     """Find the objects, given the registration. Raises POST-006, POST-007, POST-009."""
-    asked = [one for one in plan.trajectories if not only or one.id in only]
-    lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in asked}
+    chosen = [one for one in plan.trajectories if not only or one.id in only]
+    lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in chosen}
     candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}
     found, lost_to = assign(lines, candidates)
     if lost_to:
@@ -101,15 +105,20 @@ def compare_registered(
     if missing := [name for name in lines if name not in found]:
         raise InstrumentMissing(
             f"neither an instrument nor a drilled hole was found along {', '.join(missing)}",
-            expected=f"one along each of {len(asked)}",
+            expected=f"one along each of {len(chosen)}",
             got=f"found along {', '.join(found)}" if found else "none",
         )
-    if failed := {name: one.failures for name, one in found.items() if one.failures}:
+    if failures_by_name := {name: one.failures for name, one in found.items() if one.failures}:
         raise FitFailed(
             "no straight rod or round hole could be fitted to the object along "
-            + ", ".join(f"{name} ({found[name].kind}: {'; '.join(why)})" for name, why in failed.items())
+            + ", ".join(
+                f"{name} ({found[name].kind}: {'; '.join(problems)})"
+                for name, problems in failures_by_name.items()
+            )
         )
-    return Proof(registration, tuple(_errors_along(one, lines[one.id], found[one.id]) for one in asked))
+    return PostoperativeComparison(
+        registration, tuple(_compare_trajectory(one, lines[one.id], found[one.id]) for one in chosen)
+    )
 
 
 def require_series(plan: Plan, pre: Volume, post: Volume) -> None:
@@ -151,7 +160,7 @@ def _candidates(
     )
 
 
-def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
+def _compare_trajectory(planned: PlannedTrajectory, line: PlannedLine, found: Candidate) -> FoundTrajectory:
     """Measure an instrument or a hole against its planned trajectory."""
     along, point_mm, inwards = line.inwards, found.point_mm, found.inwards
     entry = point_mm + inwards * (float((line.entry_mm - point_mm) @ along) / float(inwards @ along))
@@ -167,9 +176,9 @@ def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidat
         kind=found.kind,
         planned_entry_mm=planned.entry_mm,
         planned_target_mm=planned.target_mm,
-        entry_mm=_point(entry),
-        axis_at_target_mm=_point(at_target),
-        tip_mm=_point(point_mm) if has_tip else None,
+        entry_mm=_to_point(entry),
+        axis_at_target_mm=_to_point(at_target),
+        tip_mm=_to_point(point_mm) if has_tip else None,
         entry_error_mm=float(np.linalg.norm(entry - line.entry_mm)),
         target_error_mm=float(np.linalg.norm(off)) if has_tip else None,
         lateral_mm=float(np.linalg.norm(off - depth_mm * along)),
@@ -179,7 +188,7 @@ def _errors_along(planned: PlannedTrajectory, line: PlannedLine, found: Candidat
     )
 
 
-def _point(values: Array) -> Point:
+def _to_point(values: Array) -> Point:
     x, y, z = (float(value) for value in values)
     return x, y, z
 
@@ -197,16 +206,16 @@ class Candidate:
     failures: tuple[str, ...] = ()
     doubts: tuple[str, ...] = ()
 
-    def passes_mm(self, point_mm: Array) -> float:
+    def axis_distance_mm(self, point_mm: Array) -> float:
         """Distance of its axis from a point (3,)."""
         return float(np.linalg.norm(np.cross(point_mm - self.point_mm, self.inwards)))
 
-    def is_also(self, other: Candidate) -> bool:
+    def is_same_object(self, other: Candidate) -> bool:
         """Whether both are one instrument, one hole, or an instrument in its hole."""
         if self.kind is other.kind is FoundKind.DRILL_HOLE:
             return float(np.linalg.norm(self.point_mm - other.point_mm)) < ONE_INSTRUMENT_MM
         near = (  # a hole's direction is too uncertain to extrapolate to a tip
-            one.passes_mm(another.point_mm) < ONE_INSTRUMENT_MM
+            one.axis_distance_mm(another.point_mm) < ONE_INSTRUMENT_MM
             for one, another in ((self, other), (other, self))
             if one.kind is FoundKind.INSTRUMENT
         )
@@ -221,17 +230,19 @@ def assign(
     `lines` are the planned ones, `candidates` those found along each; both by name.
     """
     names = list(lines)
-    things: list[Candidate] = []
+    found_objects: list[Candidate] = []
     nearest: dict[tuple[int, int], tuple[float, Candidate]] = {}  # by trajectory and candidate
     for row, name in enumerate(names):
         for one in candidates[name]:
-            number = next((k for k, thing in enumerate(things) if thing.is_also(one)), len(things))
-            if number == len(things):
-                things.append(one)
-            cost_mm = _beside_mm(lines[name], one)
+            number = next(
+                (k for k, thing in enumerate(found_objects) if thing.is_same_object(one)), len(found_objects)
+            )
+            if number == len(found_objects):
+                found_objects.append(one)
+            cost_mm = _assignment_cost_mm(lines[name], one)
             if cost_mm < nearest.get((row, number), (NOTHING_MM, one))[0]:
                 nearest[row, number] = cost_mm, one
-    costs_mm = np.full((len(names), len(things) + len(names)), NOTHING_MM)
+    costs_mm = np.full((len(names), len(found_objects) + len(names)), NOTHING_MM)
     for place, (cost_mm, _) in nearest.items():
         costs_mm[place] = cost_mm
     pairs = zip(*(indices.tolist() for indices in linear_sum_assignment(costs_mm)), strict=True)
@@ -241,8 +252,8 @@ def assign(
     return found, lost_to
 
 
-def _beside_mm(line: PlannedLine, one: Candidate) -> float:
+def _assignment_cost_mm(line: PlannedLine, one: Candidate) -> float:
     """Mean distance of a candidate's axis from entry and target, plus a penalty for holes and failed fits."""
-    beside_mm = 0.5 * (one.passes_mm(line.entry_mm) + one.passes_mm(line.target_mm))
-    last_of_all = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
-    return beside_mm + last_of_all * INSTEAD_MM
+    mean_mm = 0.5 * (one.axis_distance_mm(line.entry_mm) + one.axis_distance_mm(line.target_mm))
+    rank = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
+    return mean_mm + rank * SUBSTITUTE_PENALTY_MM

@@ -17,8 +17,8 @@ from procedures.postoperative.bone_registration import (
     BONE_HU,
     COMPACT_HU,
     SOFT_HU,
-    bone_at,
-    bone_spline_at,
+    sample_bone,
+    sample_bone_spline,
 )
 from procedures.postoperative.planned_line import (
     STEP_MM,
@@ -26,9 +26,9 @@ from procedures.postoperative.planned_line import (
     FitQuality,
     FittedAxis,
     PlannedLine,
-    at_bound,
+    mark_at_bound,
     sample_along,
-    voxels_around,
+    select_voxels,
 )
 from ronna_hw.robust_scale import robust_sigma
 
@@ -59,30 +59,32 @@ def find_holes(
     Positions are in the second scan's coordinates.
     """
     back = post_from_pre.inv()
-    there = line.moved(post_from_pre)
-    seen = sample_along(post, there, -BEFORE_MM, BEHIND_MM)
-    before = bone_at(pre, back.apply(there.to_patient_mm(seen.places_mm)))
-    lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
-    labels, count = ndimage.label(lost)
+    post_line = line.apply_pose(post_from_pre)
+    seen = sample_along(post, post_line, -BEFORE_MM, BEHIND_MM)
+    before = sample_bone(pre, back.apply(post_line.to_patient_mm(seen.places_mm)))
+    is_lost = (before > BONE_HU) & (before - np.clip(seen.values, SOFT_HU, COMPACT_HU) > LOST_HU)
+    labels, count = ndimage.label(is_lost)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:]
     largest = [1 + int(number) for number in np.argsort(-sizes)[:MOST_PIECES]]
     pieces = [number for number in largest if sizes[number - 1] * STEP_MM**3 >= LEAST_VOLUME_MM3]
     middles = [seen.places_mm[labels == number].mean(axis=0) for number in pieces]
-    return tuple(_fit_hole(pre, post, there, back, middle) for middle in middles)
+    return tuple(_fit_hole(pre, post, post_line, back, middle) for middle in middles)
 
 
 def _fit_hole(
-    pre: Volume, post: Volume, there: PlannedLine, back: RigidTransform, middle: Array
+    pre: Volume, post: Volume, post_line: PlannedLine, back: RigidTransform, middle: Array
 ) -> FittedAxis:
     """Fit a blurred cylinder through the middle of the lost bone to the second scan's voxels."""
-    coarse = PlannedLine(there.to_patient_mm(middle), there.to_patient_mm(middle + np.array([1.0, 0.0, 0.0])))
-    local, values = voxels_around(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
-    before = bone_spline_at(pre, back.apply(coarse.to_patient_mm(local)))
+    coarse = PlannedLine(
+        post_line.to_patient_mm(middle), post_line.to_patient_mm(middle + np.array([1.0, 0.0, 0.0]))
+    )
+    local, values = select_voxels(post, coarse, (-BEFORE_MM, BEFORE_MM), AROUND_MM)
+    before = sample_bone_spline(pre, back.apply(coarse.to_patient_mm(local)))
     bone = before > BONE_HU
     local, before = local[bone], before[bone]
     after = np.clip(values[bone], SOFT_HU, COMPACT_HU)
     scanned = np.isfinite(after)
-    whole = bool(scanned.all())
+    is_whole = bool(scanned.all())
     local, before, after = local[scanned], before[scanned], after[scanned]
 
     def residuals(unknown: Array) -> Array:
@@ -97,9 +99,9 @@ def _fit_hole(
     middle_mm = coarse.to_patient_mm(np.array([0.0, u0, v0]))
     inwards = coarse.axes @ np.array([1.0, du, dv])
     quality = FitQuality(
-        whole,
+        is_whole,
         found.success,
-        not at_bound(found.x, LOW, HIGH)[:PLACED].any(),
+        not mark_at_bound(found.x, LOW, HIGH)[:PLACED].any(),
         robust_sigma(residuals(found.x)),
         float(radius_mm),
     )

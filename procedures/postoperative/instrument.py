@@ -22,16 +22,16 @@ from scipy.spatial.transform import RigidTransform
 from scipy.special import chndtr, erfc
 
 from procedures.imaging.volume import Volume
-from procedures.postoperative.bone_registration import bone_at
+from procedures.postoperative.bone_registration import sample_bone
 from procedures.postoperative.planned_line import (
     SLAB_MM,
     ExpectedFit,
     FitQuality,
     FittedAxis,
     PlannedLine,
-    at_bound,
+    mark_at_bound,
     sample_along,
-    voxels_around,
+    select_voxels,
 )
 from ronna_hw.robust_scale import cauchy_weights, robust_sigma
 
@@ -75,21 +75,21 @@ def find_rods(
 
     Positions are in the second scan's coordinates.
     """
-    there = line.moved(post_from_pre)
-    seen = sample_along(post, there, -OUTSIDE_MM, line.length_mm + BEYOND_MM)
-    before = bone_at(pre, post_from_pre.inv().apply(there.to_patient_mm(seen.places_mm)))
+    post_line = line.apply_pose(post_from_pre)
+    seen = sample_along(post, post_line, -OUTSIDE_MM, line.length_mm + BEYOND_MM)
+    before = sample_bone(pre, post_from_pre.inv().apply(post_line.to_patient_mm(seen.places_mm)))
     labels, count = ndimage.label(seen.values - before > METAL_HU, structure=np.ones((3, 3, 3)))
     pieces = [seen.places_mm[labels == number] for number in range(1, count + 1)]
     long = [places for places in pieces if _length_mm(places) >= LEAST_LENGTH_MM]
     longest = sorted(long, key=_length_mm, reverse=True)[:MOST_PIECES]
-    return tuple(_fit_rod(post, _coarse(there, places)) for places in longest)
+    return tuple(_fit_rod(post, _fit_coarse_line(post_line, places)) for places in longest)
 
 
 def _length_mm(places: Array) -> float:
     return float(np.ptp(places[:, 0]))
 
 
-def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
+def _fit_coarse_line(line: PlannedLine, places: Array) -> PlannedLine:
     """Fit a line to a bright piece; `places` (n, 3) are along and across the trajectory, mm."""
     slope = np.polyfit(places[:, 0], places[:, 1:], 1)
     ends = np.array([places[:, 0].min(), places[:, 0].max()])
@@ -101,36 +101,36 @@ def _coarse(line: PlannedLine, places: Array) -> PlannedLine:
 def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
     """Fit a blurred rod to the voxels themselves, from a coarse line whose target is the tip."""
     outside_mm = min(FITTED_LENGTH_MM, coarse.length_mm)
-    local, values = voxels_around(
+    local, values = select_voxels(
         volume, coarse, (coarse.length_mm - outside_mm, coarse.length_mm + BEYOND_TIP_MM), AROUND_MM
     )
     local[:, 0] -= coarse.length_mm  # from the coarse tip, inwards
     scanned = np.isfinite(values)
-    whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends
+    is_whole = bool(scanned[local[:, 0] > 0.0].all())  # no tip is where only the scan ends
     local, values = local[scanned], values[scanned]
     ceiling = SATURATED * float(volume.voxels.max())
     values = np.minimum(values, ceiling)
     turned = coarse.axes.T @ volume.geometry.axes
     slices = Slices(local, turned[:, 0], turned[:, 1:], float(volume.geometry.spacing_mm[0]))
-    samples = local + _within_voxel(volume, coarse)[:, None, :]
+    samples = local + _voxel_offsets(volume, coarse)[:, None, :]
     # offsets at the tip and at the outer end, tip depth, intensity, radius, blur
     start = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 2.0 * ceiling, FIRST_RADIUS_MM, FIRST_SPREAD_MM])
     low = np.array([-3.0, -3.0, -3.0, -3.0, -5.0, 0.3 * ceiling, 0.2, 0.2])
     high = np.array([3.0, 3.0, 3.0, 3.0, 5.0, 20.0 * ceiling, 2.0, 1.0])
-    without = no_streaks(slices, _axis(start, outside_mm))
-    shown = _VoxelModel(samples, outside_mm, ceiling, _background(local, values), without)
-    found = shown.fitted(values, start, (low, high), LEAST_SCALE_HU * 3)
+    initial_streaks = zero_streaks(slices, _rod_axis(start, outside_mm))
+    model = _VoxelModel(samples, outside_mm, ceiling, _estimate_background(local, values), initial_streaks)
+    found = model.fit(values, start, (low, high), LEAST_SCALE_HU * 3)
     for _ in range(MOST_PASSES):
         placed = found.x[:PLACED]
-        bare = shown.without_streaks(found.x)
-        usable = (values < ceiling) & (bare < ceiling)
-        streaks = streaks_along(slices, _axis(found.x, outside_mm), values - bare, usable)
-        background = _background(local, values - streaks.hu(streaks.start))
-        shown = replace(shown, background=background, streaks=streaks)
+        rod_hu = model.without_streaks(found.x)
+        usable = (values < ceiling) & (rod_hu < ceiling)
+        streaks = read_streaks(slices, _rod_axis(found.x, outside_mm), values - rod_hu, usable)
+        background = _estimate_background(local, values - streaks.hu(streaks.start))
+        model = replace(model, background=background, streaks=streaks)
         bounds = np.concatenate([low, streaks.low]), np.concatenate([high, streaks.high])
         begin = np.concatenate([found.x[:ROD], streaks.start])
-        scale = max(LEAST_SCALE_HU, robust_sigma(shown.hu(begin) - values))
-        found = shown.fitted(values, begin, bounds, 2.0 * scale)
+        scale = max(LEAST_SCALE_HU, robust_sigma(model.hu(begin) - values))
+        found = model.fit(values, begin, bounds, 2.0 * scale)
         if np.abs(found.x[:PLACED] - placed).max() < STILL_MM:
             break
     tip_u, tip_v, end_u, end_v, depth_mm = found.x[:PLACED]
@@ -139,10 +139,10 @@ def _fit_rod(volume: Volume, coarse: PlannedLine) -> FittedAxis:
     outer, tip = coarse.to_patient_mm(np.array([[coarse.length_mm - outside_mm, end_u, end_v], at_tip]))
     outwards = (outer - tip) / np.linalg.norm(outer - tip)
     quality = FitQuality(
-        whole,
+        is_whole,
         found.success,
-        not at_bound(found.x[:ROD], low, high)[:PLACED].any(),
-        robust_sigma(shown.hu(found.x) - values),
+        not mark_at_bound(found.x[:ROD], low, high)[:PLACED].any(),
+        robust_sigma(model.hu(found.x) - values),
         float(found.x[6]),
     )
     return FittedAxis(tip, outwards, quality)
@@ -160,14 +160,14 @@ class _VoxelModel:
 
     def without_streaks(self, unknown: Array) -> Array:
         """HU of tissue and rod, not clipped."""
-        shape = _blurred_rod(self.samples, unknown[:ROD], self.length_mm).mean(axis=0)
+        shape = _rod_share(self.samples, unknown[:ROD], self.length_mm).mean(axis=0)
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
         """HU of tissue, rod and streaks, clipped; the streaks' unknowns follow those of the rod."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
-    def fitted(
+    def fit(
         self, values: Array, start: Array, bounds: tuple[Array, Array], scale_hu: float
     ) -> OptimizeResult:
         """Fit the unknowns to the voxels' HU."""
@@ -176,14 +176,14 @@ class _VoxelModel:
         )
 
 
-def _axis(unknown: Array, length_mm: float) -> RodAxis:
+def _rod_axis(unknown: Array, length_mm: float) -> RodAxis:
     """Axis of the rod, measured outwards from the coarse tip."""
     tip_u, tip_v, end_u, end_v, depth_mm = unknown[:PLACED]
     outwards = np.array([-length_mm, end_u - tip_u, end_v - tip_v]) / length_mm
     return RodAxis(np.array([0.0, tip_u, tip_v]), outwards, -float(depth_mm))
 
 
-def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
+def _rod_share(local: Array, unknown: Array, length_mm: float) -> Array:
     """Share of the rod at positions (..., 3): a disc blurred by a Gaussian across, a blurred edge along."""
     tip_u, tip_v, end_u, end_v, depth_mm, _, radius_mm, spread_mm = unknown
     share = -local[..., 0] / length_mm  # 0 at the coarse tip, 1 at the outer end
@@ -196,7 +196,7 @@ def _blurred_rod(local: Array, unknown: Array, length_mm: float) -> Array:
     return np.asarray(across * 0.5 * erfc((local[..., 0] - depth_mm) / (np.sqrt(2.0) * spread_mm)))
 
 
-def _within_voxel(volume: Volume, line: PlannedLine) -> Array:
+def _voxel_offsets(volume: Volume, line: PlannedLine) -> Array:
     """Sample positions (n, 3) within a voxel relative to its centre, along and across the trajectory, mm."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
@@ -204,7 +204,7 @@ def _within_voxel(volume: Volume, line: PlannedLine) -> Array:
     return np.asarray(geometry.directions_to_patient(grid * geometry.spacing_mm) @ line.axes)
 
 
-def _background(local: Array, values: Array) -> Array:
+def _estimate_background(local: Array, values: Array) -> Array:
     """Background HU at the height of each voxel: medians over a ring around the rod, slab by slab."""
     radius = np.hypot(local[:, 1], local[:, 2])
     ring = (radius > RING_MM[0]) & (radius < RING_MM[1])
@@ -271,37 +271,37 @@ class Streaks:
         return found
 
 
-def no_streaks(slices: Slices, rod: RodAxis) -> Streaks:
+def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
     """Return streaks of zero everywhere."""
-    nothing = np.zeros(0)
-    return Streaks(np.zeros(len(slices.voxels)), nothing, rod, slices, (), nothing, nothing, nothing)
+    empty = np.zeros(0)
+    return Streaks(np.zeros(len(slices.voxels)), empty, rod, slices, (), empty, empty, empty)
 
 
-def streaks_along(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
+def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
     """Read the pattern from the usable voxels (n,) along the shaft, less a rod without streaks."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
-        return no_streaks(slices, rod)
+        return zero_streaks(slices, rod)
     middles_mm = (slices.heights_mm - float(rod.point_mm @ slices.normal)) / steep  # along the rod
     half_mm = 0.5 * slices.slice_mm / abs(steep)
-    whole = middles_mm - half_mm > rod.tip_mm + PART_MM
-    of_shaft = whole[slices.numbers]
-    read = np.flatnonzero(of_shaft & usable)
-    if len(read) < LEAST_VOXELS:
-        return no_streaks(slices, rod)
+    is_whole = middles_mm - half_mm > rod.tip_mm + PART_MM
+    in_shaft = is_whole[slices.numbers]
+    shaft_voxels = np.flatnonzero(in_shaft & usable)
+    if len(shaft_voxels) < LEAST_VOXELS:
+        return zero_streaks(slices, rod)
     everywhere = np.arange(len(slices.voxels))
     columns = _harmonics(slices, rod, middles_mm[slices.numbers], everywhere)
-    pattern = _solve_robustly(columns[read], rest_hu[read])
-    partly = np.flatnonzero(~whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
-    inner_mm = np.maximum(middles_mm[partly] - half_mm, rod.tip_mm)
-    outer_mm = np.maximum(middles_mm[partly] + half_mm, rod.tip_mm)
-    start = np.column_stack([np.full(len(partly), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
+    pattern = _solve_robustly(columns[shaft_voxels], rest_hu[shaft_voxels])
+    tip_slices = np.flatnonzero(~is_whole & (middles_mm + half_mm > rod.tip_mm - PART_MM))
+    inner_mm = np.maximum(middles_mm[tip_slices] - half_mm, rod.tip_mm)
+    outer_mm = np.maximum(middles_mm[tip_slices] + half_mm, rod.tip_mm)
+    start = np.column_stack([np.full(len(tip_slices), HALF_STRENGTH), 0.5 * (inner_mm + outer_mm)])
     return Streaks(
-        np.where(of_shaft, columns @ pattern, 0.0),
+        np.where(in_shaft, columns @ pattern, 0.0),
         pattern,
         rod,
         slices,
-        tuple(np.flatnonzero(slices.numbers == number) for number in partly),
+        tuple(np.flatnonzero(slices.numbers == number) for number in tip_slices),
         start.ravel(),
         (start * [0.0, 1.0] - [0.0, ALONG_MM]).ravel(),
         (start * [0.0, 1.0] + [MOST_STRENGTH, ALONG_MM]).ravel(),
@@ -323,6 +323,6 @@ def _solve_robustly(columns: Array, values: Array) -> Array:
     for _ in range(REWEIGHTED):
         root = np.sqrt(weights)
         solved = np.linalg.lstsq(columns * root[:, None], values * root, rcond=None)[0]
-        left = values - columns @ solved
-        weights = cauchy_weights(left, robust_sigma(left) + 1.0)
+        residuals = values - columns @ solved
+        weights = cauchy_weights(residuals, robust_sigma(residuals) + 1.0)
     return np.asarray(solved, dtype=float)

@@ -46,7 +46,7 @@ class PlannedLine:
         across /= np.linalg.norm(across)
         return np.column_stack([along, across, np.cross(along, across)])
 
-    def moved(self, pose: RigidTransform) -> PlannedLine:
+    def apply_pose(self, pose: RigidTransform) -> PlannedLine:
         """Move the line by a pose."""
         return PlannedLine(pose.apply(self.entry_mm), pose.apply(self.target_mm))
 
@@ -78,7 +78,7 @@ def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: fl
     return Surroundings(volume.sample(line.to_patient_mm(local), np.nan), local)
 
 
-def voxels_around(
+def select_voxels(
     volume: Volume, line: PlannedLine, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
     """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
@@ -140,30 +140,32 @@ class ExpectedFit:
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
         """List reasons why position and direction are unknown."""
-        why = []
+        sentences = []
         if not quality.whole:
-            why.append("the CT ends there")
+            sentences.append("the CT ends there")
         if not quality.ended:
-            why.append("the fit did not converge")
+            sentences.append("the fit did not converge")
         if not quality.inside:
-            why.append("position, direction or radius ended at a limit of the fit")
-        return tuple(why)
+            sentences.append("position, direction or radius ended at a limit of the fit")
+        return tuple(sentences)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
         """List reasons why they may be wrong."""
-        why = []
+        sentences = []
         if quality.residual_hu > self.residual_hu:
-            why.append(
+            sentences.append(
                 f"the residual of the fit is {quality.residual_hu:.0f} HU, normally up to "
                 f"{self.residual_hu:g} HU"
             )
         low_mm, high_mm = self.radius_mm
         if not low_mm <= quality.radius_mm <= high_mm:
-            why.append(f"its radius of {quality.radius_mm:.2f} mm is not within {low_mm:g} to {high_mm:g} mm")
-        return tuple(why)
+            sentences.append(
+                f"its radius of {quality.radius_mm:.2f} mm is not within {low_mm:g} to {high_mm:g} mm"
+            )
+        return tuple(sentences)
 
 
-def at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
+def mark_at_bound(found: Array, low: Array, high: Array) -> NDArray[np.bool_]:
     """Mark the parameters (n,) that ended at a bound."""
     close = AT_BOUND * (high - low)
     return np.asarray((found - low < close) | (high - found < close))

@@ -12,10 +12,10 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.imaging.volume import Volume
 from procedures.planning.plan_model import Plan
-from procedures.postoperative.comparison import FoundTrajectory, Proof
+from procedures.postoperative.comparison import FoundTrajectory, PostoperativeComparison
 from procedures.postoperative.planned_line import PlannedLine
 from ronna_hw.calibration import Numbers4, Strict
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -43,8 +43,8 @@ class PostoperativeCheck(Strict):
     )
 
 
-def summary_of(
-    proof: Proof, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
+def summarize_comparison(
+    proof: PostoperativeComparison, plan: Plan, pre: Volume, post: Volume, warnings: tuple[str, ...] = ()
 ) -> PostoperativeCheck:
     """Convert the comparison to plain values."""
     rows = [tuple(row) for row in proof.registration.post_from_pre.as_matrix().tolist()]
@@ -57,22 +57,22 @@ def summary_of(
         bone_agreement=proof.registration.agreement,
         bone_overlap=proof.registration.overlap,
         trajectories=proof.trajectories,
-        warnings=(*_beyond_margin(proof, plan), *pre.warnings, *post.warnings, *warnings, *doubts),
+        warnings=(*_list_margin_violations(proof, plan), *pre.warnings, *post.warnings, *warnings, *doubts),
     )
 
 
-def _beyond_margin(proof: Proof, plan: Plan) -> tuple[str, ...]:
-    said = []
+def _list_margin_violations(proof: PostoperativeComparison, plan: Plan) -> tuple[str, ...]:
+    sentences = []
     for one in proof.trajectories:
         margin_mm = plan.trajectory(one.id).margin_mm
         error_mm = one.lateral_mm if one.target_error_mm is None else one.target_error_mm
         if error_mm > margin_mm:
-            off_mm = beyond(error_mm, margin_mm, 2)
-            said.append(f"{one.id} is {off_mm} mm off its target: the plan accepts {margin_mm:g} mm")
-    return tuple(said)
+            off_mm = format_against_limit(error_mm, margin_mm, 2)
+            sentences.append(f"{one.id} is {off_mm} mm off its target: the plan accepts {margin_mm:g} mm")
+    return tuple(sentences)
 
 
-def trajectory_picture(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
+def draw_trajectory(post: Volume, found: FoundTrajectory, post_from_pre: RigidTransform) -> bytes:
     """Draw one PNG: the planned trajectory runs down the middle, with the object found drawn over it."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure

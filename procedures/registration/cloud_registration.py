@@ -24,7 +24,7 @@ from procedures.registration.errors import (
     TooFewPoints,
     UnsoundRegistration,
 )
-from procedures.registration.points import FEWEST_PAIRS, checked_points
+from procedures.registration.points import FEWEST_PAIRS, validate_points
 from procedures.registration.rigid_fit import as_transform, fit_rigid
 
 Array = NDArray[np.float64]
@@ -60,7 +60,7 @@ def register_clouds(
     Raises REG-001, 002, 003, 006, 007; without a start also REG-009 when only a mirror image fits, REG-011
     when several orientations fit.
     """
-    image, physical = _checked(image_mm, "image"), _checked(physical_mm, "physical")
+    image, physical = _validate_cloud(image_mm, "image"), _validate_cloud(physical_mm, "physical")
     if not 0.0 < overlap <= 1.0 or round(overlap * len(image)) < FEWEST_PAIRS:
         raise BadParameter(
             "the overlap must leave three points",
@@ -77,13 +77,16 @@ def register_clouds(
                 got=f"{len(matrix)} transforms",
                 action="Give one SciPy RigidTransform, or omit the start.",
             )
-        return _as_fit(_closest_points(image, physical, tree, matrix, overlap))
-    fits = [_closest_points(image, physical, tree, one, overlap) for one in _axis_starts(image, physical)]
+        return _as_fit(_iterate_closest_points(image, physical, tree, matrix, overlap))
+    fits = [
+        _iterate_closest_points(image, physical, tree, one, overlap) for one in _align_axes(image, physical)
+    ]
     best = min(fits, key=lambda fit: fit.residual_mm)
     mirror = np.diag([-1.0, 1.0, 1.0, 1.0])
     mirrored = image @ mirror[:3, :3]
     reflected = [
-        _closest_points(mirrored, physical, tree, one, overlap) for one in _axis_starts(mirrored, physical)
+        _iterate_closest_points(mirrored, physical, tree, one, overlap)
+        for one in _align_axes(mirrored, physical)
     ]
     nearest_mm = min(fit.residual_mm for fit in reflected)
     if best.residual_mm > CLEARLY_BETTER * nearest_mm + ROUNDING_MM:
@@ -112,7 +115,9 @@ def _as_fit(fit: _Fit) -> CloudFit:
     return CloudFit(as_transform(fit.matrix[:3, :3], fit.matrix[:3, 3]), fit.residual_mm, fit.steps)
 
 
-def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float) -> _Fit:
+def _iterate_closest_points(
+    image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float
+) -> _Fit:
     """Pair each image point with the nearest physical one and fit, until the residual stops changing."""
     matrix, before_mm = start, np.inf
     kept = round(overlap * len(image))
@@ -129,9 +134,9 @@ def _closest_points(image: Array, physical: Array, tree: cKDTree, start: Array, 
     raise NotConverged("the closest points did not converge", limit=f"{MOST_STEPS} steps")
 
 
-def _axis_starts(image: Array, physical: Array) -> list[Array]:
+def _align_axes(image: Array, physical: Array) -> list[Array]:
     """Align the principal axes of both clouds: four proper rotations."""
-    image_axes, physical_axes = _axes(image, "image"), _axes(physical, "physical")
+    image_axes, physical_axes = _principal_axes(image, "image"), _principal_axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):
         sign = first * second * np.linalg.det(image_axes) * np.linalg.det(physical_axes)
@@ -143,7 +148,7 @@ def _axis_starts(image: Array, physical: Array) -> list[Array]:
     return starts
 
 
-def _axes(points: Array, name: str) -> Array:
+def _principal_axes(points: Array, name: str) -> Array:
     """Find the principal axes, longest first, as columns. Raises REG-011 when two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
@@ -151,8 +156,8 @@ def _axes(points: Array, name: str) -> Array:
     return np.asarray(axes.T)
 
 
-def _checked(points_mm: ArrayLike, name: str) -> Array:
-    points = checked_points(points_mm, name)
+def _validate_cloud(points_mm: ArrayLike, name: str) -> Array:
+    points = validate_points(points_mm, name)
     if len(points) < FEWEST_PAIRS:
         raise TooFewPoints(f"{len(points)} {name} point(s) given", expected=f"at least {FEWEST_PAIRS}")
     spread = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)

@@ -126,14 +126,14 @@ class Match:
     def require_unique(self) -> RigidTransform:
         """Return the transform; raise REG-008 with the nearest miss unless the correspondence is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
-            nearest = [_shown(self.pairs)] if len(self.pairs) else []
-            nearest += [_shown(self.runner_up.pairs)] if self.runner_up else []
+            nearest = [_format_pairs(self.pairs)] if len(self.pairs) else []
+            nearest += [_format_pairs(self.runner_up.pairs)] if self.runner_up else []
             raise NoUniqueMatch(
                 f"the correspondence is {self.status}: {self.reason}", got=", or ".join(nearest)
             )
         return self.transform
 
 
-def _shown(pairs: NDArray[np.intp]) -> str:
+def _format_pairs(pairs: NDArray[np.intp]) -> str:
     """Format pairs for a person, counting from 1."""
     return "image-physical " + " ".join(f"{i + 1}-{j + 1}" for i, j in pairs.tolist())

@@ -18,7 +18,7 @@ from scipy.special import chdtri, fdtri
 from procedures.registration.errors import BadParameter, ResidualTooLarge, TooFewPoints
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.rigid_fit import pose_jacobian
-from ronna_hw.text import side_by_side
+from ronna_hw.text import format_distinct
 
 Array = NDArray[np.float64]
 
@@ -101,7 +101,7 @@ class FreGate:
     def require(self) -> None:
         """Raise REG-010 when the residual is too large."""
         if not self.passed:
-            fre, limit = side_by_side(self.fre_mm, self.limit_mm, 3)
+            fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
                 "the fiducial residual is larger than the localization error explains",
                 limit=f"{limit} mm at {self.confidence:.0%}",

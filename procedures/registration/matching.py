@@ -29,7 +29,7 @@ from procedures.registration.pairings import (
     gate,
     leave_one_out,
 )
-from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, checked_points
+from procedures.registration.points import FEWEST_PAIRS, REAL_KINDS, validate_points
 
 Array = NDArray[np.float64]
 
@@ -59,28 +59,28 @@ def match(
     is an approximate rotation physical <- image (bare: 60 degrees tolerance), or other evidence. Raises
     REG-001 and REG-007 (both ValueError); too few points are an answer, not an error.
     """
-    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
+    image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     for name, points in (("image", image), ("physical", physical)):
         if len(points) > MOST_POINTS:
             raise BadPoints(f"{len(points)} {name} points", limit=f"{MOST_POINTS} per set")
-    evidence = evidence_of(sigma_image_mm, sigma_physical_mm)
+    evidence = weigh_evidence(sigma_image_mm, sigma_physical_mm)
     _check_expected(expected)
-    search = CorrespondenceSearch(image, physical, evidence, expected, checked_prior(prior))
+    search = CorrespondenceSearch(image, physical, evidence, expected, validate_prior(prior))
     fewest, seen = expected or FEWEST_PAIRS, min(len(image), len(physical))
     counts = f"{len(image)} image and {len(physical)} physical points, {fewest} needed"
     if seen < FEWEST_PAIRS:
-        return search.no_match(MatchStatus.TOO_FEW, counts)
+        return search.answer_without_pairs(MatchStatus.TOO_FEW, counts)
     if seen < fewest:
-        return search.too_few(counts)
+        return search.answer_too_few(counts)
     return search.answer()
 
 
-def checked_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
+def validate_prior(prior: PosePrior | Rotation | None) -> PosePrior | None:
     """Return the prior, a bare rotation with the default tolerance. Raises REG-007."""
     return prior if prior is None or hasattr(prior, "objection") else Prior(prior)
 
 
-def evidence_of(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
+def weigh_evidence(sigma_image_mm: Any, sigma_physical_mm: Any) -> Evidence:
     """Weigh the evidence for standard deviations as given to `match`. Raises REG-007."""
     variance = _variance_mm2("image", sigma_image_mm) + _variance_mm2("physical", sigma_physical_mm)
     if variance <= 0.0:
@@ -134,20 +134,20 @@ class CorrespondenceSearch:
         tolerance_mm = DISTANCE_GATE_SIGMAS * math.sqrt(2.0 * self.evidence.variance_mm2)
         graph = consistency_graph(self.image, self.physical, tolerance_mm)
         nearest: list[Candidate] = []
-        outside_prior = False
+        is_outside_prior = False
         for slack in (CLIQUE_SLACK, len(graph)):
             search = CliqueSearch(graph, FEWEST_PAIRS, slack)
             cliques = search.run()
             if not cliques:
                 break
-            held, failed = self._evaluate(cliques)
-            allowed = [one for one in held if not self._objection(one)]
-            outside_prior = outside_prior or len(allowed) < len(held)
-            nearest = held if outside_prior else failed or held
-            ranked = sorted(allowed, key=_by_score)
+            passing, failed = self._evaluate(cliques)
+            allowed = [one for one in passing if not self._objection(one)]
+            is_outside_prior = is_outside_prior or len(allowed) < len(passing)
+            nearest = passing if is_outside_prior else failed or passing
+            ranked = sorted(allowed, key=_score_key)
             if search.exhausted:
-                return self._too_noisy(ranked)
-            best = min(held, key=_by_score, default=None)
+                return self._answer_too_noisy(ranked)
+            best = min(passing, key=_score_key, default=None)
             if ranked and best and best.score_nats > ranked[0].score_nats + UNIQUE_MARGIN_NATS:
                 return self._explain([best], True)  # some chance pairing is always allowed
             smallest_seen = max(FEWEST_PAIRS, search.largest - slack)
@@ -159,49 +159,49 @@ class CorrespondenceSearch:
             if smallest_seen == FEWEST_PAIRS:
                 break
         if not nearest:
-            return self.no_match(
+            return self.answer_without_pairs(
                 MatchStatus.INCONSISTENT,
                 f"no three points have matching distances within {tolerance_mm:.1f} mm",
             )
-        return self._explain(nearest, outside_prior)
+        return self._explain(nearest, is_outside_prior)
 
-    def too_few(self, counts: str) -> Match:
+    def answer_too_few(self, counts: str) -> Match:
         """Answer without pairs for fewer points than expected, but tell what agrees among them."""
         found = self.answer()
-        nothing = self.no_match(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
-        return replace(nothing, runner_up=found.runner_up)
+        without_pairs = self.answer_without_pairs(MatchStatus.TOO_FEW, f"{counts}; {found.reason}")
+        return replace(without_pairs, runner_up=found.runner_up)
 
     def _evaluate(self, cliques: list[int]) -> tuple[list[Candidate], list[Candidate]]:
         """Sort candidates by whether they pass the gate; drop those with too little evidence."""
-        waiting: dict[int, list[int]] = {}
+        masks_by_size: dict[int, list[int]] = {}
         for clique in cliques:
-            waiting.setdefault(clique.bit_count(), []).append(clique)
-        held: list[Candidate] = []
+            masks_by_size.setdefault(clique.bit_count(), []).append(clique)
+        passing: list[Candidate] = []
         failed: list[Candidate] = []
         best = -math.inf
         drops = dict.fromkeys(cliques, 0)
-        for size in range(max(waiting), FEWEST_PAIRS - 1, -1):
+        for size in range(max(masks_by_size), FEWEST_PAIRS - 1, -1):
             if self.evidence.most_nats(size) < best - UNIQUE_MARGIN_NATS:
                 break
-            masks = list(dict.fromkeys(waiting.get(size, ())))
-            again: list[int] = []
+            masks = list(dict.fromkeys(masks_by_size.get(size, ())))
+            to_reduce: list[int] = []
             for one in evaluate(masks, self.image, self.physical, self.evidence):
                 over_full = self.expected is not None and size == self.expected + 1
                 if one.passed:
-                    held.append(one)
+                    passing.append(one)
                     if not over_full and not self._objection(one):
                         best = max(best, one.score_nats)
                 else:
                     failed.append(one)
                 tries = 1 if best > -math.inf else DROPS_TRIED
-                doubtful = not one.passed or self._carries_a_bad_pair(one)
-                if over_full or (doubtful and drops[one.nodes] < tries):
-                    again.append(one.nodes)
-            for parent in again if size > FEWEST_PAIRS else ():
+                is_doubtful = not one.passed or self._may_have_bad_pair(one)
+                if over_full or (is_doubtful and drops[one.nodes] < tries):
+                    to_reduce.append(one.nodes)
+            for parent in to_reduce if size > FEWEST_PAIRS else ():
                 for child in leave_one_out([parent]):
-                    waiting.setdefault(size - 1, []).append(child)
+                    masks_by_size.setdefault(size - 1, []).append(child)
                     drops[child] = max(drops.get(child, 0), drops[parent] + 1)
-        return held, failed
+        return passing, failed
 
     def _objection(self, one: Candidate) -> str:
         """Explain why the prior excludes a candidate; empty if it does not."""
@@ -210,7 +210,7 @@ class CorrespondenceSearch:
         paired = [node % len(self.physical) for node in bits(one.nodes)]
         return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
 
-    def _carries_a_bad_pair(self, one: Candidate) -> bool:
+    def _may_have_bad_pair(self, one: Candidate) -> bool:
         """Whether some pair may cost more than it earns, so that the set without it must be examined.
 
         Up to the planned number of pairs none is doubted: they are known to exist.
@@ -227,12 +227,12 @@ class CorrespondenceSearch:
             larger = ranked[:1]
         if larger:
             # Any three points of a mirrored set still fit; the whole set shows left and right swapped.
-            return self.no_match(MatchStatus.INCONSISTENT, _mirror_reason(larger[0]), larger[0])
+            return self.answer_without_pairs(MatchStatus.INCONSISTENT, _mirror_reason(larger[0]), larger[0])
         if self.expected is not None:
             # One pair too many is left to the leave-one-out subsets: one of them must clearly win.
             over_full = max(ranked, key=lambda one: one.size)
             if over_full.size > self.expected + 1:
-                return self.no_match(
+                return self.answer_without_pairs(
                     MatchStatus.INCONSISTENT,
                     f"{over_full.size} pairs agree, {self.expected} expected",
                     over_full,
@@ -240,7 +240,7 @@ class CorrespondenceSearch:
             ranked = [one for one in ranked if one.size <= self.expected]
             if not ranked or ranked[0].size < self.expected:
                 found = ranked[0] if ranked else over_full
-                return self.no_match(
+                return self.answer_without_pairs(
                     MatchStatus.INCONSISTENT,
                     f"{found.size} pairs agree, {self.expected} expected",
                     found,
@@ -250,31 +250,31 @@ class CorrespondenceSearch:
         if not rivals:
             # All smaller ones were skipped unseen; none of them can score more than this.
             unseen = self.evidence.most_nats(best.size - 1)
-            return self._found(best, None, max(best.score_nats - unseen, UNIQUE_MARGIN_NATS))
+            return self._answer_unique(best, None, max(best.score_nats - unseen, UNIQUE_MARGIN_NATS))
         margin = best.score_nats - rivals[0].score_nats
         if margin < UNIQUE_MARGIN_NATS:
             reason = f"two pairings of {best.size} and {rivals[0].size} points fit nearly as well"
-            return self._result(MatchStatus.AMBIGUOUS, reason, best, rivals[0], margin)
-        return self._found(best, rivals[0], margin)
+            return self._build_match(MatchStatus.AMBIGUOUS, reason, best, rivals[0], margin)
+        return self._answer_unique(best, rivals[0], margin)
 
-    def _found(self, best: Candidate, rival: Candidate | None, margin: float) -> Match:
+    def _answer_unique(self, best: Candidate, rival: Candidate | None, margin: float) -> Match:
         reason = f"{best.size} pairs agree, odds against any other pairing at least e^{margin:.0f}"
-        return self._result(MatchStatus.UNIQUE, reason, best, rival, margin)
+        return self._build_match(MatchStatus.UNIQUE, reason, best, rival, margin)
 
-    def _too_noisy(self, ranked: list[Candidate]) -> Match:
+    def _answer_too_noisy(self, ranked: list[Candidate]) -> Match:
         reason = "too many pairings agree within this noise; give a smaller sigma or fewer points"
         if not ranked:
-            return self.no_match(MatchStatus.AMBIGUOUS, reason)
+            return self.answer_without_pairs(MatchStatus.AMBIGUOUS, reason)
         rivals = [one for one in ranked[1:] if one.nodes & ~ranked[0].nodes]
         rival = rivals[0] if rivals else None
         margin = ranked[0].score_nats - rival.score_nats if rival else 0.0
-        return self._result(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
+        return self._build_match(MatchStatus.AMBIGUOUS, reason, ranked[0], rival, margin)
 
-    def _explain(self, nearest: list[Candidate], outside_prior: bool) -> Match:
+    def _explain(self, nearest: list[Candidate], is_outside_prior: bool) -> Match:
         """Explain why no pairing passes, with the nearest miss."""
-        excluded = [one for one in nearest if outside_prior and self._objection(one)]
+        excluded = [one for one in nearest if is_outside_prior and self._objection(one)]
         miss = max(excluded or nearest, key=lambda one: (one.size, one.score_nats))
-        if outside_prior:
+        if is_outside_prior:
             reason = (
                 f"the points agree only in an orientation that the prior excludes: {self._objection(miss)}"
             )
@@ -287,26 +287,26 @@ class CorrespondenceSearch:
                 f"{miss.size} pairs have matching distances but residuals beyond the noise"
                 f" (chi-square {miss.chi_square:.0f}, limit {gate(miss.size):.0f})"
             )
-        return self.no_match(MatchStatus.INCONSISTENT, reason, miss)
+        return self.answer_without_pairs(MatchStatus.INCONSISTENT, reason, miss)
 
-    def no_match(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
+    def answer_without_pairs(self, status: MatchStatus, reason: str, miss: Candidate | None = None) -> Match:
         """Answer without pairs."""
         counts = len(self.image), len(self.physical)
-        return Match.of(status, reason, None, counts, runner_up=self._hypothesis(miss))
+        return Match.of(status, reason, None, counts, runner_up=self._to_hypothesis(miss))
 
-    def _result(
+    def _build_match(
         self, status: MatchStatus, reason: str, best: Candidate, rival: Candidate | None, margin: float
     ) -> Match:
         return Match.of(
             status,
             reason,
-            self._hypothesis(best),
+            self._to_hypothesis(best),
             (len(self.image), len(self.physical)),
-            runner_up=self._hypothesis(rival),
+            runner_up=self._to_hypothesis(rival),
             margin_nats=margin,
         )
 
-    def _hypothesis(self, one: Candidate | None) -> Hypothesis | None:
+    def _to_hypothesis(self, one: Candidate | None) -> Hypothesis | None:
         return None if one is None else as_hypothesis(one, len(self.physical))
 
 
@@ -314,5 +314,5 @@ def _mirror_reason(one: Candidate) -> str:
     return f"{one.size} pairs agree only as a mirror image: check left and right of the series"
 
 
-def _by_score(one: Candidate) -> float:
+def _score_key(one: Candidate) -> float:
     return -one.score_nats

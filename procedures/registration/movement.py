@@ -56,7 +56,7 @@ class RigidMove:
         return float(self.fit.predict_tre_mm(np.reshape(np.asarray(place_mm, dtype=float), (1, 3)))[0])
 
 
-def rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
+def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
     """Fit the move of paired points (n, 3), n >= 3.
 
     `covariance_mm2` (n, 3, 3) is the sum over both measurements of each point. Raises REG-001 to REG-006, and
@@ -82,10 +82,10 @@ class PointShift:
         return cls(displacements_mm.mean(axis=0), rms_mm, len(displacements_mm))
 
 
-def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """Shift of at least two points, each near its recorded position; None for fewer.
 
-    Unlike in `shift_of`, `rms_mm` is of the displacements themselves.
+    Unlike in `measure_shift`, `rms_mm` is of the displacements themselves.
     """
     recorded, seen = _rows(recorded_mm), _rows(seen_mm)
     if not (len(recorded) and len(seen)):
@@ -98,13 +98,13 @@ def shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | Non
     return PointShift.of(displacements)
 
 
-def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
+def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
     """Shift of points (n, 3), given new readings (m, 3) in any order among others.
 
     None when fewer than three of them are seen, or when their identity is not clear.
     """
     recorded, seen = _rows(recorded_mm), _rows(seen_mm)
-    pairs = same_points(recorded, seen)
+    pairs = identify_points(recorded, seen)
     if pairs is None:
         return None
     rows, columns = (list(side) for side in zip(*pairs, strict=True))
@@ -116,17 +116,17 @@ def shift_of(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
     """Displacement of one point while the others, three or more, stayed within the limit; None otherwise.
 
-    Shapes like in `shift_of`.
+    Shapes like in `measure_shift`.
     """
     recorded, seen = _rows(recorded_mm), _rows(seen_mm)
-    pairs = same_points(recorded, seen) or ()
+    pairs = identify_points(recorded, seen) or ()
     moved_mm = [float(np.linalg.norm(seen[column] - recorded[row])) for row, column in pairs]
     *others, farthest = sorted(moved_mm) or [0.0]
-    alone = len(others) >= LEAST_POINTS and others[-1] < limit_mm <= farthest
-    return farthest if alone else None
+    is_alone = len(others) >= LEAST_POINTS and others[-1] < limit_mm <= farthest
+    return farthest if is_alone else None
 
 
-def same_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
+def identify_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
     """Row indices of points (n, 3) and of the same points in a new reading (m, 3), in any order among others.
 
     Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtri
 
 from procedures.registration.correspondence import Hypothesis
-from procedures.registration.rigid_fit import as_transform, fit_rigid, mirrored_sum_mm2, residuals
+from procedures.registration.rigid_fit import as_transform, fit_rigid, reflection_sum_mm2, residuals
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ def prune(neighbours: list[int], smallest: int) -> list[int]:
     waiting = [node for node, row in enumerate(kept) if row]
     while waiting:
         _drop_lonely(kept, smallest - 1)
-        touched = 0
+        touched_mask = 0
         for node in waiting:
             row = kept[node]
             lost = 0
@@ -70,10 +70,10 @@ def prune(neighbours: list[int], smallest: int) -> list[int]:
                     lost |= 1 << other
             if lost:
                 kept[node] = row ^ lost
-                touched |= row
+                touched_mask |= row
                 for other in bits(lost):
                     kept[other] &= ~(1 << node)
-        waiting = bits(touched)
+        waiting = bits(touched_mask)
     return kept
 
 
@@ -81,13 +81,13 @@ def _drop_lonely(kept: list[int], fewest: int) -> None:
     """Repeatedly remove, in place, nodes with too few neighbours."""
     lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
     while lonely:
-        gone = 0
+        removed = 0
         for node in lonely:
-            gone |= 1 << node
+            removed |= 1 << node
             kept[node] = 0
         for node, row in enumerate(kept):
-            if row & gone:
-                kept[node] = row & ~gone
+            if row & removed:
+                kept[node] = row & ~removed
         lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
 
 
@@ -110,7 +110,7 @@ class CliqueSearch:
     def run(self) -> list[int]:
         """Find the maximal cliques near the largest size, as bit masks over the nodes."""
         self._neighbours = bit_rows(self.adjacency)
-        self.largest = self._greedy()
+        self.largest = self._grow_greedily()
         self._neighbours = prune(self._neighbours, self._bound())
         nodes = sum(1 << node for node, row in enumerate(self._neighbours) if row)
         if nodes:
@@ -121,7 +121,7 @@ class CliqueSearch:
     def _bound(self) -> int:
         return max(self.fewest, self.largest - self.slack)
 
-    def _greedy(self) -> int:
+    def _grow_greedily(self) -> int:
         """Grow one large clique from the best connected node; its size is a first bound for the search."""
         best = max(self._neighbours, key=int.bit_count, default=0)
         if not best:
@@ -245,10 +245,10 @@ def evaluate(
     fit = fit_rigid(image, physical)
     squares = np.square(residuals(fit, image, physical)).sum(axis=(1, 2))
     chi_squares = squares / evidence.variance_mm2
-    mirrored = mirrored_sum_mm2(fit, squares) / evidence.variance_mm2
+    mirrored = reflection_sum_mm2(fit, squares) / evidence.variance_mm2
     widths_mm = np.linalg.norm(image[:, :, None] - image[:, None], axis=-1).max(axis=(1, 2))
-    known_nats = np.where(widths_mm > WIDEST_HEAD_MM, math.log(WIDE_SET_ODDS), 0.0)
-    scores = evidence.most_nats(size) + known_nats - 0.5 * chi_squares
+    prior_nats = np.where(widths_mm > WIDEST_HEAD_MM, math.log(WIDE_SET_ODDS), 0.0)
+    scores = evidence.most_nats(size) + prior_nats - 0.5 * chi_squares
     on_a_line = fit.spread_mm2[:, 1] <= LINE_RATIO * fit.spread_mm2[:, 0]
     return [
         Candidate(

@@ -25,7 +25,12 @@ from procedures.registration.error_theory import (
     tre_principal_axes_mm,
 )
 from procedures.registration.errors import BadParameter, CollinearPoints, UnsoundRegistration
-from procedures.registration.points import FEWEST_PAIRS, checked_covariances, checked_pairs, checked_targets
+from procedures.registration.points import (
+    FEWEST_PAIRS,
+    validate_covariances,
+    validate_pairs,
+    validate_targets,
+)
 from procedures.registration.rigid_fit import fit_rigid, fit_weighted
 from ronna_hw.frames import Frame, Transform
 
@@ -136,7 +141,7 @@ class Registration:
         of both spaces together), or with the FLE that eq. 36 estimates from FRE; the limit then also carries
         the uncertainty of that estimate. Raises REG-001, REG-007.
         """
-        targets = np.asarray(self.transform.apply(checked_targets(points)), dtype=float)
+        targets = np.asarray(self.transform.apply(validate_targets(points)), dtype=float)
         fiducials = np.asarray(self.transform.apply(self.image_mm), dtype=float)
         if fle_mm is None and self.covariance_mm2 is not None:
             pose = pose_covariance(fiducials, self.covariance_mm2, weighted=True)
@@ -170,21 +175,23 @@ def register(
     weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than three,
     collinear, duplicates nearer than 2 mm, bad covariance, no convergence.
     """
-    image, physical = checked_pairs(image_mm, physical_mm)
-    covariance = None if covariance_mm2 is None else checked_covariances(covariance_mm2, len(image))
+    image, physical = validate_pairs(image_mm, physical_mm)
+    covariance = None if covariance_mm2 is None else validate_covariances(covariance_mm2, len(image))
     rotation, translation, caveats = _fit(image, physical, covariance)
     transform = RigidTransform.from_components(translation, Rotation.from_matrix(rotation))
-    left_over = physical - np.asarray(transform.apply(image), dtype=float)
+    residual_vectors_mm = physical - np.asarray(transform.apply(image), dtype=float)
     return Registration(
         transform=transform,
-        fre_mm=math.sqrt(float(np.square(left_over).sum(axis=1).mean())),
-        residuals_mm=left_over,
+        fre_mm=math.sqrt(float(np.square(residual_vectors_mm).sum(axis=1).mean())),
+        residuals_mm=residual_vectors_mm,
         image_mm=image,
         physical_mm=physical,
         covariance_mm2=covariance,
         chi_square=None
         if covariance is None
-        else float(np.einsum("ni,nij,nj->", left_over, np.linalg.inv(covariance), left_over)),
+        else float(
+            np.einsum("ni,nij,nj->", residual_vectors_mm, np.linalg.inv(covariance), residual_vectors_mm)
+        ),
         caveats=caveats,
     )
 

@@ -18,9 +18,9 @@ SYMMETRY_TOLERANCE = 1e-9  # relative; covariances are products, symmetric up to
 REAL_KINDS = "iuf"  # of a NumPy type: signed, unsigned, floating
 
 
-def checked_points(points_mm: ArrayLike, name: str) -> Array:
+def validate_points(points_mm: ArrayLike, name: str) -> Array:
     """Return the points as a new float array (n, 3); an empty list becomes (0, 3). Raises REG-001."""
-    values = _real_numbers(points_mm, f"the {name} points", BadPoints)
+    values = _validate_numbers(points_mm, f"the {name} points", BadPoints)
     if values.size == 0 and values.ndim <= 2:
         return np.zeros((0, 3))
     if values.ndim != 2 or values.shape[1] != 3:
@@ -38,18 +38,18 @@ def checked_points(points_mm: ArrayLike, name: str) -> Array:
     return values
 
 
-def checked_targets(points_mm: ArrayLike) -> Array:
+def validate_targets(points_mm: ArrayLike) -> Array:
     """Return targets as (m, 3); one point (3,) becomes (1, 3). Raises REG-001."""
     try:
         single = np.shape(points_mm) == (3,)
     except ValueError:
         single = False
-    return checked_points(np.reshape(points_mm, (1, 3)) if single else points_mm, "target")
+    return validate_points(np.reshape(points_mm, (1, 3)) if single else points_mm, "target")
 
 
-def checked_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
+def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
     """Return two sets with matching rows, at least three, no repeats. Raises REG-001, 002, 004."""
-    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
+    image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
     if len(image) < FEWEST_PAIRS:
@@ -75,9 +75,9 @@ def refuse_duplicates(points: Array, name: str) -> None:
         )
 
 
-def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
+def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     """Return covariances (count, 3, 3) in mm2, made exactly symmetric. Raises REG-005."""
-    values = _real_numbers(covariance_mm2, "the covariances", BadCovariance)
+    values = _validate_numbers(covariance_mm2, "the covariances", BadCovariance)
     if values.shape != (count, 3, 3):
         raise BadCovariance(f"the covariances have shape {values.shape}", expected=f"({count}, 3, 3)")
     if not np.all(np.isfinite(values)):
@@ -96,7 +96,7 @@ def checked_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
     return np.asarray(values, dtype=float)
 
 
-def _real_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
+def _validate_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
     """Return a new float array; refuse complex numbers, booleans, strings and objects."""
     try:
         given = np.asarray(numbers)

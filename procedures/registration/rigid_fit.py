@@ -72,7 +72,7 @@ def residuals(fit: RigidFit, image_mm: Array, physical_mm: Array) -> Array:
     return np.asarray(physical_mm - mapped)
 
 
-def mirrored_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
+def reflection_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
     """Squared residual sum of the best reflection, given the best rotation's `squared_sum_mm2`.
 
     Flipping the sign of the smallest axis changes the sum by four times its singular value.

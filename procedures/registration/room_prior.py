@@ -70,9 +70,9 @@ class HeadSight:
             ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
             for places in (self.eyes_mm[:, None], physical_mm)
         )
-        ways = points - eyes
-        share = np.clip(-(ways * eyes).sum(axis=-1) / np.square(ways).sum(axis=-1), 0.0, 1.0)
-        nearest = np.linalg.norm(eyes + share[..., None] * ways, axis=-1).min(axis=0)
+        rays = points - eyes
+        share = np.clip(-(rays * eyes).sum(axis=-1) / np.square(rays).sum(axis=-1), 0.0, 1.0)
+        nearest = np.linalg.norm(eyes + share[..., None] * rays, axis=-1).min(axis=0)
         hidden = int((nearest < SOLID_SHARE).sum())
         return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
 
@@ -98,14 +98,14 @@ class RoomPrior:
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
         """State the first evidence against this pose; empty if there is none."""
         middle_mm = rotation @ self.sight.centre_mm + translation_mm
-        seen = self.sight.objection(rotation, translation_mm, physical_mm)
-        return self.against_position(rotation, middle_mm) or seen
+        sight_objection = self.sight.objection(rotation, translation_mm, physical_mm)
+        return self.check_position(rotation, middle_mm) or sight_objection
 
-    def against_position(self, rotation: Array, middle_mm: Array) -> str:
+    def check_position(self, rotation: Array, middle_mm: Array) -> str:
         """State evidence against the patient's position, from orientation and middle of the head."""
-        return self._against_gravity(rotation) or self._in_the_body(rotation, middle_mm)
+        return self._check_gravity(rotation) or self._check_body(rotation, middle_mm)
 
-    def _against_gravity(self, rotation: Array) -> str:
+    def _check_gravity(self, rotation: Array) -> str:
         up = rotation.T @ UP
         leans_rad = math.atan2(up @ SUPERIOR, up @ self.lying_up)
         low_rad, high_rad = map(math.radians, self.recline_deg)
@@ -119,7 +119,7 @@ class RoomPrior:
             f"limit {self.tolerance_deg:.0f} deg"
         )
 
-    def _in_the_body(self, rotation: Array, middle_mm: Array) -> str:
+    def _check_body(self, rotation: Array, middle_mm: Array) -> str:
         body, base = -(rotation @ SUPERIOR)[:2], -middle_mm[:2]
         if np.linalg.norm(body) < LYING_SHARE:
             return ""
@@ -162,7 +162,7 @@ def choose_landmark(
         middle_mm = pose.apply(centre_mm * MIRROR)
         for number, mirror in enumerate(MIRRORS):
             rotation = pose.rotation.as_matrix() @ np.diag(MIRROR) @ mirror.T
-            if not prior.against_position(rotation, middle_mm):
+            if not prior.check_position(rotation, middle_mm):
                 poses.append((rotation, middle_mm, np.abs(mirror) @ semi_mm, number < WITHIN_SLICES))
     candidates = []
     for name, direction in LANDMARKS.items():

@@ -52,10 +52,10 @@ def match_many_by_similarity(
     """
     image, physical = _distances(image_mm), _distances(physical_mm)
     found: dict[int, SimilarityPairs] = {}
-    for readings in _levels(image, physical):
-        rows = _sorted_rows(image[readings.of], readings.rows)
-        columns = _sorted_rows(physical[readings.of], readings.columns)
-        matrix = similarity(rows, columns, tolerance_mm[readings.of])
+    for readings in _iterate_groups(image, physical):
+        rows = _sort_rows(image[readings.index], readings.rows)
+        columns = _sort_rows(physical[readings.index], readings.columns)
+        matrix = similarity(rows, columns, tolerance_mm[readings.index])
         found |= readings.settle(matrix)
     return tuple(found[one] for one in range(len(image)))
 
@@ -92,9 +92,9 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings with equally many points left: `of` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with equally many points left: `index` (k,), `rows` (k, r), `columns` (k, c)."""
 
-    of: Indices
+    index: Indices
     rows: Indices
     columns: Indices
     waiting: list[_Readings]  # destination of those that lose another point
@@ -109,40 +109,40 @@ class _Readings:
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
-        done = np.all(complete.any(axis=1), axis=1) & np.all(complete.any(axis=2), axis=1)
+        is_settled = np.all(complete.any(axis=1), axis=1) & np.all(complete.any(axis=2), axis=1)
         per_column, per_row = np.asarray(complete.sum(axis=1)), np.asarray(complete.sum(axis=2))
         single = np.all(per_column == 1, axis=1) & np.all(per_row == 1, axis=1)
-        for k in np.flatnonzero(done):
+        for k in np.flatnonzero(is_settled):
             status, pairs = MatchStatus.AMBIGUOUS, _no_pairs()
             if single[k]:
                 status = MatchStatus.UNIQUE
                 pairs = np.column_stack([self.rows[k], self.columns[k][complete[k].argmax(axis=1)]])
-            settled[int(self.of[k])] = SimilarityPairs(status, pairs)
-        left = np.flatnonzero(~done)
+            settled[int(self.index[k])] = SimilarityPairs(status, pairs)
+        rest = np.flatnonzero(~is_settled)
         if min(r, c) <= FEWEST_PAIRS and r == c:
             return settled | {
-                int(self.of[k]): SimilarityPairs(MatchStatus.INCONSISTENT, _no_pairs()) for k in left
+                int(self.index[k]): SimilarityPairs(MatchStatus.INCONSISTENT, _no_pairs()) for k in rest
             }
-        self._drop(matrix, left)
+        self._drop(matrix, rest)
         return settled
 
-    def _drop(self, matrix: Indices, left: Indices) -> None:
-        row, row_best = _worst(matrix[left])
-        column, column_best = _worst(matrix[left].swapaxes(1, 2))
+    def _drop(self, matrix: Indices, rest: Indices) -> None:
+        row, row_best = _find_worst(matrix[rest])
+        column, column_best = _find_worst(matrix[rest].swapaxes(1, 2))
         r, c = self.size
-        of_rows = row_best <= column_best if r == c else np.full(len(left), r > c)
-        for drops_row, chosen in ((True, left[of_rows]), (False, left[~of_rows])):
+        of_rows = row_best <= column_best if r == c else np.full(len(rest), r > c)
+        for drops_row, chosen in ((True, rest[of_rows]), (False, rest[~of_rows])):
             if not len(chosen):
                 continue
             rows, columns = self.rows[chosen], self.columns[chosen]
             if drops_row:
-                rows = _without(rows, row[of_rows])
+                rows = _drop_position(rows, row[of_rows])
             else:
-                columns = _without(columns, column[~of_rows])
-            self.waiting.append(_Readings(self.of[chosen], rows, columns, self.waiting))
+                columns = _drop_position(columns, column[~of_rows])
+            self.waiting.append(_Readings(self.index[chosen], rows, columns, self.waiting))
 
 
-def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
+def _iterate_groups(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
     """Yield readings in groups of equal size, largest first, until none waits."""
     batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
     waiting: list[_Readings] = []
@@ -154,14 +154,14 @@ def _levels(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
         alike = [one for one in waiting if one.size == size]
         waiting[:] = [one for one in waiting if one.size != size]
         yield _Readings(
-            np.concatenate([one.of for one in alike]),
+            np.concatenate([one.index for one in alike]),
             np.concatenate([one.rows for one in alike]),
             np.concatenate([one.columns for one in alike]),
             waiting,
         )
 
 
-def _worst(matrix: Indices) -> tuple[Indices, Indices]:
+def _find_worst(matrix: Indices) -> tuple[Indices, Indices]:
     """Find the row whose best cell is lowest, in a tie the one with the smallest sum, and that cell."""
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
@@ -169,17 +169,17 @@ def _worst(matrix: Indices) -> tuple[Indices, Indices]:
     return worst, np.take_along_axis(best, worst[:, None], axis=1)[:, 0]
 
 
-def _without(kept: Indices, position: Indices) -> Indices:
+def _drop_position(kept: Indices, position: Indices) -> Indices:
     """Drop the element at the given position from each row of (k, r)."""
-    stays = np.arange(kept.shape[1]) != position[:, None]
-    return np.asarray(kept[stays].reshape(len(kept), -1))
+    keep = np.arange(kept.shape[1]) != position[:, None]
+    return np.asarray(kept[keep].reshape(len(kept), -1))
 
 
 def _distances(points: Array) -> Array:
     return np.asarray(np.linalg.norm(points[:, :, None] - points[:, None], axis=-1))
 
 
-def _sorted_rows(distances: Array, kept: Indices) -> Array:
+def _sort_rows(distances: Array, kept: Indices) -> Array:
     """Distances from each kept point to the other kept ones, ascending."""
     chosen = np.take_along_axis(distances, kept[:, :, None], axis=1)
     chosen = np.take_along_axis(chosen, kept[:, None, :], axis=2)
@@ -212,8 +212,8 @@ def validate_many(
         pairs = np.array([found[number].pairs for number in numbers])
         image = np.take_along_axis(image_mm[numbers], pairs[:, :, :1], axis=1)
         physical = np.take_along_axis(physical_mm[numbers], pairs[:, :, 1:], axis=1)
-        left = residuals(fit_rigid(image, physical), image, physical)
-        too_large = np.square(left).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
+        rest = residuals(fit_rigid(image, physical), image, physical)
+        too_large = np.square(rest).sum(axis=(1, 2)) > gate(size, refused_share) * variance_mm2
         for number in np.array(numbers)[too_large].tolist():
             judged[number] = SimilarityPairs(MatchStatus.INCONSISTENT, np.empty((0, 2), dtype=np.intp))
     return tuple(judged)

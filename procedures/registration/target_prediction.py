@@ -56,7 +56,7 @@ class SharedErrors:
 
 
 @dataclass(frozen=True)
-class OwnErrors:
+class IndependentErrors:
     """Errors of one source that are independent between poses: covariances, mm2."""
 
     source: str
@@ -89,7 +89,9 @@ class TargetPrediction:
         """Radius that contains the error with this probability. Raises REG-007."""
         return float(error_limit_mm(self.covariance_mm2, confidence))
 
-    def holds(self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE) -> NDArray[np.bool_]:
+    def mark_contained(
+        self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
+    ) -> NDArray[np.bool_]:
         """Mark the errors (..., 3) inside the ellipsoid that contains them with this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
@@ -99,7 +101,7 @@ class TargetPrediction:
 def predict_target_error(
     spheres_mm: ArrayLike,
     target_mm: ArrayLike,
-    sources: Sequence[SharedErrors | OwnErrors],
+    sources: Sequence[SharedErrors | IndependentErrors],
     weights: ArrayLike | None = None,
 ) -> TargetPrediction:
     """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, in one frame.
@@ -154,7 +156,7 @@ class UnnoticedPoint:
     at_target_mm: float
 
 
-def unnoticed_point(
+def find_unnoticed_point(
     fiducials_mm: Array,
     target_mm: Array,
     covariance_mm2: Array,
@@ -171,11 +173,11 @@ def unnoticed_point(
     directions = _directions()
     count = len(fiducials_mm)
     information = _information(fiducials_mm, covariance_mm2, shared_mm).reshape(count, 3, count, 3)
-    allowed = gate.chi_square_limit - degrees_of_freedom(count)
+    spare = gate.chi_square_limit - degrees_of_freedom(count)
     worst = UnnoticedPoint(0, 0.0, 0.0)
     for index, influence in enumerate(influence_of_spheres(fiducials_mm, target_mm, weights)):
-        seen = np.einsum("ki,ij,kj->k", directions, information[index, :, index], directions)
-        displaced = np.minimum(largest_mm, np.sqrt(allowed / np.maximum(seen, allowed / largest_mm**2)))
+        sensitivity = np.einsum("ki,ij,kj->k", directions, information[index, :, index], directions)
+        displaced = np.minimum(largest_mm, np.sqrt(spare / np.maximum(sensitivity, spare / largest_mm**2)))
         shift = displaced * np.linalg.norm(directions @ influence.T, axis=1)
         if shift.max() > worst.at_target_mm:
             worst = UnnoticedPoint(index, float(displaced[shift.argmax()]), float(shift.max()))

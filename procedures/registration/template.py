@@ -16,9 +16,9 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.registration.correspondence import Match, MatchStatus, PosePrior
 from procedures.registration.errors import LayoutNotFound
-from procedures.registration.matching import MOST_POINTS, checked_prior, evidence_of, match
+from procedures.registration.matching import MOST_POINTS, match, validate_prior, weigh_evidence
 from procedures.registration.pairings import as_hypothesis, evaluate
-from procedures.registration.points import checked_points
+from procedures.registration.points import validate_points
 
 Array = NDArray[np.float64]
 Sigma = float | Sequence[float] | NDArray[np.float64]
@@ -31,7 +31,7 @@ TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for
 
 
 @dataclass(frozen=True)
-class _OfTemplate:
+class _TemplatePrior:
     """A prior of the image, applied to the template as found in the image."""
 
     prior: PosePrior
@@ -60,19 +60,19 @@ def match_by_template(
     agree. The reason for a failure names the side; its runner-up then pairs template points with those of
     that side. Raises REG-001 and REG-007.
     """
-    template = checked_points(template_mm, "template")
-    image, physical = checked_points(image_mm, "image"), checked_points(physical_mm, "physical")
-    known = checked_prior(prior)
-    in_ct = _found(template, image, sigma_template_mm, sigma_image_mm, None)
-    if in_ct.transform is None or in_ct.status is not MatchStatus.UNIQUE:
-        return _failed(in_ct, "image", image, physical)
-    of_template = known and _OfTemplate(known, in_ct.transform)
-    in_room = _found(template, physical, sigma_template_mm, sigma_physical_mm, of_template)
-    if in_room.status is not MatchStatus.UNIQUE:
-        return _failed(in_room, "physical", image, physical)
-    in_image, in_physical = in_ct.pairs[:, 1], in_room.pairs[:, 1]
+    template = validate_points(template_mm, "template")
+    image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
+    image_prior = validate_prior(prior)
+    ct_match = _match_template(template, image, sigma_template_mm, sigma_image_mm, None)
+    if ct_match.transform is None or ct_match.status is not MatchStatus.UNIQUE:
+        return _answer_failure(ct_match, "image", image, physical)
+    template_prior = image_prior and _TemplatePrior(image_prior, ct_match.transform)
+    room_match = _match_template(template, physical, sigma_template_mm, sigma_physical_mm, template_prior)
+    if room_match.status is not MatchStatus.UNIQUE:
+        return _answer_failure(room_match, "physical", image, physical)
+    in_image, in_physical = ct_match.pairs[:, 1], room_match.pairs[:, 1]
     nodes = sum(1 << int(i) * len(physical) + int(j) for i, j in zip(in_image, in_physical, strict=True))
-    (pairing,) = evaluate([nodes], image, physical, evidence_of(sigma_image_mm, sigma_physical_mm))
+    (pairing,) = evaluate([nodes], image, physical, weigh_evidence(sigma_image_mm, sigma_physical_mm))
     paired = as_hypothesis(pairing, len(physical))
     counts = len(image), len(physical)
     if not pairing.passed:
@@ -83,11 +83,11 @@ def match_by_template(
         f"all {len(template)} template points were found on both sides",
         paired,
         counts,
-        margin_nats=min(in_ct.margin_nats, in_room.margin_nats),
+        margin_nats=min(ct_match.margin_nats, room_match.margin_nats),
     )
 
 
-def _found(
+def _match_template(
     template: Array, points: Array, sigma_template_mm: float, sigma_mm: Sigma, prior: PosePrior | None
 ) -> Match:
     return match(
@@ -100,7 +100,7 @@ def _found(
     )
 
 
-def _failed(found: Match, side: str, image: Array, physical: Array) -> Match:
+def _answer_failure(found: Match, side: str, image: Array, physical: Array) -> Match:
     reason = f"the template among the {side} points: {found.reason}"
     return Match.of(found.status, reason, None, (len(image), len(physical)), runner_up=found.runner_up)
 
@@ -121,7 +121,7 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
     Every sphere of the layout must be present, in exactly one way, each where the others predict it to within
     the scanner's accuracy. Raises REG-012, REG-001.
     """
-    layout, spheres = checked_points(layout_mm, "layout"), checked_points(spheres_mm, "scan")
+    layout, spheres = validate_points(layout_mm, "layout"), validate_points(spheres_mm, "scan")
     if len(spheres) > MOST_POINTS:
         raise LayoutNotFound(
             "the scan shows too many spheres to search it for a layout",
@@ -137,10 +137,10 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
         expected=len(layout),
     )
     if found.transform is None or found.status is not MatchStatus.UNIQUE:
-        ambiguous = found.status is MatchStatus.AMBIGUOUS
+        is_ambiguous = found.status is MatchStatus.AMBIGUOUS
         raise LayoutNotFound(
             "the layout fits the scan in more than one way"
-            if ambiguous
+            if is_ambiguous
             else "the scan does not show the whole layout",
             expected=f"all {len(layout)} spheres of the layout, up to {_width_mm(layout):.1f} mm apart",
             got=f"{len(spheres)} spheres, up to {_width_mm(spheres):.1f} mm apart",

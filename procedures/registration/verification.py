@@ -18,7 +18,7 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.registration.errors import BadPoints
 from procedures.registration.point_registration import Registration
-from procedures.registration.points import checked_points
+from procedures.registration.points import validate_points
 from ronna_hw.calibration import Strict
 
 Array = NDArray[np.float64]
@@ -88,7 +88,7 @@ def verify_two_way(
     which `fine` was registered from them. `ct_disagreement_mm` is, per fiducial, the distance between the two
     CT estimators. Raises REG-001.
     """
-    image, tracker = checked_points(image_mm, "image"), checked_points(tracker_mm, "tracker")
+    image, tracker = validate_points(image_mm, "image"), validate_points(tracker_mm, "tracker")
     partners = np.asarray(pairs, dtype=int).reshape(-1, 2)
     if len(partners) and (
         partners.min() < 0 or np.any(partners.max(axis=0) >= np.array([len(image), len(tracker)]))
@@ -98,7 +98,7 @@ def verify_two_way(
         raise BadPoints("a stereo measurement names a fiducial that does not exist")
     if fine is not None and fine.pairs != len(stereo):
         raise BadPoints(f"{fine.pairs} registered pairs but {len(stereo)} stereo measurements")
-    rows = _ct_to_room(image, tracker, partners, coarse, fine, stereo, ct_disagreement_mm or {})
+    rows = _build_ct_rows(image, tracker, partners, coarse, fine, stereo, ct_disagreement_mm or {})
     fiducial_of = {reading: fiducial for fiducial, reading in reversed(partners.tolist())}
     readings = [
         (Instrument.TRACKER, index, fiducial_of.get(index), point, coarse)
@@ -109,7 +109,7 @@ def verify_two_way(
             (Instrument.STEREO, index, point.fiducial, np.asarray(point.position_mm), fine.transform)
             for index, point in enumerate(stereo)
         ]
-    back = tuple(_room_to_ct(image, *reading) for reading in readings) if len(image) else ()
+    back = tuple(_build_room_row(image, *reading) for reading in readings) if len(image) else ()
     forward_agrees = all(row.partner_is_nearest is not False for row in rows)
     return TwoWayTable(
         ct_to_room=rows,
@@ -122,7 +122,7 @@ def verify_two_way(
     )
 
 
-def _ct_to_room(
+def _build_ct_rows(
     image: Array,
     tracker: Array,
     partners: NDArray[np.int_],
@@ -155,7 +155,7 @@ def _ct_to_room(
     return tuple(rows)
 
 
-def _room_to_ct(
+def _build_room_row(
     image: Array,
     instrument: Instrument,
     index: int,
@@ -166,11 +166,11 @@ def _room_to_ct(
     back = np.asarray(room_from_ct.inv().apply(position), dtype=float)
     distances = np.linalg.norm(image - back, axis=1)
     nearest = int(distances.argmin())
-    shown = nearest if fiducial is None else fiducial
+    reference = nearest if fiducial is None else fiducial
     return RoomToCtRow(
         instrument=instrument,
         index=index,
         fiducial=fiducial,
         nearest_fiducial=nearest,
-        distance_mm=float(distances[shown]),
+        distance_mm=float(distances[reference]),
     )

@@ -62,8 +62,8 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
     count = len(edges.position_px)
     if count < LEAST_POINTS:
         return []
-    centres, radii = _hypotheses(edges, smallest_px, largest_px)
-    scores = _scores(edges, centres, radii)
+    centres, radii = _draw_hypotheses(edges, smallest_px, largest_px)
+    scores = _score_circles(edges, centres, radii)
     rest = np.argsort(-scores, kind="stable")
     rest = rest[scores[rest] > SCORE_SHARE * scores.max(initial=0.0)]
     found: list[Circle] = []
@@ -75,10 +75,10 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
         if circle is None or not smallest_px <= circle.radius_px <= largest_px:
             continue
         here = np.array([circle.centre_px]), np.array([circle.radius_px])
-        if any(_same(*here, other)[0] for other in found):
+        if any(_mark_same(*here, other)[0] for other in found):
             continue
         found.append(circle)
-        rest = rest[~_same(centres[rest], radii[rest], circle)]
+        rest = rest[~_mark_same(centres[rest], radii[rest], circle)]
     return sorted(found, key=lambda circle: -circle.coverage * circle.radius_px)
 
 
@@ -90,7 +90,7 @@ class EdgePoints:
     direction: NDArray[np.float64]
 
 
-def halved(image: GreyImage, times: int) -> GreyImage:
+def halve_image(image: GreyImage, times: int) -> GreyImage:
     """Average 2 x 2 pixels, `times` times; drop rows and columns that do not fill a block.
 
     With f = 2 ** times, pixel u of the result is centred at `f * (u + 0.5) - 0.5` of the image. Halving
@@ -99,7 +99,7 @@ def halved(image: GreyImage, times: int) -> GreyImage:
     factor = 2**times
     height, width = (side // factor * factor for side in image.shape)
     reduced: GreyImage = np.ascontiguousarray(image[:height, :width])  # type: ignore[assignment]  # NumPy widens the dtype
-    with _in_this_thread():
+    with _single_threaded():
         for _ in range(times):
             height, width = height // 2, width // 2
             reduced = cv2.resize(reduced, (width, height), interpolation=cv2.INTER_AREA)
@@ -110,7 +110,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
     """Find thin edges after stretching the grey values from dark..bright to 0..255."""
     gain = GREY_LEVELS / max(bright - dark, 1.0)
     stretched = np.clip((image.astype(np.float32) - dark) * gain, 0.0, GREY_LEVELS).astype(np.uint8)
-    with _in_this_thread():
+    with _single_threaded():
         smooth = cv2.GaussianBlur(stretched, (0, 0), SMOOTHING_PX)
         slope_x = cv2.Sobel(smooth, cv2.CV_16S, 1, 0)
         slope_y = cv2.Sobel(smooth, cv2.CV_16S, 0, 1)
@@ -125,7 +125,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 
 @contextmanager
-def _in_this_thread() -> Iterator[None]:
+def _single_threaded() -> Iterator[None]:
     """Keep OpenCV to one thread: on images this small its busy-waiting workers cost more than they save."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
@@ -144,19 +144,19 @@ def _edge_threshold(slope_x: NDArray[np.int16], slope_y: NDArray[np.int16]) -> f
     return max(above_noise, STRONG_SHARE * strong, GRADIENT_FLOOR)
 
 
-def _hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
+def _draw_hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
     """Fit circles within the limits through point triples: centres (k, 2), radii (k,)."""
     triples = np.random.default_rng(SEED).integers(0, len(edges.position_px), (TRIPLES, 3))
     centres, radii = np.empty((0, 2)), np.empty(0)
     for portion in np.split(triples, PORTIONS):
-        more = _circles_through(edges, portion, smallest_px, largest_px)
+        more = _fit_circles(edges, portion, smallest_px, largest_px)
         centres, radii = np.concatenate([centres, more[0]]), np.concatenate([radii, more[1]])
         if len(radii) >= HYPOTHESES:
             break
     return centres[:HYPOTHESES], radii[:HYPOTHESES]
 
 
-def _circles_through(
+def _fit_circles(
     edges: EdgePoints, triples: NDArray[np.int64], smallest_px: float, largest_px: float
 ) -> tuple[Array, Array]:
     """Fit circles through point triples whose gradients face the centre: centres (k, 2), radii (k,)."""
@@ -172,7 +172,7 @@ def _circles_through(
     return centres, radii
 
 
-def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
+def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
     """Count the edge points on each circle that face its centre."""
     step = max(1, len(edges.position_px) // SCORED_POINTS)
     position = edges.position_px[::step].astype(np.float32)
@@ -180,9 +180,9 @@ def _scores(edges: EdgePoints, centres: Array, radii: Array) -> Array:
     inward_x = centres[:, :1].astype(np.float32) - position[:, 0]
     inward_y = centres[:, 1:].astype(np.float32) - position[:, 1]
     distance = np.sqrt(inward_x * inward_x + inward_y * inward_y)
-    facing = inward_x * direction[:, 0] + inward_y * direction[:, 1] > FACING * distance
+    is_facing = inward_x * direction[:, 0] + inward_y * direction[:, 1] > FACING * distance
     on_rim = np.abs(distance - radii[:, None].astype(np.float32)) < TOLERANCE_PX
-    return np.asarray((facing & on_rim).sum(axis=1), dtype=float)
+    return np.asarray((is_facing & on_rim).sum(axis=1), dtype=float)
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
@@ -191,8 +191,8 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
         distance = np.hypot(inward[:, 0], inward[:, 1])
-        facing = (inward * edges.direction).sum(axis=1) > FACING * distance
-        chosen = facing & (np.abs(distance - radius) < tolerance)
+        is_facing = (inward * edges.direction).sum(axis=1) > FACING * distance
+        chosen = is_facing & (np.abs(distance - radius) < tolerance)
         angle = np.arctan2(inward[chosen, 1], inward[chosen, 0])
         sectors = ((angle + np.pi) / (2.0 * np.pi) * SECTORS).astype(int) % SECTORS
         coverage = len(np.unique(sectors)) / SECTORS
@@ -206,7 +206,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
     return Circle((float(centre[0]), float(centre[1])), radius, coverage)
 
 
-def _same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
+def _mark_same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
     """Mark the circles (k,) that are the same as `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)

@@ -65,7 +65,7 @@ class EllipseFit:
     centre_covariance_px2: Array  # (2, 2)
 
 
-def circle(centre_px: tuple[float, float], radius_px: float) -> Ellipse:
+def circle_as_ellipse(centre_px: tuple[float, float], radius_px: float) -> Ellipse:
     """Convert a circle to a starting ellipse."""
     return Ellipse(centre_px, (1.0 / radius_px, 0.0, 1.0 / radius_px))
 
@@ -80,11 +80,11 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
     parameters = np.array([*start.centre_px, *start.shape])
     mean_radius = float(np.sqrt(np.prod(start.axes_px)))
     scale = 1.0 / np.array([1.0, 1.0, *(3 * [mean_radius**2])])  # one unit moves the rim by 1 px
-    agreeing = _agreeing(points_px).astype(float) if rough_start else np.ones(len(points_px))
+    agreeing = _mark_agreeing(points_px).astype(float) if rough_start else np.ones(len(points_px))
     for iteration in range(START_ITERATIONS + ITERATIONS):
         residual, jacobian = _residuals(parameters, points_px)
-        starting = rough_start and iteration < START_ITERATIONS
-        weights = agreeing if starting else _tukey(residual)[0]
+        is_starting = rough_start and iteration < START_ITERATIONS
+        weights = agreeing if is_starting else _tukey_weights(residual)[0]
         design = jacobian * scale
         normal = (design * weights[:, None]).T @ design
         try:
@@ -94,10 +94,10 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
         parameters = parameters + scale * step
         if not np.all(np.isfinite(parameters)) or parameters[2] * parameters[4] <= parameters[3] ** 2:
             return None
-        if not starting and np.abs(step).max() < STEP_END_PX:
+        if not is_starting and np.abs(step).max() < STEP_END_PX:
             break
     residual, jacobian = _residuals(parameters, points_px)
-    weights, sigma = _tukey(residual)
+    weights, sigma = _tukey_weights(residual)
     design = jacobian * scale
     normal = (design * weights[:, None]).T @ design
     if np.linalg.cond(normal) > 1e12:
@@ -123,7 +123,7 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
     return (length - 1.0) / steepness, jacobian / steepness[:, None]
 
 
-def _agreeing(points_px: Array) -> NDArray[np.bool_]:
+def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
     """Mark the points near the three-point circle with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
@@ -145,7 +145,7 @@ def circumcentre_offsets(ab: Array, ac: Array, least_area: float) -> Array:
     return np.asarray(offset / doubled_area[:, None])
 
 
-def _tukey(residual: Array) -> tuple[Array, float]:
+def _tukey_weights(residual: Array) -> tuple[Array, float]:
     sigma = max(robust_sigma(residual), SIGMA_FLOOR_PX)
     ratio = np.minimum(np.abs(residual) / (TUKEY * sigma), 1.0)
     return np.asarray((1.0 - ratio**2) ** 2), sigma

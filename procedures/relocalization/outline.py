@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from procedures.relocalization.circle_search import Circle, GreyImage
-from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle, fit_ellipse
+from procedures.relocalization.ellipse import Ellipse, EllipseFit, circle_as_ellipse, fit_ellipse
 
 Array = NDArray[np.float64]
 
@@ -96,7 +96,7 @@ class SphereImage:
     blur_px: float
     doubt: str = ""
 
-    def shifted(self, offset_x_px: float, offset_y_px: float) -> SphereImage:
+    def with_offset(self, offset_x_px: float, offset_y_px: float) -> SphereImage:
         """Shift to full-sensor pixels, given the offsets of the region of interest."""
         x, y = self.centre_px
         return replace(self, centre_px=(x + offset_x_px, y + offset_y_px))
@@ -105,12 +105,12 @@ class SphereImage:
 def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | None:
     """Fit the ellipse at full resolution near a guess; None when there is no disc."""
     span_px = max(COARSE_SPAN_PX * factor, COARSE_SPAN * guess.radius_px)
-    start = circle(guess.centre_px, guess.radius_px)
+    start = circle_as_ellipse(guess.centre_px, guess.radius_px)
     coarse_profiles = sample_profiles(image, start, COARSE_RAYS, span_px)
     falls = steepest_falls(coarse_profiles)
-    rim = falls.found & _strong(falls)
+    rim = falls.found & _mark_strong(falls)
     coarse = fit_ellipse(rim_points(start, coarse_profiles, falls.offset_px)[rim], start)
-    if coarse is None or not _near(coarse.ellipse, guess, span_px):
+    if coarse is None or not _is_near(coarse.ellipse, guess, span_px):
         return None
     blur = float(np.median(falls.blur_px[rim]))
     for _ in range(BLUR_ATTEMPTS):
@@ -121,14 +121,14 @@ def fit_outline(image: GreyImage, guess: Circle, factor: int) -> SphereImage | N
         if blur < BLUR_GROWTH * assumed:
             break
     points = rim_points(coarse.ellipse, profiles, edges.offset_px)
-    rim = _plausible(edges)
+    rim = _mark_plausible(edges)
     first = fit_ellipse(points[rim], coarse.ellipse, rough_start=False)
     if first is None:
         return None
-    rim &= _on_rim(first, points)
+    rim &= _mark_on_rim(first, points)
     inner = rim & np.roll(rim, 1) & np.roll(rim, -1)  # a ray next to a lost one is affected by the occluder
     fit = fit_ellipse(points[inner], first.ellipse, rough_start=False)
-    if fit is None or not _near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
+    if fit is None or not _is_near(fit.ellipse, guess, 2.0 * COARSE_SPAN_PX * factor + span_px):
         return None
     return judge_outline(image, fit, edges, rim, inner)
 
@@ -142,21 +142,21 @@ def judge_outline(
     )
     major, minor = fit.ellipse.axes_px
     least_grey = max(DIM_STEP_SHARE * step, DIM_NOISE_FACTOR * noise)
-    dim = _dimmed(image, fit.ellipse, len(bright), blur, least_grey)
-    rim_fraction, carrying = float(np.mean(bright | dim)), float(np.mean(bright))
+    dim = _mark_dimmed(image, fit.ellipse, len(bright), blur, least_grey)
+    rim_fraction, supporting = float(np.mean(bright | dim)), float(np.mean(bright))
     if rim_fraction < LEAST_RIM or minor / major < SPHERE_AXIS_RATIO:
         return None
-    if _filled_share(image, fit.ellipse, edges, rim) < FILLED_SHARE:
+    if _bright_share(image, fit.ellipse, edges, rim) < FILLED_SHARE:
         return None
     contrast_to_noise = step / max(noise, 1e-6)
     doubts = {
         "too much of the rim is hidden": rim_fraction < RELIABLE_RIM,
-        "too much of the rim is stained": carrying < CARRYING_RIM,
+        "too much of the rim is stained": supporting < CARRYING_RIM,
         "the outline is not round": minor / major < RELIABLE_AXIS_RATIO,
         "the rim is too rough": fit.sigma_px > RELIABLE_SCATTER_PX,
         TOO_FAINT: contrast_to_noise < RELIABLE_CONTRAST_TO_NOISE,
     }
-    doubt = next((words for words, holds in doubts.items() if holds), "")
+    doubt = next((words for words, applies in doubts.items() if applies), "")
     quality = (
         rim_fraction
         / (1.0 + (fit.sigma_px / RELIABLE_SCATTER_PX) ** 2)
@@ -179,7 +179,7 @@ def judge_outline(
     )
 
 
-def _dimmed(
+def _mark_dimmed(
     image: GreyImage, ellipse: Ellipse, rays: int, blur_px: float, least_grey: float
 ) -> NDArray[np.bool_]:
     """Mark the rays (n,) with an edge on the ellipse itself, however dim the film is there."""
@@ -189,29 +189,29 @@ def _dimmed(
     return np.asarray(falls.found & on_rim & (falls.step_grey > least_grey))
 
 
-def _filled_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
+def _bright_share(image: GreyImage, ellipse: Ellipse, edges: RimEdges, rim: NDArray[np.bool_]) -> float:
     """Share of the inside that is brighter than halfway between the grey levels at the rim."""
     radius = np.sqrt(np.linspace(*FILLED_AREA, FILLED_RINGS))[:, None]  # equal area per sample
     angle: NDArray[np.float64] = np.arange(FILLED_RAYS, dtype=float) * (2.0 * np.pi / FILLED_RAYS)
     distance = radius * ellipse.radius_at(angle)
     x = np.rint(ellipse.centre_px[0] + distance * np.cos(angle)).astype(int)
     y = np.rint(ellipse.centre_px[1] + distance * np.sin(angle)).astype(int)
-    seen = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
-    if not seen.any():
+    in_image = (x >= 0) & (x < image.shape[1]) & (y >= 0) & (y < image.shape[0])
+    if not in_image.any():
         return 0.0
     half_way = float(np.median((edges.dark_grey + 0.5 * edges.step_grey)[rim]))
-    return float(np.mean(image[y[seen], x[seen]] > half_way))
+    return float(np.mean(image[y[in_image], x[in_image]] > half_way))
 
 
-def _strong(edges: RimEdges) -> NDArray[np.bool_]:
+def _mark_strong(edges: RimEdges) -> NDArray[np.bool_]:
     if not edges.found.any():
         return edges.found
     typical = float(np.median(edges.step_grey[edges.found]))
     return np.asarray(edges.step_grey > STEP_SHARE * typical)
 
 
-def _plausible(edges: RimEdges) -> NDArray[np.bool_]:
-    strong = edges.found & _strong(edges)
+def _mark_plausible(edges: RimEdges) -> NDArray[np.bool_]:
+    strong = edges.found & _mark_strong(edges)
     if not strong.any():
         return strong
     blur = float(np.median(edges.blur_px[strong]))
@@ -219,12 +219,12 @@ def _plausible(edges: RimEdges) -> NDArray[np.bool_]:
     return np.asarray(strong & usual & (edges.misfit_grey < MISFIT_SHARE * edges.step_grey))
 
 
-def _on_rim(fit: EllipseFit, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _mark_on_rim(fit: EllipseFit, points: NDArray[np.float64]) -> NDArray[np.bool_]:
     limit = min(max(OFF_RIM_SIGMAS * fit.sigma_px, OFF_RIM_PX), OFF_RIM_LIMIT_PX)
     return np.asarray(np.abs(fit.ellipse.distance_px(points)) < limit)
 
 
-def _near(ellipse: Ellipse, guess: Circle, limit_px: float) -> bool:
+def _is_near(ellipse: Ellipse, guess: Circle, limit_px: float) -> bool:
     apart = math.dist(ellipse.centre_px, guess.centre_px)
     major, minor = ellipse.axes_px
     return apart < limit_px and abs(math.sqrt(major * minor) - guess.radius_px) < limit_px
@@ -311,10 +311,10 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
     residual = np.zeros_like(grey)
     largest = 3.0 * max(blur_px, BLUR_FLOOR_PX)
     for iteration in range(STEP_ITERATIONS + 1):
-        beyond = s - edge[:, None]
-        z = -beyond / width[:, None]
+        outward_px = s - edge[:, None]
+        z = -outward_px / width[:, None]
         cover = ndtr(z)
-        plateau = height[:, None] + slope[:, None] * beyond
+        plateau = height[:, None] + slope[:, None] * outward_px
         residual = grey - (dark[:, None] + plateau * cover)
         if iteration == STEP_ITERATIONS:
             break
@@ -323,7 +323,7 @@ def fit_blurred_steps(profiles: Profiles, start: RimEdges, blur_px: float) -> Ri
             [
                 np.ones_like(z),
                 cover,
-                beyond * cover,
+                outward_px * cover,
                 plateau * bell - slope[:, None] * cover,
                 plateau * bell * -z,
             ],

@@ -56,16 +56,16 @@ class ServoState:
         return bool(self.residuals_mm) and self.residuals_mm[-1] <= self.settings.tolerance_mm
 
     @property
-    def steps_made(self) -> int:
+    def step_count(self) -> int:
         """Number of motions between the measurements so far."""
         return max(0, len(self.residuals_mm) - 1)
 
-    def measured(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
+    def with_measurement(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
         """Add one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
-        residual = _vector(residual_mm)
+        residual = _validate_residual(residual_mm)
         length = float(np.linalg.norm(residual))
         x, y, z = recorded_point(tool_pose, residual).tolist()
         state = replace(
@@ -74,9 +74,9 @@ class ServoState:
         if state.converged:
             return state
         state._require_trend()
-        if state.steps_made >= self.settings.steps:
+        if state.step_count >= self.settings.steps:
             raise ServoExhausted(
-                f"the servo has not converged after {state.steps_made} steps",
+                f"the servo has not converged after {state.step_count} steps",
                 expected=f"a residual of at most {self.settings.tolerance_mm} mm",
                 got=f"{length:.3f} mm",
             )
@@ -108,11 +108,11 @@ class ServoState:
         span = self.settings.trend_steps
         if len(self.residuals_mm) <= span:
             return
-        before, now = self.residuals_mm[-1 - span], self.residuals_mm[-1]
-        if now > self.settings.noise_mm and now > self.settings.shrink * before:
+        earlier_mm, latest_mm = self.residuals_mm[-1 - span], self.residuals_mm[-1]
+        if latest_mm > self.settings.noise_mm and latest_mm > self.settings.shrink * earlier_mm:
             raise ServoDiverges(
                 f"the residual has not decreased within {span} steps",
-                expected=f"at most {self.settings.shrink * before:.3f} mm",
+                expected=f"at most {self.settings.shrink * earlier_mm:.3f} mm",
                 got=" ".join(f"{value:.3f}" for value in self.residuals_mm) + " mm",
             )
 
@@ -123,10 +123,10 @@ def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
     Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
     _require_tool_pose(tool_pose)
-    return tool_pose.apply(_vector(residual_mm))
+    return tool_pose.apply(_validate_residual(residual_mm))
 
 
-def _vector(residual_mm: ArrayLike) -> Array:
+def _validate_residual(residual_mm: ArrayLike) -> Array:
     residual = np.array(residual_mm, dtype=float)
     if residual.shape != (3,) or not all(math.isfinite(value) for value in residual):
         raise BadMeasurement("a residual is three finite numbers in mm", got=str(residual_mm))
@@ -147,24 +147,24 @@ def search_offsets_mm() -> Array:
     offsets = []
     first = 0.0
     for ring in range(1, RINGS + 1):
-        looks = LOOKS_PER_RING * ring
-        angles = first + np.arange(looks) * (2.0 * np.pi / looks)
+        ring_poses = LOOKS_PER_RING * ring
+        angles = first + np.arange(ring_poses) * (2.0 * np.pi / ring_poses)
         radius = ring * RING_STEP_MM
         offsets += [(radius * np.cos(angle), radius * np.sin(angle), 0.0) for angle in angles]
         first = float(angles[-1])
     return np.array(offsets).reshape(-1, 3)
 
 
-def search_pose(start: Transform, look: int) -> Transform:
-    """Return pose number `look` (from 0), oriented like `start`. Raises STE-009 when none is left."""
+def search_pose(start: Transform, look_number: int) -> Transform:
+    """Return pose number `look_number` (from 0), oriented like `start`. Raises STE-009 when none is left."""
     offsets = search_offsets_mm()
-    if look >= len(offsets):
+    if look_number >= len(offsets):
         raise SphereNotInView(
             f"no sphere in {len(offsets)} image pairs", limit=f"{SEARCH_RADIUS_MM:g} mm around the pose"
         )
     return Transform.of(
         start.target,
         start.source,
-        translation_mm=start.apply(offsets[look]),
+        translation_mm=start.apply(offsets[look_number]),
         quaternion_wxyz=start.quaternion_wxyz,
     )

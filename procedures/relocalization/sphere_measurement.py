@@ -16,7 +16,7 @@ from typing import NoReturn
 import numpy as np
 from numpy.typing import NDArray
 
-from procedures.relocalization.circle_search import Circle, GreyImage, find_circles, find_edges, halved
+from procedures.relocalization.circle_search import Circle, GreyImage, find_circles, find_edges, halve_image
 from procedures.relocalization.errors import (
     BadImage,
     NoContrast,
@@ -56,7 +56,7 @@ def measure_sphere(
     """
     best: SphereImage | None = None
     round_shapes = 0
-    for sphere in _spheres(image, radius_range_px):
+    for sphere in _iterate_spheres(image, radius_range_px):
         round_shapes += 1
         if sphere is None:
             continue
@@ -79,43 +79,43 @@ def measure_spheres(
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
     """Measure every disc that may be a sphere, most visible rim first; empty if there is none."""
-    return tuple(sphere for sphere in _spheres(image, radius_range_px) if sphere is not None)
+    return tuple(sphere for sphere in _iterate_spheres(image, radius_range_px) if sphere is not None)
 
 
-def _spheres(
+def _iterate_spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
     """Yield each round shape, measured lazily; None if it is not a disc."""
-    grey = _checked(image)
+    grey = _validate_image(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
-    factor, reduced = 2**halvings, halved(grey, halvings)
+    factor, reduced = 2**halvings, halve_image(grey, halvings)
     dark, bright = (
         float(value) for value in np.percentile(reduced[::2, ::2], (DARK_PERCENTILE, BRIGHT_PERCENTILE))
     )
     full_range = 255.0 if grey.dtype == np.uint8 else float(TWELVE_BIT_LIMIT)
     if bright - dark < CONTRAST_FLOOR * full_range:
-        _refuse_even(dark, bright, full_range)
+        _refuse_uniform(dark, bright, full_range)
     low, high = radius_range_px or (SMALLEST_RADIUS_PX * factor, 0.75 * max(grey.shape))
     guesses = find_circles(find_edges(reduced, dark, bright), 0.95 * low / factor, 1.05 * high / factor)
     for guess in guesses:  # most visible rim first
-        sphere = fit_outline(grey, _enlarged(guess, factor), factor)
+        sphere = fit_outline(grey, _enlarge_circle(guess, factor), factor)
         in_range = sphere is not None and low <= math.sqrt(math.prod(sphere.axes_px)) <= high
         yield sphere if in_range else None
 
 
-def _refuse_even(dark: float, bright: float, full_range: float) -> NoReturn:
-    limit, last = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
+def _refuse_uniform(dark: float, bright: float, full_range: float) -> NoReturn:
+    limit, levels = f"{CONTRAST_FLOOR * full_range:.0f} grey values apart", f"{dark:.0f} to {bright:.0f}"
     if dark >= SATURATED_LEVEL * full_range:
-        raise Saturated("the image is saturated", limit=limit, got=last)
+        raise Saturated("the image is saturated", limit=limit, got=levels)
     evenness = "completely dark" if bright <= DARK_LEVEL * full_range else "uniform: it has no contrast"
-    raise NoContrast(f"the image is {evenness}", limit=limit, got=last)
+    raise NoContrast(f"the image is {evenness}", limit=limit, got=levels)
 
 
 def _visible_px(sphere: SphereImage) -> float:
     return sphere.rim_fraction * sphere.axes_px[0]
 
 
-def _checked(image: object) -> GreyImage:
+def _validate_image(image: object) -> GreyImage:
     if not isinstance(image, np.ndarray):
         raise BadImage("the image is not an array", got=type(image).__name__)
     native = image.dtype.newbyteorder("=")
@@ -130,7 +130,7 @@ def _checked(image: object) -> GreyImage:
     return image.astype(native, copy=False)  # OpenCV accepts only the byte order of this machine
 
 
-def _enlarged(guess: Circle, factor: int) -> Circle:
+def _enlarge_circle(guess: Circle, factor: int) -> Circle:
     x, y = (factor * (value + 0.5) - 0.5 for value in guess.centre_px)
     return Circle((x, y), factor * guess.radius_px, guess.coverage)
 
@@ -175,13 +175,13 @@ def locate_sphere(
     ranges = tuple(
         radius_range_px(camera, sphere_diameter_mm) for camera in (calibration.left, calibration.right)
     )
-    first = _outlines(images, ranges)
+    first = _measure_outlines(images, ranges)
     if SphereStatus.UNRELIABLE in (first[0].status, first[1].status):
         return Sighting(first[0], first[1], None)
     try:
         point = triangulate(first[0], first[1], calibration, sphere_diameter_mm=sphere_diameter_mm)
     except (RaysDoNotMeet, WrongSize):
-        sighting = _agreeing(images, ranges, calibration, sphere_diameter_mm)
+        sighting = _find_agreeing(images, ranges, calibration, sphere_diameter_mm)
         if sighting is None:
             raise
         return sighting
@@ -195,7 +195,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
 
 
-def _outlines(
+def _measure_outlines(
     images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
 ) -> list[SphereImage]:
     """Measure the best outline in each image, full-sensor pixels."""
@@ -207,13 +207,13 @@ def _outlines(
         except DataError as problem:
             problems[f"{side} camera"] = problem
         else:
-            found.append(outline.shifted(image.offset_x_px, image.offset_y_px))
+            found.append(outline.with_offset(image.offset_x_px, image.offset_y_px))
     if problems:
-        raise _named(problems)
+        raise _combine_errors(problems)
     return found
 
 
-def _named(problems: dict[str, DataError]) -> DataError:
+def _combine_errors(problems: dict[str, DataError]) -> DataError:
     """Combine the errors of one or both cameras; saturation takes precedence."""
     worst = min(problems.values(), key=lambda one: not isinstance(one, Saturated))
     words = {one.what for one in problems.values()}
@@ -223,7 +223,7 @@ def _named(problems: dict[str, DataError]) -> DataError:
     return type(worst)(what, expected=worst.expected, limit=worst.limit, got=worst.got)
 
 
-def _agreeing(
+def _find_agreeing(
     images: tuple[AreaImage, AreaImage],
     ranges: tuple[tuple[float, float], ...],
     calibration: StereoHeadCalibration,
@@ -234,7 +234,7 @@ def _agreeing(
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)
         reliable = [shape for shape in shapes if shape.status is SphereStatus.OK]
-        found.append([shape.shifted(image.offset_x_px, image.offset_y_px) for shape in reliable])
+        found.append([shape.with_offset(image.offset_x_px, image.offset_y_px) for shape in reliable])
     sightings: list[tuple[float, Sighting]] = []
     for left, right in product(*found):
         try:

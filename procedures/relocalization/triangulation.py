@@ -18,7 +18,7 @@ from procedures.relocalization.errors import BadMeasurement, HeadTurned, RaysDoN
 from procedures.relocalization.outline import SphereImage
 from ronna_hw.calibration import CameraCalibration, StereoHeadCalibration
 from ronna_hw.frames import Frame
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -61,7 +61,7 @@ class Camera:
         The derivative neglects distortion: it only weights a least-squares step.
         """
         x, y, z = self.rotation @ np.asarray(point_mm, dtype=float) + self.translation_mm
-        pixel = self._focal * distorted(np.array([x / z, y / z]), self._distortion) + self._principal
+        pixel = self._focal * distort(np.array([x / z, y / z]), self._distortion) + self._principal
         slope = np.array([[1.0 / z, 0.0, -x / z**2], [0.0, 1.0 / z, -y / z**2]])
         return pixel, (self._focal[:, None] * slope) @ self.rotation
 
@@ -72,13 +72,13 @@ class Camera:
         axis b in normalised units, the sphere's centre is the ellipse's centre divided by (1 + b^2): the
         section of a circular cone by the image plane, solved for the cone's axis.
         """
-        ellipse = self.undistorted(sphere.centre_px)
+        ellipse = self.undistort(sphere.centre_px)
         semi_minor = sphere.axes_px[1] / float(np.sqrt(self._focal.prod()))
         return np.asarray(ellipse / (1.0 + semi_minor**2), dtype=float)
 
-    def pixel_of(self, normalised: Array) -> Array:
+    def to_pixel(self, normalised: Array) -> Array:
         """Pixel (2,) of undistorted normalised coordinates."""
-        return np.asarray(self._focal * distorted(normalised, self._distortion) + self._principal)
+        return np.asarray(self._focal * distort(normalised, self._distortion) + self._principal)
 
     def angular_radius_rad(self, sphere: SphereImage) -> float:
         """Half the angle that the sphere subtends at the centre of projection.
@@ -86,19 +86,19 @@ class Camera:
         From the same conic section: sin^2 a = b^2 (1 + b^2) / (r^2 + (1 + b^2)^2), r the distance of the
         ellipse's centre from the optical axis.
         """
-        radius_squared = float((self.undistorted(sphere.centre_px) ** 2).sum())
+        radius_squared = float((self.undistort(sphere.centre_px) ** 2).sum())
         b_squared = sphere.axes_px[1] ** 2 / float(self._focal.prod())
         sine_squared = b_squared * (1.0 + b_squared) / (radius_squared + (1.0 + b_squared) ** 2)
         return float(np.arcsin(np.sqrt(sine_squared)))
 
-    def undistorted(self, pixel: ArrayLike) -> Array:
+    def undistort(self, pixel: ArrayLike) -> Array:
         """Remove distortion by fixed-point iteration: normalised coordinates (2,). Raises STE-004."""
         observed: Array = (np.asarray(pixel, dtype=float) - self._principal) / self._focal
         if observed.shape != (2,) or not np.all(np.isfinite(observed)):
             raise BadMeasurement("a pixel is two finite numbers", got=str(pixel))
         ideal: Array = observed.copy()
         for _ in range(UNDISTORT_ITERATIONS):
-            step = observed - distorted(ideal, self._distortion)
+            step = observed - distort(ideal, self._distortion)
             ideal = ideal + step
             if np.abs(step).max() < UNDISTORT_END:
                 return ideal
@@ -110,7 +110,7 @@ class Camera:
         return np.asarray(ray / np.linalg.norm(ray))
 
 
-def distorted(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
+def distort(ideal: Array, coefficients: tuple[float, float, float, float, float]) -> Array:
     """Apply lens distortion, k1 k2 p1 p2 k3, to normalised coordinates (..., 2)."""
     k1, k2, p1, p2, k3 = coefficients
     x, y = ideal[..., 0], ideal[..., 1]
@@ -163,17 +163,17 @@ def triangulate(
         Camera(calibration.right, Frame.CAMERA_RIGHT),
     )
     outlines = (left, right)
-    _check(outlines)
+    _check_outlines(outlines)
     centres = [camera.centre_of(outline) for camera, outline in zip(cameras, outlines, strict=True)]
-    start, gap = _nearest_point(cameras, centres)
+    start, gap = _find_nearest_point(cameras, centres)
     if gap > ray_gap_limit_mm:
         raise RaysDoNotMeet(
             "the lines of sight do not meet",
             limit=f"{ray_gap_limit_mm} mm",
-            got=f"{beyond(gap, ray_gap_limit_mm, 3)} mm",
+            got=f"{format_against_limit(gap, ray_gap_limit_mm, 3)} mm",
         )
-    pixels = [camera.pixel_of(centre) for camera, centre in zip(cameras, centres, strict=True)]
-    position, covariance = _weighted_point(cameras, outlines, pixels, start)
+    pixels = [camera.to_pixel(centre) for camera, centre in zip(cameras, centres, strict=True)]
+    position, covariance = _minimise_distances(cameras, outlines, pixels, start)
     radii = [
         math.sin(camera.angular_radius_rad(outline)) * float(np.linalg.norm(position - camera.centre_mm))
         for camera, outline in zip(cameras, outlines, strict=True)
@@ -205,28 +205,28 @@ def check_serial(calibration: CameraCalibration, serial: str) -> None:
         )
 
 
-def _check(outlines: tuple[SphereImage, SphereImage]) -> None:
+def _check_outlines(outlines: tuple[SphereImage, SphereImage]) -> None:
     for outline in outlines:
         numbers = np.array([*outline.centre_px, *outline.axes_px, *np.ravel(outline.covariance_px2)])
         if not np.all(np.isfinite(numbers)) or min(outline.axes_px) <= 0:
             raise BadMeasurement("an outline has invalid numbers", got=str(numbers))
 
 
-def _nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
+def _find_nearest_point(cameras: tuple[Camera, Camera], centres: list[Array]) -> tuple[Array, float]:
     """Midpoint of the shortest segment between the lines of sight, and its length."""
     (first, second), (a, b) = cameras, [c.direction(p) for c, p in zip(cameras, centres, strict=True)]
-    between = second.centre_mm - first.centre_mm
+    baseline = second.centre_mm - first.centre_mm
     across = np.cross(a, b)
     square = float(across @ across)
     if square < 1e-9:
         raise RaysDoNotMeet("the lines of sight are parallel")
-    along_a = float(np.cross(between, b) @ across) / square
-    along_b = float(np.cross(between, a) @ across) / square
+    along_a = float(np.cross(baseline, b) @ across) / square
+    along_b = float(np.cross(baseline, a) @ across) / square
     near_a, near_b = first.centre_mm + along_a * a, second.centre_mm + along_b * b
     return 0.5 * (near_a + near_b), float(np.linalg.norm(near_b - near_a))
 
 
-def _weighted_point(
+def _minimise_distances(
     cameras: tuple[Camera, Camera],
     outlines: tuple[SphereImage, SphereImage],
     pixels: list[Array],
@@ -291,7 +291,7 @@ def check_head(
     gap_mm = median(ray_gaps_mm)
     limit_mm = max(LEAST_GAP_LIMIT_MM, LARGEST_GAP_OVER_STATED * stated_error_mm)
     if gap_mm > limit_mm:
-        gap, limit = side_by_side(gap_mm, limit_mm, 2)
+        gap, limit = format_distinct(gap_mm, limit_mm, 2)
         raise HeadTurned(
             "a camera of the stereo head has moved: the lines of sight do not meet",
             limit=f"{limit} mm",

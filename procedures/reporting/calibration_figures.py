@@ -19,7 +19,7 @@ from procedures.calibration.bundle import REPEATABILITY_MM
 from procedures.reporting.numbers import degrees, micrometres, millimetres
 from ronna_hw.bounded_input import parse_json, read_json_bytes
 from ronna_hw.calibration import Numbers2, Numbers3, Numbers4, PoseRecord
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
 AXES = ("x", "y", "z")
 Matrix3 = tuple[Numbers3, Numbers3, Numbers3]
@@ -367,7 +367,7 @@ KINDS: dict[str, type[Figures]] = {
 def write_figures(figures: Figures, folder: Path) -> None:
     """Write the figures for the report."""
     content = json.dumps(figures.as_json(), indent=1, allow_nan=False)
-    write_whole(folder / RESULT_FILE, content.encode())
+    write_atomically(folder / RESULT_FILE, content.encode())
 
 
 def read_figures(folder: Path) -> Figures:

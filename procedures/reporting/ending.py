@@ -9,7 +9,7 @@ from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import ENDS_OF_A_STEP, ONLY_LEAVING, Entry, Line
 from procedures.operator.checkpoint import PAUSED
 from procedures.reporting.outcome import RunError
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 ARM = "arm"  # role of the device that an emergency stop stops
 ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
@@ -59,7 +59,7 @@ def _describe_closed_run(
         if doubts := targets_in_doubt(journal):
             why = "; ".join(dict.fromkeys(one for each in doubts.values() for one in each))
             return "in doubt", f"Every step was done, but not every target is confirmed: {why}.", ""
-        return "done", f"Every step was done{_incidents(journal)}.", ""
+        return "done", f"Every step was done{_describe_incidents(journal)}.", ""
     step = "" if last is None else str(last.get("step", ""))
     during = f" during {step}" if step else ""
     if outcome == "left":
@@ -87,33 +87,35 @@ def _describe_closed_run(
 def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
     """Word who has acknowledged the fault named by a line since; empty while it stands."""
     place = next(number for number, line in enumerate(journal) if line is last)
-    said = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
+    error_text = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
     names = [
         str(line.get("by", ""))
         for line in journal[place:]
-        if line["entry"] == Entry.ACKNOWLEDGED and _is_named(line, said)
+        if line["entry"] == Entry.ACKNOWLEDGED and _is_named(line, error_text)
     ]
     return f" The fault was acknowledged by {names[-1]}." if names else ""
 
 
-def _is_named(acknowledged: Line, said: str) -> bool:
+def _is_named(acknowledged: Line, error_text: str) -> bool:
     """Whether words name the fault that was acknowledged, or the device that had it."""
     code = str(acknowledged.get("fault", "")).partition(":")[0]
-    return f"the {acknowledged.get('device')} is in fault" in said or (code != "" and code in said)
+    return f"the {acknowledged.get('device')} is in fault" in error_text or (
+        code != "" and code in error_text
+    )
 
 
-def _incidents(journal: Sequence[Line]) -> str:
+def _describe_incidents(journal: Sequence[Line]) -> str:
     """Name the incidents of a finished case; empty if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
-    went_through = [
-        (_emergency_stops(journal), "emergency stop", ""),
+    counters = [
+        (_count_emergency_stops(journal), "emergency stop", ""),
         (len(steps), "failed step", f" ({', '.join(dict.fromkeys(steps))})"),
         (len(paused), "pause", ""),
         (resumes(journal), "resume", ""),
     ]
-    counts = [f"{counted(number, what)}{more}" for number, what, more in went_through if number]
+    counts = [f"{format_count(number, what)}{more}" for number, what, more in counters if number]
     return f", after {', '.join(counts)}" if counts else ""
 
 
@@ -127,16 +129,16 @@ def resumes(journal: Sequence[Line]) -> int:
     return count
 
 
-def _emergency_stops(journal: Sequence[Line]) -> int:
+def _count_emergency_stops(journal: Sequence[Line]) -> int:
     """Count emergency stops: each is acknowledged once, however many steps fail meanwhile."""
-    count, standing = 0, False
+    count, is_standing = 0, False
     for line in journal:
-        of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM
-        if of_arm and (standing or _is_stop(line)):
-            count, standing = count + 1, False
+        is_of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM
+        if is_of_arm and (is_standing or _is_stop(line)):
+            count, is_standing = count + 1, False
         elif line["entry"] in (Entry.FAILED, Entry.REFUSED) and _is_stop(line):
-            standing = True
-    return count + standing
+            is_standing = True
+    return count + is_standing
 
 
 def _is_stop(line: Line) -> bool:

@@ -16,8 +16,8 @@ from procedures.reporting.run_reading import RunReading
 from procedures.reporting.run_statistics import Span
 from procedures.reporting.tables import MotionRow, TargetRow
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_json_bytes
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.records import write_whole
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.records import write_atomically
 
 REPORT_FOLDER = "report"
 TRUTH_FILE = "truth.json"  # the theatre verifier's result, for reading the run again
@@ -34,13 +34,15 @@ def store_truth(run: Path, truth: Truth) -> Path:
     path = run / KEPT_TRUTH
     content = (truth.model_dump_json(indent=1) + "\n").encode()
     if not path.is_file() or path.stat().st_size != len(content) or path.read_bytes() != content:
-        write_whole(path, content)  # else nothing is: a finished run is also shown where it cannot be written
+        write_atomically(
+            path, content
+        )  # else nothing is: a finished run is also shown where it cannot be written
     return path
 
 
 def drop_unconfirmed_truth(run: Path) -> bool:
     """Remove the stored truth unless the seal confirms it: the next seal would cover it."""
-    found = inspected(run, every_file=False, files=(KEPT_TRUTH,))
+    found = inspect_run(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
     if changed:
         with contextlib.suppress(OSError):  # what is no file is not read either
@@ -67,7 +69,7 @@ class ReportFiles:
     def text(self, name: str, text: str) -> Path:
         """Write one file completely; returns its path."""
         path = self._folder / name
-        write_whole(path, text.encode())
+        write_atomically(path, text.encode())
         self.written.append(name)
         return path
 
@@ -129,7 +131,7 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
     """Load a picture; None, with a note, if it is too large or cannot be read."""
     try:
-        return read_bounded(path, LARGEST_PICTURE_BYTES, linked=False)
+        return read_bounded(path, LARGEST_PICTURE_BYTES, follow_links=False)
     except (OSError, InputRefused):
         reading.note(f"{path.name} is left out: it cannot be read or is too large for a picture")
         return None
@@ -157,9 +159,9 @@ class PostoperativeResult:
 def store_check(folder: Path, after: PostoperativeResult) -> None:
     """Store the check in this folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
-    write_whole(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
+    write_atomically(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
     for name, picture in after.pictures.items():
-        write_whole(folder / f"{PICTURE}{name}.png", picture)
+        write_atomically(folder / f"{PICTURE}{name}.png", picture)
 
 
 def load_check(reading: RunReading) -> PostoperativeResult | None:

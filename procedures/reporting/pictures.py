@@ -165,11 +165,11 @@ def timeline_figure(spans: Sequence[Span]) -> str:
         canvas.text(x, height - 5, f"{tick_s:g} s", anchor="middle")
     for number, row in enumerate(rows):
         top = SPAN_ROW * number
-        mine = [span for span in spans if span.row == row]
-        lasted_s = sum(span.end_s - span.begin_s for span in mine if span.kind == "step")
+        row_spans = [span for span in spans if span.row == row]
+        lasted_s = sum(span.end_s - span.begin_s for span in row_spans if span.kind == "step")
         canvas.text(MARGIN, top + 12, f"{row}, {seconds(lasted_s)} s")
         for kind, inset in (("step", 0.0), ("motion", 2.0), ("rest", 2.0)):
-            for span in mine:
+            for span in row_spans:
                 if span.kind == kind:
                     canvas.rectangle(
                         MARGIN + (span.begin_s - begin_s) * scale,
@@ -215,9 +215,9 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
     """Draw cycles over microseconds of host time: turnaround filled, jitter as a line."""
     canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
     low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
-    most = max(max(one[2], one[3]) for one in bins)
+    highest = max(max(one[2], one[3]) for one in bins)
     across = (WIDTH - LEFT - 10) / max(high - low, 1e-6)
-    up = HISTOGRAM_HEIGHT / math.log10(most + 1)
+    up = HISTOGRAM_HEIGHT / math.log10(highest + 1)
 
     def x(value_us: float) -> float:
         return LEFT + (math.log10(max(value_us, LEAST_SHOWN_US)) - low) * across
@@ -229,7 +229,7 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
     for power in range(math.ceil(low), math.floor(high) + 1):
         canvas.line(x(10.0**power), TOP, x(10.0**power), TOP + HISTOGRAM_HEIGHT, GRID)
         canvas.text(x(10.0**power), TOP + HISTOGRAM_HEIGHT + 15, f"{10**power:g} µs", anchor="middle")
-    for power in range(len(str(most))):
+    for power in range(len(str(highest))):
         canvas.line(LEFT, y(10**power), WIDTH - 10, y(10**power), GRID)
         canvas.text(LEFT - 4, y(10**power) + 4, f"{10**power:g}", anchor="end")
     for begin, end, turnaround, _ in bins:

@@ -52,7 +52,7 @@ from procedures.reporting.run_statistics import (
 )
 from procedures.reporting.second_reading import UNREADABLE, as_text, second_reading
 from procedures.reporting.tables import TargetRow, plan_rows, target_rows
-from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall
+from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.ct_import import ImportedCt
@@ -71,9 +71,9 @@ from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
-from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, hashes_in
-from ronna_hw.records import write_whole
-from ronna_hw.text import without_controls
+from ronna_hw.evidence.manifest import PICTURES_FOLDER, REPORT_FILE, read_hashes
+from ronna_hw.records import write_atomically
+from ronna_hw.text import escape_controls
 
 NUMBERS_FILE = "numbers.txt"
 TEMPLATE = "page.html.j2"
@@ -161,14 +161,14 @@ def write_report(
         "problems": reading.problems,
     }
     path = out / REPORT_FILE
-    write_whole(path, _template().render(page).encode())
+    write_atomically(path, _template().render(page).encode())
     return path
 
 
 def _findings(reading: RunReading) -> list[str]:
     series, spheres = reading.find(ImportedCt), reading.find(LocalizedFiducials)
     plan, set_up = reading.find(CheckedPlan), reading.find(CheckedSetUp)
-    observed, look = reading.find(ObservedBall), reading.find(LookedAtBall)
+    observed, look = reading.find(ObservedBall), reading.find(BallMeasurement)
     return [
         *(observed.remarks if observed else ()),
         *([look.reason] if look and look.reason else ()),
@@ -250,13 +250,13 @@ def _second_reading(
     if not rows:
         return {"second_text": "", "agree": True}
     try:
-        again = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
-        text = as_text(again)
+        second_rows = second_reading(reading.folder, out / REPORT_FOLDER / TRUTH_FILE)
+        text = as_text(second_rows)
     except UNREADABLE as error:
         reading.note(f"The figures of the targets could not be read a second time: {error}")
         return {"second_text": "", "agree": False}
     files.text(NUMBERS_FILE, text)
-    return {"second_text": text, "agree": again == tuple(row.cells for row in rows)}
+    return {"second_text": text, "agree": second_rows == tuple(row.cells for row in rows)}
 
 
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
@@ -278,7 +278,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
         name
         for line in reading.run.lines(Entry.RESULT)
         if line.get("record") in reading.run.superseded
-        for name in hashes_in(line, "pictures")
+        for name in read_hashes(line, "pictures")
     }
     return [
         (path.stem.removeprefix(prefix), data_url(picture))
@@ -289,7 +289,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
 
 def _without_controls(value: Any) -> Any:
     """Make plain text safe for a page; text marked as safe is ours and stays unchanged."""
-    return "\n".join(map(without_controls, value.split("\n"))) if type(value) is str else value
+    return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
 
 
 @cache  # to compile it takes longer than to fill it

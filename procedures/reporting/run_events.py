@@ -98,7 +98,7 @@ def _events_of_kinds(
 
 
 def _repetition_text(line: Line) -> str:
-    gone = _words(line.get("supersedes"))
+    gone = _join_words(line.get("supersedes"))
     return f"Repeated; these results are no longer valid: {gone}" if gone else ""
 
 
@@ -118,20 +118,20 @@ def _restart_text(line: Line) -> str:
 
 _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
     Entry.RESULT: ("repetition", _repetition_text),
-    Entry.REFUSED: ("refusal", lambda line: _words(line.get("unmet"))),
+    Entry.REFUSED: ("refusal", lambda line: _join_words(line.get("unmet"))),
     Entry.FAILED: ("fault", lambda line: str(line.get("what", line.get("code", "")))),
     Entry.RESTED: ("rest", lambda line: str(line.get("reason", ""))),
     Entry.INTERRUPTED: ("fault", lambda _line: "The step was ended; the arm was stopped"),
     Entry.VOIDED: (
         "fault",
         lambda line: (
-            f"{line.get('what', '')} These results are no longer valid: {_words(line.get('supersedes'))}"
+            f"{line.get('what', '')} These results are no longer valid: {_join_words(line.get('supersedes'))}"
         ),
     ),
     Entry.ACKNOWLEDGED: ("fault", _acknowledgement_text),
     Entry.DOUBTED: (
         "fault",
-        lambda line: f"In doubt: {_words(line.get('steps'))}; {line.get('fault', '')}",
+        lambda line: f"In doubt: {_join_words(line.get('steps'))}; {line.get('fault', '')}",
     ),
     Entry.RESTARTED: ("fault", _restart_text),
     Entry.ACCEPTED: ("repetition", lambda _line: "What was found after a restart was accepted"),
@@ -139,7 +139,7 @@ _SENTENCES: Mapping[str, tuple[str, Callable[[Line], str]]] = {
 }
 
 
-def _words(value: JournalValue) -> str:
+def _join_words(value: JournalValue) -> str:
     if isinstance(value, list | tuple):
         return "; ".join(map(str, value))
     return "" if value is None else str(value)

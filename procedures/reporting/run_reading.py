@@ -13,14 +13,14 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from procedures.engine.case import Case, Stored, parent_of_kind
-from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.engine.run_folder import RunFolder, parse_record, run_of
 from procedures.journal.results import StepResult
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import Prediction, RegisteredRobot
 from ronna_hw.bounded_input import InputRefused, parse_json, read_json_lines
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.records import Record
 
@@ -57,7 +57,7 @@ class RunReading:
         for record in records:
             if record.kind == model.kind:
                 try:
-                    found.append(Stored(record, typed(record, model)))
+                    found.append(Stored(record, parse_record(record, model)))
                 except RonnaError as error:
                     self.note(str(error))
         return tuple(found)
@@ -78,7 +78,7 @@ def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[
 
     Without `every_file` only journal, records and `files` are compared, which takes milliseconds.
     """
-    found = inspected(folder, every_file=every_file, files=files)
+    found = inspect_run(folder, every_file=every_file, files=files)
     notes = []
     if not found.chain.lines:
         notes.append("There is no journal: the run ended before its theatre was open.")
@@ -159,5 +159,7 @@ def find_used_registrations(
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
     """Find the registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.standing}
-    made = [Stored(one, typed(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind]
+    made = [
+        Stored(one, parse_record(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind
+    ]
     return find_used_registrations(made, records, {one.identifier for one in records} - stands)

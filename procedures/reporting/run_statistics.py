@@ -13,7 +13,7 @@ from typing import Any, Literal
 
 from procedures.journal.journal import ENDS_OF_A_STEP, Entry, Line, theatre_time_s
 from procedures.steps.catalogue import clinical_steps
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 BETWEEN_STEPS = "between steps"
 STEP_ENDS = {Entry.RESULT: "done", Entry.FAILED: "failed", Entry.INTERRUPTED: "interrupted"}
@@ -56,34 +56,34 @@ def timeline(journal: Sequence[Line]) -> tuple[Span, ...]:
             open_now["step"] = len(spans)
             spans.append(Span("step", row, row, time_s, time_s, "", host_time))
         elif entry in STEP_ENDS:
-            _end(spans, open_now, "step", time_s, STEP_ENDS[Entry(str(entry))])
+            _end_span(spans, open_now, "step", time_s, STEP_ENDS[Entry(str(entry))])
             row = BETWEEN_STEPS
         elif entry == Entry.HOME:
             row = BETWEEN_STEPS
         elif entry == Entry.RESTARTED:  # what the program before it had begun ended with it
-            _end_all(spans, open_now, before_s, "interrupted")
+            _end_spans(spans, open_now, before_s, "interrupted")
             row = BETWEEN_STEPS
         elif entry == Entry.MOTION:
             open_now[f"motion {line.get('number')}"] = len(spans)
             spans.append(Span("motion", str(line.get("what", "")), row, time_s, time_s, "", host_time))
         elif entry == Entry.MOVED:
-            _end(spans, open_now, f"motion {line.get('number')}", time_s, str(line.get("error", "done")))
+            _end_span(spans, open_now, f"motion {line.get('number')}", time_s, str(line.get("error", "done")))
         elif entry == Entry.RESTED:
             open_now["rest"] = len(spans)
             name = f"{line.get('state', 'rest')}: {line.get('reason', '')}"
             spans.append(Span("rest", name, row, time_s, time_s, "", host_time))
         elif entry == Entry.RESUMED:
-            _end(spans, open_now, "rest", time_s, "done")
-    _end_all(spans, open_now, last_s, "not ended")
+            _end_span(spans, open_now, "rest", time_s, "done")
+    _end_spans(spans, open_now, last_s, "not ended")
     return tuple(spans)
 
 
-def _end_all(spans: list[Span], open_now: dict[str, int], time_s: float, ended: str) -> None:
+def _end_spans(spans: list[Span], open_now: dict[str, int], time_s: float, ended: str) -> None:
     for key in tuple(open_now):
-        _end(spans, open_now, key, time_s, ended)
+        _end_span(spans, open_now, key, time_s, ended)
 
 
-def _end(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, ended: str) -> None:
+def _end_span(spans: list[Span], open_now: dict[str, int], key: str, time_s: float, ended: str) -> None:
     place = open_now.pop(key, None)
     if place is not None:
         spans[place] = replace(spans[place], end_s=max(time_s, spans[place].begin_s), ended=ended)
@@ -114,9 +114,9 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
     begun: Line | None = None
     before: Line | None = None
     for line in (*journal, None):
-        over = line is None or line["entry"] == Entry.RESTARTED  # with it the clock of its program
-        ends = line is None or over or line["entry"] == Entry.INTENT or line["entry"] in ENDS_OF_A_STEP
-        last, before = before if over else line, line
+        is_over = line is None or line["entry"] == Entry.RESTARTED  # with it the clock of its program
+        ends = line is None or is_over or line["entry"] == Entry.INTENT or line["entry"] in ENDS_OF_A_STEP
+        last, before = before if is_over else line, line
         if begun is not None and last is not None and ends:
             name = str(begun.get("step", "")).partition(":")[0]
             took = theatre_time_s(last) - theatre_time_s(begun), _host_s(begun, last)
@@ -128,9 +128,9 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
         if line["entry"] == Entry.INTENT:
             begun = line
         elif line["entry"] == Entry.CONFIRMATION:
-            add(QUESTION, str(line.get("topic")).partition(":")[0], _since(line, "asked_s"), None)
+            add(QUESTION, str(line.get("topic")).partition(":")[0], _elapsed_s(line, "asked_s"), None)
         elif line["entry"] == Entry.WORK:
-            add(HANDS, str(line.get("task", "")), _since(line, "began_s"), None)
+            add(HANDS, str(line.get("task", "")), _elapsed_s(line, "began_s"), None)
     kinds = (PHASE, STEP, QUESTION, HANDS)
     return tuple(
         TimeTaken(
@@ -144,7 +144,7 @@ def times_taken(journal: Sequence[Line]) -> tuple[TimeTaken, ...]:
     )
 
 
-def _since(line: Line, key: str) -> float:
+def _elapsed_s(line: Line, key: str) -> float:
     """Theatre time since the time under that key; none if the journal does not have it."""
     began = line.get(key)
     return max(0.0, theatre_time_s(line) - float(began)) if isinstance(began, int | float) else 0.0
@@ -152,10 +152,10 @@ def _since(line: Line, key: str) -> float:
 
 def _host_s(begin: Line, end: Line) -> float:
     try:
-        moments = [datetime.fromisoformat(str(line["host_time"])) for line in (begin, end)]
-    except (KeyError, ValueError):
+        began, ended = (datetime.fromisoformat(str(line["host_time"])) for line in (begin, end))
+        return max(0.0, (ended - began).total_seconds())
+    except (KeyError, ValueError, TypeError):  # TypeError: only one of them has a time zone
         return 0.0
-    return max(0.0, (moments[1] - moments[0]).total_seconds())
 
 
 def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str], ...]:
@@ -170,7 +170,11 @@ def link_counters(log: Sequence[Mapping[str, Any]]) -> tuple[tuple[str, str, str
         elif line.get("before") == ACTIVE:
             of_device.add(line)
     return tuple(
-        (device, counted(one.times, "time"), ", ".join(f"{name} {count}" for name, count in one.sums.items()))
+        (
+            device,
+            format_count(one.times, "time"),
+            ", ".join(f"{name} {count}" for name, count in one.sums.items()),
+        )
         for device, one in totals.items()
         if one.sums
     )
@@ -186,13 +190,13 @@ class _Totals:
 
     def add(self, line: Mapping[str, Any]) -> None:
         link = line.get(LINK)
-        going_on = dict(_counters(link, "")) if isinstance(link, Mapping) else {}
+        continuing = dict(_counters(link, "")) if isinstance(link, Mapping) else {}
         counts = list(_counters(line, ""))
         self.times += bool(counts)
         for name, count in counts:
-            since = self.connection.get(name, 0) if going_on.get(name) == count else 0
+            since = self.connection.get(name, 0) if continuing.get(name) == count else 0
             self.sums[name] = self.sums.get(name, 0) + count - since
-        self.connection |= going_on
+        self.connection |= continuing
 
 
 def _counters(value: Mapping[str, Any], where: str) -> Iterator[tuple[str, int | float]]:

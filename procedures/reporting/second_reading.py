@@ -43,10 +43,10 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
     return tuple(
         (
             one["target"],
-            _rounded(depth_mm.get(one["target"]), "0.1"),
-            _rounded(one["rms_mm"], "0.001"),
-            _rounded(one["limit_mm"], "0.001"),
-            _rounded(errors_mm.get(one["target"]), "0.001"),
+            _round_decimal(depth_mm.get(one["target"]), "0.1"),
+            _round_decimal(one["rms_mm"], "0.001"),
+            _round_decimal(one["limit_mm"], "0.001"),
+            _round_decimal(errors_mm.get(one["target"]), "0.001"),
         )
         for name, record in made.items()
         if record["kind"] == "registration"
@@ -75,8 +75,10 @@ def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, 
     for record in standing.values():
         if record["kind"] == "at_target":
             (positioned,) = (name for name in record["parents"] if made[name]["kind"] == "positioning")
-            (led,) = (name for name in made[positioned]["parents"] if made[name]["kind"] == "registration")
-            used[record["trajectory"]] = led
+            (registration_name,) = (
+                name for name in made[positioned]["parents"] if made[name]["kind"] == "registration"
+            )
+            used[record["trajectory"]] = registration_name
     return used
 
 
@@ -91,7 +93,7 @@ def _depths(records: list[dict[str, Any]]) -> dict[str, float]:
     return {}
 
 
-def _rounded(value: float | None, step: str) -> str:
+def _round_decimal(value: float | None, step: str) -> str:
     if value is None:
         return NOTHING
     return str(Decimal(value).quantize(Decimal(step), rounding=ROUND_HALF_EVEN))

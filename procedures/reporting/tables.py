@@ -47,20 +47,20 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
     """Return a row for each registered target, with the prediction of its registration."""
     plan = reading.find(CheckedPlan)
     depth_mm = {} if plan is None else {one.id: one.depth_mm for one in plan.plan.trajectories}
-    true = {one.id: one for one in truth.targets}
+    truths = {one.id: one for one in truth.targets}
     measured_mm = {one.record.trajectory: one.result.error_mm for one in reading.standing(MeasuredTarget)}
     rows = []
     for used in reading.registrations:
         for predicted in used.predictions:
-            at = true.get(predicted.target)
+            target_truth = truths.get(predicted.target)
             rows.append(
                 TargetRow(
                     predicted.target,
                     depth_mm.get(predicted.target),
                     predicted,
-                    None if at is None else at.application_error_mm,
-                    None if at is None else at.lateral_mm,
-                    None if at is None else at.axial_mm,
+                    None if target_truth is None else target_truth.application_error_mm,
+                    None if target_truth is None else target_truth.lateral_mm,
+                    None if target_truth is None else target_truth.axial_mm,
                     measured_mm.get(predicted.target),
                 )
             )
@@ -122,7 +122,7 @@ def plan_rows(reading: RunReading) -> tuple[PlanRow, ...]:
             planned_angle_deg=one.free_angle_deg,
             turn_deg=_turn_deg(paths, one.id),
             strategy=None if paths is None or one.id in paths.left_out else paths.strategy_of(one.id),
-            motions=() if paths is None else _motions(paths.motions, one.id),
+            motions=() if paths is None else _motion_rows(paths.motions, one.id),
         )
         for one in checked.plan.trajectories
     )
@@ -133,7 +133,7 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
     return None if turn_rad is None else math.degrees(turn_rad)
 
 
-def _motions(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
+def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
     """Select the motions of a trajectory in order; a line back clears whatever the line clears."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)

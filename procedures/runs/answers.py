@@ -20,7 +20,7 @@ from typing import Literal
 from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.engine.errors import AnswersUnfit
-from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, words
+from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, join_answers
 from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
@@ -38,7 +38,7 @@ class Answers(BaseModel):
     default: Literal["first", "silence"] | None = None
     answers: dict[str, str] = {}
 
-    def word_for(self, question: Question) -> str | None:
+    def answer_for(self, question: Question) -> str | None:
         """Return the answer for the trajectory of a question if there is one, else for its topic."""
         word = self.answers.get(question.name, self.answers.get(str(question.topic)))
         return word if word in question.answers else None
@@ -72,7 +72,7 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
         read = Answers.model_validate(content)
     except ValidationError as error:
         raise AnswersUnfit(f"{path}: {'; '.join(describe_mistakes(error, Answers))}") from error
-    if mistakes := [mistake for key, word in read.answers.items() if (mistake := _mistake(key, word))]:
+    if mistakes := [mistake for key, word in read.answers.items() if (mistake := _find_mistake(key, word))]:
         raise AnswersUnfit(f"{path}: {'; '.join(mistakes)}")
     if (
         personal := [key for key in read.answers if key.partition(":")[0] in FOR_A_PERSON]
@@ -84,12 +84,12 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
     return read
 
 
-def _mistake(key: str, word: str) -> str | None:
+def _find_mistake(key: str, word: str) -> str | None:
     name = key.partition(":")[0]
     if name not in set(Topic):
         return f"there is no topic {name!r}, only {', '.join(Topic)}"
     known = ANSWER_WORDS[Topic(name)]
-    return None if word in known else f"{key} accepts {words(known)}, got {word!r}"
+    return None if word in known else f"{key} accepts {join_answers(known)}, got {word!r}"
 
 
 class ScriptedOperator:
@@ -119,7 +119,7 @@ class SilentOperator:
         return Answer(question.silence)
 
 
-class ByTopic:
+class OperatorByTopic:
     """An operator with a separate operator for each topic."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
@@ -131,20 +131,20 @@ class ByTopic:
 
 
 class AnsweringOperator:
-    """Answers from a file; `otherwise` answers the rest, and `person` the questions for a person."""
+    """Answers from a file; `fallback` answers the rest, and `person` the questions for a person."""
 
-    def __init__(self, answers: Answers, otherwise: Operator, person: Operator | None = None) -> None:
+    def __init__(self, answers: Answers, fallback: Operator, person: Operator | None = None) -> None:
         """Without a `person`, as in a simulated theatre, the file answers these questions as well."""
         self._answers = answers
         self._person = person
-        self._otherwise = ScriptedOperator() if answers.default == "first" else otherwise
+        self._otherwise = ScriptedOperator() if answers.default == "first" else fallback
 
     def ask(self, question: Question) -> Answer:
         """Return the answer in the file, else that of the operator in its place."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)
-        word = self._answers.word_for(question)
+        word = self._answers.answer_for(question)
         if word is None and self._answers.default == "silence":
             word = question.silence
         return self._otherwise.ask(question) if word is None else Answer(word)

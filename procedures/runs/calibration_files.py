@@ -15,12 +15,12 @@ from typing import Any
 
 from procedures.calibration.errors import BadObservations
 from procedures.reporting.calibration_figures import RESULT_FILE, RecordFigures, read_figures
-from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded, read_toml, toml_of
+from ronna_hw.bounded_input import LARGEST_TOML_BYTES, parse_toml_bytes, read_bounded, read_toml
 from ronna_hw.command_line import terminal
 from ronna_hw.config import BadTheatreFile, Calibrations
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
-Place = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
+TablePath = tuple[str, ...]  # of a table: `calibration`, `tool_tip`
 CALIBRATION_FILE = "calibration.toml"
 
 
@@ -28,7 +28,7 @@ def write_records(records: dict[str, Any], folder: Path) -> None:
     """Write the new records by their names in the theatre file."""
     import tomli_w
 
-    write_whole(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
+    write_atomically(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
 
 
 def require_records(folders: Iterable[Path]) -> None:
@@ -49,7 +49,7 @@ def require_records(folders: Iterable[Path]) -> None:
             )
 
 
-def finished_figures(folder: Path) -> RecordFigures:
+def read_finished_figures(folder: Path) -> RecordFigures:
     """Return the figures of a finished calibration. Raises CAL-005."""
     try:
         figures = read_figures(folder)
@@ -87,9 +87,9 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
     """Write the theatre file `source` with new entries in its tables as `target`; comments stay."""
     require_same_folder(source, target)
     content = read_bounded(source, LARGEST_TOML_BYTES)
-    toml_of(content, source.name, BadTheatreFile)
+    parse_toml_bytes(content, source.name, BadTheatreFile)
     text = content.decode("utf-8-sig").replace("\r\n", "\n")
-    write_whole(target, with_tables(text, tables).encode())
+    write_atomically(target, with_tables(text, tables).encode())
 
 
 def require_same_folder(source: Path, target: Path) -> None:
@@ -115,32 +115,32 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
     """
     import tomli_w
 
-    meant = tomllib.loads(text)
-    new: dict[Place, str] = {}
+    intended_content = tomllib.loads(text)
+    new: dict[TablePath, str] = {}
     for name, entries in tables.items():
-        meant[name] = {**meant.get(name, {}), **entries}
+        intended_content[name] = {**intended_content.get(name, {}), **entries}
         new |= {(name, key): tomli_w.dumps({name: {key: entry}}) for key, entry in entries.items()}
     replaced = "".join(_remove_tables(text, new))
     try:
-        kept = tomllib.loads(replaced) == meant
+        kept = tomllib.loads(replaced) == intended_content
     except tomllib.TOMLDecodeError:
         kept = False
-    return replaced if kept else tomli_w.dumps(meant)
+    return replaced if kept else tomli_w.dumps(intended_content)
 
 
-def _remove_tables(text: str, new: dict[Place, str]) -> Iterator[str]:
+def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
     """Yield the lines without replaced tables, but with comments in front of the next header."""
     to_write = dict(new)
-    leaving_out, remarks = False, list[str]()
+    skipping, remarks = False, list[str]()
     for line in text.splitlines(keepends=True):
-        place = _place(line)
+        place = _parse_header(line)
         if place is not None:
-            leaving_out = place[:2] in new
+            skipping = place[:2] in new
             yield from remarks
             remarks.clear()
-            if leaving_out:
+            if skipping:
                 yield to_write.pop(place[:2], "")
-        if not leaving_out:
+        if not skipping:
             yield line
         elif place is None and (not line.strip() or line.lstrip().startswith("#")):
             remarks.append(line)
@@ -151,7 +151,7 @@ def _remove_tables(text: str, new: dict[Place, str]) -> Iterator[str]:
         yield f"\n{table}"
 
 
-def _place(line: str) -> Place | None:
+def _parse_header(line: str) -> TablePath | None:
     """Return the table whose header a line is."""
     if not line.lstrip().startswith("["):
         return None

@@ -42,21 +42,21 @@ from procedures.reporting.calibration_figures import (
 )
 from procedures.runs.calibration_files import write_records, write_theatre
 from procedures.runs.interrupted_run import InterruptedRun
-from procedures.runs.reopening import close_complete
+from procedures.runs.reopening import close_completed_run
 from procedures.runs.request import RunRequest
 from procedures.steps.calibration.frame_looks import ObservedFrame
 from procedures.steps.calibration.head_looks import ObservedBall
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
-from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import DatedRecord
 from ronna_hw.command_line.messages import tell
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
 Looks = TypeVar("Looks", bound=Measurements)
 Result = TypeVar("Result")
@@ -110,16 +110,16 @@ class CalibrationKind(Generic[Looks, Result]):
         file = path / self.looks_file if path.is_dir() else path
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():
-            run = inspected(file.parent, every_file=False).require_account()
+            run = inspect_run(file.parent, every_file=False).require_account()
             run.require_content(file.name, read_json_bytes(file))
         return looks
 
     def write_looks(self, looks: Looks, folder: Path) -> None:
         """Keep the looks, before anything is computed from them."""
-        write_whole(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
+        write_atomically(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
 
 
-def computed(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
+def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
     """Compute from the looks. Raises CAL-020 for looks of another theatre, and errors of the computation."""
     theatre = None if request.config is None else read_theatre_file(request.config).calibration
     if theatre is not None:
@@ -135,7 +135,7 @@ def computed(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: L
     return result
 
 
-def leave_files(
+def write_calibration_files(
     kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks, result: Result, folder: Path
 ) -> None:
     """Write the files of a calibration, and the theatre file with its records."""
@@ -155,26 +155,26 @@ def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Ca
         tell(remark)
     looks = kind.observed(case)
     kind.write_looks(looks, folder)
-    leave_files(kind, request, looks, computed(kind, request, looks), folder)
+    write_calibration_files(kind, request, looks, compute_calibration(kind, request, looks), folder)
 
 
 def finish_calibration(
     kind: CalibrationKind[Looks, Result], request: RunRequest, interrupted: InterruptedRun
 ) -> None:
     """Conclude a calibration of which every look was taken; moves nothing and asks no device."""
-    case = interrupted.restored(order_of(Recipe.read(request.calibration.recipe).steps, ()))
+    case = interrupted.restore_case(order_of(Recipe.read(request.calibration.recipe).steps, ()))
     try:
         conclude(kind, request, case, interrupted.folder)
     except RonnaError as problem:
-        close_complete(interrupted, None, "failed", code=problem.code, what=problem.what)
+        close_completed_run(interrupted, None, "failed", code=problem.code, what=problem.what)
         raise
-    close_complete(interrupted, None)
+    close_completed_run(interrupted, None)
 
 
-def every_look_taken(request: RunRequest, interrupted: InterruptedRun) -> bool:
+def has_every_look(request: RunRequest, interrupted: InterruptedRun) -> bool:
     """Whether only the computation of a calibration is missing."""
     order = order_of(Recipe.read(request.calibration.recipe).steps, ())
-    return not interrupted.untouched and all(map(interrupted.restored(order).stands, order.sequence))
+    return not interrupted.untouched and all(map(interrupted.restore_case(order).stands, order.sequence))
 
 
 def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
@@ -190,7 +190,7 @@ def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -
     except NotTheBaseline as problem:
         tell(f"warning: ronna-stereo check cannot use this calibration: {problem.summary}")
         return
-    write_whole(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
+    write_atomically(folder / BASELINE_FILE, baseline.model_dump_json(by_alias=True, indent=1).encode())
 
 
 def _dates(record: DatedRecord) -> dict[str, Any]:
@@ -315,7 +315,7 @@ def frame_figures(result: FrameResult) -> FrameFigures:
 
 
 def _rms(misses: list[list[float]]) -> float:
-    return math.sqrt(sum(math.hypot(*one) ** 2 for one in misses) / len(misses))
+    return math.sqrt(sum(math.hypot(*miss) ** 2 for miss in misses) / len(misses))
 
 
 TRACKER_FRAME = CalibrationKind(
@@ -334,7 +334,7 @@ TRACKER_FRAME = CalibrationKind(
 def tip_figures(result: TipResult) -> TipFigures:
     """Return the figures of a calibration."""
     fit, record = result.fit, result.tool_tip
-    missed = [math.hypot(*one) ** 2 for one in result.misses_mm.tolist()]
+    missed = [math.hypot(*miss) ** 2 for miss in result.misses_mm.tolist()]
     return TipFigures(
         **_dates(record),
         tool_number=record.tool_number,
@@ -360,7 +360,7 @@ TOOL_TIP = CalibrationKind(
     activity="measuring the ball, reading the divot",
     looks_type=TipLooks,
     looks_file=TIP_LOOKS_FILE,
-    observed_by=ReadTip,
+    observed_by=TipReadings,
     remarked_by=ObservedStand,
     last_remark=MOUNT_THE_HEAD,
     compute=calibrate_tip,

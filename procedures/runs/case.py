@@ -13,7 +13,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 if TYPE_CHECKING:
     from procedures.engine.order import CaseOrder
     from procedures.engine.setting import ClinicalInput
-    from procedures.planning.plan_lock import HeldPlan
+    from procedures.planning.plan_lock import LockedPlan
     from procedures.planning.plan_model import Plan
     from procedures.runs.engine_setup import EngineInput
     from procedures.runs.interrupted_run import InterruptedRun, Resumption
@@ -25,27 +25,27 @@ def case_folder(case: CaseProcedure, folder: Path) -> Path:
     return case.case or folder / "case"
 
 
-def clinical_input(case: CaseProcedure, folder: Path, plan: HeldPlan | None = None) -> ClinicalInput:
+def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:
     """Return CT, plan and strategy of a run, with the hash of its plan as held."""
     from procedures.engine.setting import ClinicalInput
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
     place = case_folder(case, folder)
     return ClinicalInput(
         place / "ct",
         place / "plan.toml",
-        strategy_named(case.strategy),
+        find_strategy(case.strategy),
         case.measure_targets,
         None if plan is None else plan.sha256,
     )
 
 
-def order_of_case(case: CaseProcedure, folder: Path, held: HeldPlan | None = None) -> CaseOrder:
+def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = None) -> CaseOrder:
     """Return the steps of a run, by its plan as held and its strategy. Raises errors of reading the plan."""
     from procedures.planning.plan_file import parse_plan_bytes, read_plan
 
     file = case_folder(case, folder) / "plan.toml"
-    return _order(case, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
+    return _build_order(case, read_plan(file) if held is None else parse_plan_bytes(held.content, file.name))
 
 
 def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
@@ -56,18 +56,18 @@ def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder
     from procedures.steps.clinical.plan_check import CheckedPlan
 
     checked = interrupted.run.made(CheckedPlan)
-    return _order(case, checked[-1].result.plan if checked else None)
+    return _build_order(case, checked[-1].result.plan if checked else None)
 
 
-def _order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
+def _build_order(case: CaseProcedure, plan: Plan | None) -> CaseOrder:
     from procedures.engine.order import order_of
     from procedures.steps.catalogue import clinical_steps
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
     return order_of(
         clinical_steps(measure_targets=case.measure_targets),
         [] if plan is None else [trajectory.id for trajectory in plan.trajectories],
-        localizes_per_trajectory=strategy_named(case.strategy).localizes_per_trajectory,
+        localizes_per_trajectory=find_strategy(case.strategy).localizes_per_trajectory,
     )
 
 
@@ -80,24 +80,24 @@ def prepare_case(
 ) -> EngineInput:
     """Prepare the steps of a case; `held` holds its plan."""
     from procedures.calibration.validity import options_of, require_valid
-    from procedures.engine.setting import this_second
+    from procedures.engine.setting import now_to_second
     from procedures.planning.plan_lock import lock_plan
     from procedures.planning.tool_records import ToolRecords
     from procedures.runs.engine_setup import EngineInput
-    from ronna_hw.records import write_whole
+    from ronna_hw.records import write_atomically
 
     case = request.case
     if resumption is not None and resumption.only_leaving:
         return EngineInput(restore_order(case, resumption.interrupted), clinical=clinical_input(case, folder))
     if resumption is None:  # before anybody is asked anything; set_up looks again
-        now, choice = this_second(), request.choice
+        now, choice = now_to_second(), request.choice
         simulated = f"--sim --scene {shlex.quote(choice.scene)} --seed {choice.seed}"
         options = simulated if request.config is None else options_of(request.config)
         require_valid(theatre.calibrations, now, options)
         ToolRecords.of(theatre.file).check(theatre.calibrations, now)
     file = case_folder(case, folder) / "plan.toml"
     if case.plan is not None and (resumption is None or resumption.interrupted.untouched):
-        write_whole(file, read_bounded(case.plan, LARGEST_TOML_BYTES))  # instead of the phantom's own
+        write_atomically(file, read_bounded(case.plan, LARGEST_TOML_BYTES))  # instead of the phantom's own
     plan = held.enter_context(lock_plan(file))
     order = order_of_case(case, folder, plan)
     if request.answers is not None:

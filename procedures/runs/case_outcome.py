@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING
 from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, order_of_case
-from procedures.runs.finishing import error_of
+from procedures.runs.finishing import as_run_error
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import RunRequest
-from procedures.runs.request_checks import never_began
-from procedures.runs.simulated_theatre import truth_of
+from procedures.runs.request_checks import list_unreached_faults
+from procedures.runs.simulated_theatre import ask_verifier
 from ronna_hw.command_line.messages import tell
 from ronna_hw.evidence.journal_reading import read_chain
 
@@ -37,11 +37,11 @@ def run_case(
     engine, theatre_s = run_steps(request, folder, observers, resumption)
     if request.faults is not None and resumption is None:
         begun = (str(line["step"]) for line in read_chain(folder / JOURNAL_FILE).lines if "step" in line)
-        for one in never_began(request.faults, begun, theatre_s):
+        for one in list_unreached_faults(request.faults, begun, theatre_s):
             tell(one)
     before_s = 0.0 if resumption is None else wall_time_s(resumption.interrupted.run.journal)
     wall_s = before_s + time.monotonic() - began_s
-    return finished(request, engine.case, engine.order.trajectories, theatre_s, wall_s)
+    return build_finished_outcome(request, engine.case, engine.order.trajectories, theatre_s, wall_s)
 
 
 def finish_case(
@@ -50,13 +50,13 @@ def finish_case(
     """Finish an interrupted case; if only its last line is missing, no theatre is needed."""
     from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
-    from procedures.runs.reopening import close_complete
+    from procedures.runs.reopening import close_completed_run
 
     folder = interrupted.folder
     if not interrupted.untouched:
         order = order_of_case(request.case, folder)
-        if CaseProgress(order, interrupted.restored(order)).over and not interrupted.arm.place.is_out:
-            closed = close_complete(interrupted, clinical_input(request.case, folder))
+        if CaseProgress(order, interrupted.restore_case(order)).over and not interrupted.arm.place.is_out:
+            closed = close_completed_run(interrupted, clinical_input(request.case, folder))
             return outcome_as_recorded(request, closed)
     return run_case(request, folder, observers, Resumption(interrupted, accepted))
 
@@ -68,9 +68,9 @@ def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> Fin
 
     folder, journal = interrupted.folder, interrupted.run.journal
     order = order_of_case(request.case, folder)
-    outcome = finished(
+    outcome = build_finished_outcome(
         request,
-        interrupted.restored(order),
+        interrupted.restore_case(order),
         order.trajectories,
         theatre_time_s(journal[-1]),
         wall_time_s(journal),
@@ -99,7 +99,7 @@ def wall_time_s(journal: Sequence[Line]) -> float:
     return total_s + ((last - began).total_seconds() if began is not None and last is not None else 0.0)
 
 
-def unfinished(request: RunRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
+def build_unfinished_outcome(request: RunRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
     """Return the outcome of a run that `problem` ended."""
     from procedures.reporting.outcome import UnfinishedRun
 
@@ -108,11 +108,11 @@ def unfinished(request: RunRequest, folder: Path, problem: BaseException) -> Unf
         outcome="interrupted" if isinstance(problem, KeyboardInterrupt) else "failed",
         seed=request.seed,
         strategy=request.case.strategy,
-        error=error_of(problem),
+        error=as_run_error(problem),
     )
 
 
-def finished(
+def build_finished_outcome(
     request: RunRequest,
     case: Case,
     trajectories: Sequence[str],
@@ -131,7 +131,7 @@ def finished(
     from procedures.steps.clinical.tool_change import MountedGuide
 
     if truth is None:
-        truth = truth_of(case.folder) if request.config is None else Truth()
+        truth = ask_verifier(case.folder) if request.config is None else Truth()
         store_truth(case.folder, truth)
     left_out = {one.trajectory: one.reason for one in case.left_out}
     names = [name for name in trajectories if name not in left_out]

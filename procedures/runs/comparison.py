@@ -20,7 +20,7 @@ from procedures.guards.room_reading import read_room
 from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.imaging.series import read_series
 from procedures.planning.plan_file import read_plan
-from procedures.registration.movement import shift_of
+from procedures.registration.movement import measure_shift
 from procedures.relocalization.triangulation import check_serial
 from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.correspondence import Correspondence
@@ -32,8 +32,8 @@ from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import (
     build_watch,
     find_followed_registration,
-    followed_spheres,
-    frame_at_home,
+    find_followed_spheres,
+    find_frame_at_home,
 )
 from procedures.steps.clinical.set_up import CheckedSetUp, DeviceIdentity
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -41,7 +41,7 @@ from procedures.workcell import MountedTool
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.calibration import CalibrationExpired, DatedRecord
 from ronna_hw.errors import RonnaError
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine where arm and tools are
 
@@ -60,7 +60,7 @@ class Comparison:
         """Findings for the journal, without the differences."""
         return [*self.warnings, *self.notes, *(f"{what}: as recorded" for what in self.unchanged)]
 
-    def same(self, what: str) -> None:
+    def add_unchanged(self, what: str) -> None:
         """Add an item that is as recorded."""
         self.unchanged.append(what)
 
@@ -72,7 +72,7 @@ class Comparison:
         """Add a warning, to be read before anything else."""
         self.warnings.append(text)
 
-    def differs(self, what: str, recorded: object, found: object) -> None:
+    def add_difference(self, what: str, recorded: object, found: object) -> None:
         """Add an item that is not as recorded."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
@@ -83,39 +83,43 @@ class Comparison:
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
         """Add an item as unchanged, or as different with the fields that differ."""
         if recorded == found:
-            self.same(what)
+            self.add_unchanged(what)
         elif recorded is None or found is None:
-            self.differs(what, "none" if recorded is None else "one", "none" if found is None else "one")
+            self.add_difference(
+                what, "none" if recorded is None else "one", "none" if found is None else "one"
+            )
         else:
-            unlike = list(_unlike(recorded, found))
-            self.differs(
+            unlike = list(_find_differences(recorded, found))
+            self.add_difference(
                 what,
                 ", ".join(f"{name} {then}" for name, then, _ in unlike),
                 ", ".join(f"{name} {now}" for name, _, now in unlike),
             )
 
-    def in_lines(self, order: Sequence[str]) -> str:
+    def format_lines(self, order: Sequence[str]) -> str:
         """Return warnings, the work in `order` and the remarks; unchanged items are only counted."""
-        as_recorded = [counted(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
+        as_recorded = [format_count(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
 
-def _unlike(recorded: BaseModel, found: BaseModel, within: str = "") -> Iterator[tuple[str, object, object]]:
+def _find_differences(
+    recorded: BaseModel, found: BaseModel, within: str = ""
+) -> Iterator[tuple[str, object, object]]:
     """Yield dotted names of differing fields with both values; for sequences, the number of entries."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:
             continue
         if isinstance(then, BaseModel) and isinstance(now, BaseModel):
-            yield from _unlike(then, now, f"{within}{name}.")
+            yield from _find_differences(then, now, f"{within}{name}.")
         else:
-            yield f"{within}{name}", _in_short(then), _in_short(now)
+            yield f"{within}{name}", _summarize_value(then), _summarize_value(now)
 
 
-def _in_short(value: object) -> object:
+def _summarize_value(value: object) -> object:
     if value and isinstance(value, tuple) and all(isinstance(one, int | float) for one in value):
         return value
-    return counted(len(value), "entry", "entries") if isinstance(value, list | tuple | dict) else value
+    return format_count(len(value), "entry", "entries") if isinstance(value, list | tuple | dict) else value
 
 
 def compare_devices(
@@ -137,7 +141,7 @@ def compare_devices(
     workcell = engine.setting.workcell
     for role, device in workcell.devices.items():
         try:
-            found = DeviceIdentity.of(device.connect())
+            found = DeviceIdentity.from_identity(device.connect())
             device.configure()
         except RonnaError as problem:
             if role == ARM or not only_leaving:
@@ -145,11 +149,13 @@ def compare_devices(
             comparison.note(f"{role}: not needed on the way home ({problem.summary})")
             continue
         if (then := recorded.identities.get(role)) == found:
-            comparison.same(f"{role} {found.model}")
+            comparison.add_unchanged(f"{role} {found.model}")
         elif role != ARM and only_leaving:
             comparison.note(f"{role}: a different one; not needed on the way home: {_describe_device(found)}")
         else:
-            comparison.differs(role, _describe_device(then) if then else "none", _describe_device(found))
+            comparison.add_difference(
+                role, _describe_device(then) if then else "none", _describe_device(found)
+            )
     if not only_leaving:
         _compare_cameras(engine, comparison)
     workcell.compare_place()  # it may have been jogged meanwhile
@@ -169,11 +175,11 @@ def _compare_calibrations(
 ) -> None:
     now = engine.setting.workcell.calibrations
     then = recorded.calibrations.records
-    for name in then.keys() - now.records.keys():
+    for name in sorted(then.keys() - now.records.keys()):
         if only_leaving and name not in FOR_MOTION:
             comparison.note(f"calibration {name}: not needed on the way home, and there is none")
             continue
-        comparison.differs(f"calibration {name}", _describe_record(then[name]), "none")
+        comparison.add_difference(f"calibration {name}", _describe_record(then[name]), "none")
     for name, record in now.records.items():
         if record != then.get(name) and only_leaving and name not in FOR_MOTION:
             comparison.note(
@@ -182,30 +188,30 @@ def _compare_calibrations(
             continue
         if record != then.get(name):
             before = _describe_record(then[name]) if name in then else "none"
-            comparison.differs(f"calibration {name}", before, _describe_record(record))
+            comparison.add_difference(f"calibration {name}", before, _describe_record(record))
             continue
         try:
             record.check_valid_at(engine.setting.today())
         except CalibrationExpired as problem:
             if name in engine.setting.starts and problem.limit is not None:  # not one dated in the future
-                comparison.same(f"calibration {record.identifier}")
+                comparison.add_unchanged(f"calibration {record.identifier}")
             elif only_leaving:
                 comparison.note(f"calibration {record.identifier}: {problem.summary}")
             else:
-                comparison.differs(f"calibration {record.identifier}", "a valid one", problem)
+                comparison.add_difference(f"calibration {record.identifier}", "a valid one", problem)
         else:
-            comparison.same(f"calibration {record.identifier}")
+            comparison.add_unchanged(f"calibration {record.identifier}")
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
     """Compare the devices, and the sources of depths, clearances and predictions in the theatre file."""
     setting, tools = engine.setting, engine.setting.workcell.tools
-    for role in recorded.identities.keys() - setting.workcell.devices.keys():
-        comparison.differs(role, _describe_device(recorded.identities[role]), "none")
+    for role in sorted(recorded.identities.keys() - setting.workcell.devices.keys()):
+        comparison.add_difference(role, _describe_device(recorded.identities[role]), "none")
     for name in sorted({*recorded.tools, *tools.records}):
         comparison.compare(f"tool record {name}", recorded.tools.get(name), tools.records.get(name))
     if tools.flange != recorded.flange:
-        comparison.differs("flange", repr(recorded.flange), repr(tools.flange))
+        comparison.add_difference("flange", repr(recorded.flange), repr(tools.flange))
     comparison.compare("the cell", recorded.cell, setting.surroundings)
     comparison.compare("settings of the procedure", recorded.settings, setting.settings)
 
@@ -216,7 +222,7 @@ def _compare_cameras(engine: Engine, comparison: Comparison) -> None:
         try:
             check_serial(getattr(workcell.calibrations.stereo_head, side), serial)
         except RonnaError as problem:
-            comparison.differs(f"{side} camera", "the calibrated one", problem)
+            comparison.add_difference(f"{side} camera", "the calibrated one", problem)
 
 
 def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: bool) -> None:
@@ -225,17 +231,17 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
     expected = MountedTool.GUIDE if changed else MountedTool.STEREO_HEAD
     found = workcell.mount.identify()
     if found is expected:
-        comparison.same(f"the {found}")
-    elif exchange_begun and not workcell.place.on_axis:
+        comparison.add_unchanged(f"the {found}")
+    elif exchange_begun and not workcell.place.is_on_axis:
         comparison.warn(f"a tool exchange had begun: the arm carries the {found}")
     else:
-        comparison.differs("mounted tool", f"the {expected}", f"the {found}")
+        comparison.add_difference("mounted tool", f"the {expected}", f"the {found}")
         return
     if (axis := workcell.place.axis) is not None:
         try:
             axis.check_on_axis(workcell.tool_pose())
         except TipOffAxis as problem:
-            comparison.differs("guide", f"on {axis.trajectory}", problem)
+            comparison.add_difference("guide", f"on {axis.trajectory}", problem)
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
@@ -250,38 +256,40 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
         try:
             volume = read_series(clinical.series)
         except (RonnaError, OSError) as problem:
-            comparison.differs("CT series", imported.result.series_instance_uid, problem)
+            comparison.add_difference("CT series", imported.result.series_instance_uid, problem)
         else:
             then = imported.result
             if changed := then.differences(volume):
-                comparison.differs("CT series", then.series_instance_uid, f"a different one: {changed}")
+                comparison.add_difference(
+                    "CT series", then.series_instance_uid, f"a different one: {changed}"
+                )
             else:
-                comparison.same("CT series")
+                comparison.add_unchanged("CT series")
                 if engine.case.find(CheckedPlan, None) is None:
                     engine.setting.memory.keep(volume)
     if checked := engine.case.find(CheckedPlan, None):
         try:
             plan = read_plan(clinical.plan)
         except (RonnaError, OSError) as problem:
-            comparison.differs("plan", "the checked plan", problem)
+            comparison.add_difference("plan", "the checked plan", problem)
         else:
             if plan == checked.result.plan:
-                comparison.same("plan")
+                comparison.add_unchanged("plan")
                 note_same_content(engine, clinical.plan, checked.record)
             else:
-                comparison.differs("plan", "the checked plan", "a different one")
+                comparison.add_difference("plan", "the checked plan", "a different one")
     elif plan_sha256 is not None and clinical.plan_sha256 not in (None, plan_sha256):
-        comparison.differs("plan", f"SHA-256 {plan_sha256}", clinical.plan_sha256)
+        comparison.add_difference("plan", f"SHA-256 {plan_sha256}", clinical.plan_sha256)
     if locked := engine.case.find(LockedCart, None):
         try:
             changed = locked.result.differences(clinical.place)
         except RonnaError as problem:
-            comparison.differs("proposed position", "a readable one", problem)
+            comparison.add_difference("proposed position", "a readable one", problem)
         else:
             if changed:
-                comparison.differs("proposed position", locked.record.identifier, changed)
+                comparison.add_difference("proposed position", locked.record.identifier, changed)
             elif locked.result.proposal is not None:
-                comparison.same("proposed position")
+                comparison.add_unchanged("proposed position")
                 note_same_content(engine, clinical.place, locked.record)
 
 
@@ -297,25 +305,25 @@ def compare_room(engine: Engine, comparison: Comparison) -> bool:
     watch = build_watch(workcell, stored.record.identifier, stored.result, pairs)
     context = engine.context(engine.order.sequence[0])
     followed = context.result_among(RegisteredRobot, partial(find_followed_registration, trajectory=None))
-    watch.follow(followed_spheres(followed))
-    watch.refer(frame_at_home(context))
+    watch.follow(find_followed_spheres(followed))
+    watch.add_reference(find_frame_at_home(context))
     reading = read_room(workcell, engine.setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
-    head, base = shift_of(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
+    head, base = measure_shift(watch.spheres_mm, reading.spheres_mm), watch.base_shift(reading)
     if head is None:
         return False
     try:
         findings = watch.compare(reading).require()
     except PatientMoved as moved:
         if context.stands(RegisteredRobot) or workcell.tool is not MountedTool.GUIDE:
-            comparison.differs("room", f"all within {moved.limit}", moved.what)
+            comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         else:  # hence none is valid: the step registration asks whether to follow the move
             comparison.note(f"patient: {moved.what}; no registration is valid")
         return True
     except BaseShifted as moved:
-        comparison.differs("room", f"all within {moved.limit}", moved.what)
+        comparison.add_difference("room", f"all within {moved.limit}", moved.what)
         return True
     if reading.frame_mm is None and workcell.place.is_home:
-        comparison.differs("robot base", "the frame on the arm in view", "the tracker does not see it")
+        comparison.add_difference("robot base", "the frame on the arm in view", "the tracker does not see it")
         return True
     comparison.note(f"patient: spheres within {head.rms_mm:.2f} mm of their recorded positions")
     if base is None:

@@ -35,11 +35,11 @@ READY_S = 45.0  # host time; heavy imports, with what a busy computer leaves to 
 STALLED_S = 5.0  # host time in which it takes nothing: it counts as gone
 BEAT_S = 0.25  # host time between two signs of life when nothing happens
 BEAT = '{"beat":1}'
-BETWEEN_SIGNALS_S = 0.05  # host time: signals are conflated to 20 Hz
-BETWEEN_S = 0.5  # host time from one picture to the next: drawing takes some ten milliseconds
+SIGNAL_PERIOD_S = 0.05  # host time: signals are conflated to 20 Hz
+PICTURE_PERIOD_S = 0.5  # host time from one picture to the next: drawing takes some ten milliseconds
 HEIGHT_PX = 240
 LOOPBACK = "127.0.0.1"
-NEEDED = ("nicegui", "skimage")  # of the extra `console`
+REQUIRED_MODULES = ("nicegui", "skimage")  # of the extra `console`
 
 
 class ConsoleLink:
@@ -59,10 +59,10 @@ class ConsoleLink:
         self._ending = False
         self._writing = threading.Lock()
         self._feed: threading.Thread | None = None
-        self._socket, theirs = socket.socketpair()
+        self._socket, child_socket = socket.socketpair()
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", int(STALLED_S), 0))
-        with theirs:
-            arguments = ["--feed", str(theirs.fileno()), "--port", str(port)]
+        with child_socket:
+            arguments = ["--feed", str(child_socket.fileno()), "--port", str(port)]
             if viewers is not None:
                 files = (str(viewers.certificate.resolve()), str(viewers.key.resolve()))
                 arguments += ["--viewers", viewers.address, *files]
@@ -71,7 +71,7 @@ class ConsoleLink:
                 "console",
                 command("console.serving", *arguments),
                 timeout_s=None,
-                inherited=(theirs.fileno(),),
+                inherited=(child_socket.fileno(),),
             )
         self._answered = threading.Event()
         self._followed = threading.Event()
@@ -128,9 +128,9 @@ class ConsoleLink:
             return
         tell_address(ready, self._say)
         self._answered.set()
-        self._hear()
+        self._take_orders()
 
-    def _hear(self) -> None:
+    def _take_orders(self) -> None:
         """Take orders until the console ends."""
         with contextlib.suppress(OSError, ValueError), self._socket.makefile("rb") as lines:
             while line := lines.readline(LONGEST_BYTES + 1):
@@ -157,7 +157,7 @@ class ConsoleLink:
             if not self._send("\n".join(lines or [BEAT])):
                 return
             if all(event.what.signal for event in batch.events):
-                time.sleep(BETWEEN_SIGNALS_S)
+                time.sleep(SIGNAL_PERIOD_S)
 
     def _send(self, text: str) -> bool:
         try:
@@ -193,7 +193,7 @@ class LivePictures:
 
     def send_all(self) -> None:
         """Draw and send until `ending`."""
-        while not self._ending.wait(BETWEEN_S):
+        while not self._ending.wait(PICTURE_PERIOD_S):
             if not self._arrived.is_set():
                 continue
             self._arrived.clear()
@@ -219,7 +219,7 @@ class ConsoleRequest:
 
 def check_console() -> None:
     """Raise PRO-040 if the libraries of the console are not installed."""
-    if missing := [name for name in NEEDED if importlib.util.find_spec(name) is None]:
+    if missing := [name for name in REQUIRED_MODULES if importlib.util.find_spec(name) is None]:
         raise ConsoleMissing(f"the console needs {' and '.join(missing)}")
 
 
@@ -237,7 +237,7 @@ def check_port(port: int) -> None:
 
 
 @contextlib.contextmanager
-def attached(
+def serve_console(
     executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
 ) -> Iterator[ConsoleLink]:
     """Serve the console of a run while the block runs; `say` tells its address."""
@@ -257,7 +257,7 @@ def with_console(
     With `waits`, nothing is done until someone has taken the operator's seat.
     """
     executor = OrderExecutor(OperatorStation(waits=waits), runs=True)
-    with attached(executor, folder, console, observers.announce) as link:
+    with serve_console(executor, folder, console, observers.announce) as link:
 
         def opened(engine: Engine) -> None:
             observers.opened(engine)

@@ -14,7 +14,7 @@ from procedures.engine.engine import Engine
 from procedures.engine.events import Advisory, EventStream
 from procedures.engine.events.event_file import EventFile
 from procedures.engine.replay.recorded_answers import opening_line, section_follower
-from procedures.engine.setting import CaseSetting, this_second
+from procedures.engine.setting import CaseSetting, now_to_second
 from procedures.guards import (
     GuideDisplacement,
     TrackerLink,
@@ -38,11 +38,11 @@ from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, TheatreFile
 from ronna_hw.devices.lifecycle import Device
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.manifest import input_hashes, theatre_files, truth_so_far
+from ronna_hw.evidence.manifest import hash_inputs, hash_truth_files, list_theatre_files
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
-from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.recording.reading_tape import READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.registry import make_device
-from ronna_hw.software import this_software
+from ronna_hw.software import identify_software
 from ronna_hw.theatre import Theatre
 
 if TYPE_CHECKING:
@@ -95,37 +95,39 @@ def build_engine(
     """
 
     def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
-        return taped(make_device(name, config, clock), tape)
+        return tape_device(make_device(name, config, clock), tape)
 
     theatre = Theatre.from_file(file, make)
-    wanted = prepare(theatre)
-    calibrations = wanted.calibrations or theatre.calibrations  # what is missing is known before the journal
+    prepared = prepare(theatre)
+    calibrations = (
+        prepared.calibrations or theatre.calibrations
+    )  # what is missing is known before the journal
     events = EventStream(theatre.clock.now_s)
     stack.callback(EventFile(folder, events).join)
     stack.callback(events.end)
-    began = this_second()
-    clinical, recipe = wanted.clinical, wanted.as_plain(calibrations)
+    began = now_to_second()
+    clinical, recipe = prepared.clinical, prepared.as_plain(calibrations)
     first = opening_line(folder, file, theatre.clock, clinical, began, recipe)
     tape = ReadingTape(folder / READINGS_FOLDER, theatre.clock.now_s, first)
     stack.callback(tape.close)
     follow = section_follower(tape)
 
-    def written(line: bytes) -> None:
+    def publish_line(line: bytes) -> None:
         follow(line)
         events.journal_line(line)
 
     def before_result() -> dict[str, JournalValue]:
         tape.settle()  # what stands can be computed again, also after a kill
-        return truth_so_far(folder)
+        return hash_truth_files(folder)
 
-    left = None if resumption is None else resumption.interrupted
+    previous = None if resumption is None else resumption.interrupted
     only_leaving = resumption is not None and resumption.only_leaving
-    history = UNMOVED if left is None else left.arm
-    case = Case(folder) if left is None else left.restored(wanted.order)
-    if left is None or not left.has_journal:
-        journal = Journal(folder, written)
+    history = UNMOVED if previous is None else previous.arm
+    case = Case(folder) if previous is None else previous.restore_case(prepared.order)
+    if previous is None or not previous.has_journal:
+        journal = Journal(folder, publish_line)
     else:
-        journal = Journal.reopen_run(folder, left.chain, written)
+        journal = Journal.reopen_run(folder, previous.chain, publish_line)
     flight_recorder = FlightRecorder(folder / BYTES_FOLDER, theatre.clock.now_s)
     stack.callback(flight_recorder.close)
     theatre.record_bytes(flight_recorder)
@@ -133,28 +135,28 @@ def build_engine(
         theatre,
         journal,
         calibrations=calibrations,
-        calibrating=wanted.calibrations is not None,
+        calibrating=prepared.calibrations is not None,
         history=history,  # at once: a run may be closed before it is compared with anything
     )
     _ = workcell.devices  # made now: what a driver refuses is said before the first line of the journal
     journal.write(
-        Entry.RESTARTED if left is not None and left.run.journal else Entry.OPENED,
+        Entry.RESTARTED if previous is not None and previous.run.journal else Entry.OPENED,
         theatre.clock.now_s(),
-        **({} if left is None else left.as_plain()),
+        **({} if previous is None else previous.as_plain()),
         **({ONLY_LEAVING: True} if only_leaving else {}),
         **opening,
-        **truth_so_far(folder),
-        inputs=theatre_inputs(folder, left),
+        **hash_truth_files(folder),
+        inputs=theatre_inputs(folder, previous),
         run=case.run,
-        software=str(this_software()),
+        software=str(identify_software()),
         theatre=theatre.file.theatre,
         banner=theatre.file.banner,
-        procedure=wanted.title,
+        procedure=prepared.title,
         strategy=None if clinical is None else clinical.strategy.name,
         plan_sha256=None if clinical is None else clinical.plan_sha256,
     )
     engine = Engine(
-        wanted.order,
+        prepared.order,
         case,
         CaseSetting(
             workcell=workcell,
@@ -165,7 +167,7 @@ def build_engine(
             surroundings=theatre.file.cell_with_tools,
             clinical=clinical,
             arm_not_home=arm_not_home,
-            starts=frozenset() if wanted.recipe is None else wanted.recipe.starts,
+            starts=frozenset() if prepared.recipe is None else prepared.recipe.starts,
             began=began,
         ),
         journal,
@@ -173,18 +175,18 @@ def build_engine(
         on_ending=on_ending,
         before_result=before_result,
         recorders=(flight_recorder, tape),
-        recovering=left is not None and not left.untouched,
-        latest=None if left is None else left.latest,
+        recovering=previous is not None and not previous.untouched,
+        latest=None if previous is None else previous.latest,
     )
     engine.checkpoint.beside = tape.beside
     add_guards(engine, file, theatre.file, only_leaving=only_leaving)
     return engine
 
 
-def theatre_inputs(folder: Path, left: InterruptedRun | None) -> dict[str, JournalValue]:
+def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:
     """Return hashes of the theatre in a run's folder, without files changed or added since its end."""
-    known = () if left is None else left.not_as_left
-    hashes = input_hashes(folder, theatre_files(folder))
+    known = () if previous is None else previous.not_as_left
+    hashes = hash_inputs(folder, list_theatre_files(folder))
     return {name: sha256 for name, sha256 in hashes.items() if name not in known}
 
 
@@ -200,7 +202,9 @@ def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving
     guards.extend(case_guards(workcell, folder, setting.clock, engine.find, engine.doubt_tool))
     if not only_leaving:
         guards.append(
-            UnchangedRecords(file, theatre, lambda: engine.running is not None and not workcell.place.on_axis)
+            UnchangedRecords(
+                file, theatre, lambda: engine.running is not None and not workcell.place.is_on_axis
+            )
         )
     link = TrackerLink(workcell.tracker, setting.memory, setting.clock.now_s)
     if setting.clinical is None:

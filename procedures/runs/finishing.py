@@ -12,15 +12,15 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.folders import forget_if_empty, forget_if_refused, hold_run
+from procedures.runs.folders import hold_run, remove_if_empty, remove_if_refused
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import read_request
-from procedures.runs.simulated_theatre import truth_if_any
+from procedures.runs.simulated_theatre import find_truth
 from ronna_hw.clock import ClockUnavailable
 from ronna_hw.command_line.errors import as_ronna_error
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
 from ronna_hw.evidence.manifest import (
     BESIDE,
@@ -33,8 +33,8 @@ from ronna_hw.evidence.manifest import (
     seal,
 )
 from ronna_hw.host.files import remove_folder, walk
-from ronna_hw.host.process import interruptible, interruption_deferred
-from ronna_hw.records import PARTIAL, write_whole
+from ronna_hw.host.process import allow_interruption, defer_interruption
+from ronna_hw.records import PARTIAL, write_atomically
 
 if TYPE_CHECKING:
     from procedures.reporting.files import PostoperativeResult
@@ -65,33 +65,33 @@ def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = T
     try:
         yield final
     except BaseException as problem:  # also an interruption: every run leaves a report
-        final.report = end_unfinished(folder, problem)
+        final.report = end_unfinished_run(folder, problem)
         raise
-    final.report = leave_report(folder, with_truth=with_truth, name_it=name_report)
+    final.report = write_final_report(folder, with_truth=with_truth, tell_path=name_report)
     seal_run(folder)
 
 
-def end_unfinished(folder: Path, problem: BaseException) -> Path | None:
+def end_unfinished_run(folder: Path, problem: BaseException) -> Path | None:
     """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
-    forget_if_refused(folder, problem)
-    forget_if_empty(folder)
-    report = leave_report(folder, error_of(problem))
+    remove_if_refused(folder, problem)
+    remove_if_empty(folder)
+    report = write_final_report(folder, as_run_error(problem))
     seal_run(folder, at_once=isinstance(problem, KeyboardInterrupt))
-    tell_way_on(folder, problem)
+    tell_next_commands(folder, problem)
     return report
 
 
 @contextlib.contextmanager
 def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
     """Write report and seal, after the block, of a finished run that was killed before its seal."""
-    from procedures.runs.reopening import close_again, make_ready
+    from procedures.runs.reopening import prepare_folder, rewrite_end
 
     if is_sealed(interrupted.folder):
         yield interrupted
         return
-    make_ready(interrupted)
-    yield close_again(interrupted)
-    leave_report(interrupted.folder, name_it=False)
+    prepare_folder(interrupted)
+    yield rewrite_end(interrupted)
+    write_final_report(interrupted.folder, tell_path=False)
     seal_run(interrupted.folder)
 
 
@@ -102,11 +102,11 @@ def begin_report(folder: Path) -> None:
     """
     page = UNFINISHED.format(run=escape(folder.resolve().name), folder=escape(shlex.quote(str(folder))))
     with contextlib.suppress(OSError):
-        write_whole(folder / REPORT_FILE, page.encode())
+        write_atomically(folder / REPORT_FILE, page.encode())
 
 
-def leave_report(
-    folder: Path, error: RunError | None = None, *, with_truth: bool = False, name_it: bool = True
+def write_final_report(
+    folder: Path, error: RunError | None = None, *, with_truth: bool = False, tell_path: bool = True
 ) -> Path | None:
     """Write the report of a run that has ended; None without a folder, or if it cannot be written.
 
@@ -117,17 +117,17 @@ def leave_report(
     try:
         from procedures.reporting.report import write_report
 
-        path = write_report(folder, truth=truth_if_any(folder) if with_truth else None, error=error)
+        path = write_report(folder, truth=find_truth(folder) if with_truth else None, error=error)
     except Exception as problem:  # the run's own ending is what matters
         way = f"To write it: ronna-procedure report {shlex.quote(str(folder))}"
         tell(f"the report could not be written: {as_ronna_error(problem)} {way}")
         return None
-    if name_it and on_terminal(sys.stderr):
+    if tell_path and on_terminal(sys.stderr):
         tell(f"report {path}")
     return path
 
 
-def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
+def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
     """Rebuild the report of any run folder; `after` adds the check after the operation.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
@@ -136,23 +136,23 @@ def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResul
     from procedures.reporting.report import write_report
 
     with contextlib.nullcontext() if out else hold_run(run):
-        found = inspected(run)
+        found = inspect_run(run)
         if out is None:
             found.require_unchanged(NOT_INTO_IT)
             drop_unconfirmed_truth(run)
             if found.chain.is_closed and not is_sealed(run):
                 from procedures.runs.interrupted_run import read_interrupted_run
-                from procedures.runs.reopening import close_again
+                from procedures.runs.reopening import rewrite_end
 
-                close_again(read_interrupted_run(run))
+                rewrite_end(read_interrupted_run(run))
         for problem in found.problems:
             tell(f"this run is not {'finished' if problem.unfinished else 'as it was left'}: {problem}")
         if out is not None:
-            return write_report(run, truth=truth_if_any(run), out=out, after=after)
+            return write_report(run, truth=find_truth(run), out=out, after=after)
         beside = run / BESIDE
         try:
-            write_report(run, truth=truth_if_any(run), out=beside, after=after)
-            with interruption_deferred():
+            write_report(run, truth=find_truth(run), out=beside, after=after)
+            with defer_interruption():
                 _take_over(beside, run)
                 seal_run(run)
         finally:
@@ -160,7 +160,7 @@ def make_report(run: Path, out: Path | None = None, *, after: PostoperativeResul
     return run / REPORT_FILE
 
 
-def error_of(problem: BaseException) -> RunError | None:
+def as_run_error(problem: BaseException) -> RunError | None:
     """Return the error that ended a run, for its report and its JSON; None for an interruption."""
     from procedures.reporting.outcome import RunError
 
@@ -183,7 +183,7 @@ def seal_run(folder: Path, *, at_once: bool = False) -> None:
         chain = read_chain(folder / JOURNAL_FILE)
         if chain.is_closed:
             manifest = Manifest(chain.lines)
-            seal(folder, manifest.files, manifest.not_vouched_for)
+            seal(folder, manifest.files, manifest.unvouched_files)
     except (RonnaError, OSError) as problem:
         tell(f"the run could not be sealed: {problem}")
 
@@ -207,7 +207,7 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
         from procedures.exchange.raw_readings import MOST_RAW_BYTES, write_raw
 
         _tidy(beside, kept)
-        with interruptible():
+        with allow_interruption():
             fresh, whole = write_raw(folder, beside / RAW_FOLDER)
         if kept.exists():  # the former ones go when these are whole
             kept.rename(beside / FORMER)
@@ -231,20 +231,20 @@ def _tidy(beside: Path, kept: Path) -> None:
         remove_folder(beside)
 
 
-def tell_way_on(folder: Path, problem: BaseException) -> None:
+def tell_next_commands(folder: Path, problem: BaseException) -> None:
     """Tell where the arm is and which commands continue, after an interruption or failure away from home."""
     if not (folder / REQUEST_FILE).exists():
         return
-    from procedures.workcell.arm_history import history_left_by
+    from procedures.workcell.arm_history import fold_history
 
     interrupted = isinstance(problem, KeyboardInterrupt)
     with contextlib.suppress(RonnaError, OSError):
         run = shlex.quote(str(folder))
-        history = history_left_by(read_chain(folder / JOURNAL_FILE))
-        if _another_left_arm_away(folder):  # what ends this run names the commands of that one
+        history = fold_history(read_chain(folder / JOURNAL_FILE))
+        if _has_other_run_left_arm_away(folder):  # what ends this run names the commands of that one
             return
         if history.place.is_out or (interrupted and history.motions):
-            first = _theatre_again(folder) if isinstance(problem, ClockUnavailable) else ""
+            first = _describe_theatre_restart(folder) if isinstance(problem, ClockUnavailable) else ""
             tell(
                 f"the arm is where it stopped; {first or 'continue with'} ronna-procedure home {run} or "
                 f"ronna-procedure resume {run}"
@@ -253,7 +253,7 @@ def tell_way_on(folder: Path, problem: BaseException) -> None:
             tell(f"nothing has moved; continue with ronna-procedure resume {run}")
 
 
-def _theatre_again(folder: Path) -> str:
+def _describe_theatre_restart(folder: Path) -> str:
     """Return advice to restart a simulated theatre that has ended; empty for the run's own theatre."""
     config = read_request(folder).config
     if config is None:
@@ -262,23 +262,23 @@ def _theatre_again(folder: Path) -> str:
     return f"its theatre has ended: start it again with ronna-sim theatre --out {out} --continue, then"
 
 
-def _another_left_arm_away(folder: Path) -> bool:
+def _has_other_run_left_arm_away(folder: Path) -> bool:
     """Whether another run on the same theatre left the arm away from home."""
-    from procedures.runs.theatre_lock import last_moved
+    from procedures.runs.theatre_lock import read_last_note
     from procedures.runs.theatre_note import arm_not_home
 
     with contextlib.suppress(RonnaError, OSError):
         theatre = read_request(folder).config
-        return theatre is not None and arm_not_home(last_moved(theatre), folder) is not None
+        return theatre is not None and arm_not_home(read_last_note(theatre), folder) is not None
     return False
 
 
-def _take_over(made: Path, run: Path) -> None:
+def _take_over(source: Path, run: Path) -> None:
     """Move a report into a run. The seal goes first: a run killed meanwhile is whole, and lacks only it."""
     if is_sealed(run):
         (run / SEAL_FILE).unlink()
-    for path, *_ in sorted(walk(made)):
-        place = run / path.relative_to(made)
+    for path, *_ in sorted(walk(source)):
+        place = run / path.relative_to(source)
         if path.is_file():
             place.parent.mkdir(exist_ok=True)
             path.replace(place)

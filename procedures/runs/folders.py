@@ -22,10 +22,10 @@ from ronna_hw.command_line.options import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, REQUEST_FILE
 from ronna_hw.host.files import walk
-from ronna_hw.host.port_users import PortUser, holder_of_lock
+from ronna_hw.host.port_users import PortUser, find_lock_holder
 from ronna_hw.log_output import LOG_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER
-from ronna_hw.text import counted, some_of
+from ronna_hw.text import format_count, format_names
 
 # One of them makes a folder a run.
 RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, BYTES_FOLDER)
@@ -70,7 +70,7 @@ def hold_run(folder: Path) -> Iterator[None]:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            holder = holder_of_lock(file)
+            holder = find_lock_holder(file)
             by = "another program" if holder is None else str(holder)
             raise RunInUse(
                 f"{by} has {folder.name} open",
@@ -81,16 +81,16 @@ def hold_run(folder: Path) -> Iterator[None]:
         os.close(file)
 
 
-def holder_of_run(folder: Path) -> PortUser | None:
+def find_run_holder(folder: Path) -> PortUser | None:
     """Return the program that holds a run, if it can be seen; locks nothing."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
-        return holder_of_lock(file)
+        return find_lock_holder(file)
     finally:
         os.close(file)
 
 
-def runs_in(folder: Path) -> list[Path]:
+def find_runs(folder: Path) -> list[Path]:
     """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
     if not folder.is_dir():
         raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
@@ -101,9 +101,9 @@ def require_run(folder: Path) -> None:
     """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
     if is_run(folder):
         return
-    if folder.is_dir() and (held := [run.name for run in runs_in(folder)]):
+    if folder.is_dir() and (held := [run.name for run in find_runs(folder)]):
         raise PathProblem(
-            f"{folder} is not a run; it holds {counted(len(held), 'run')}: {some_of(held)}",
+            f"{folder} is not a run; it holds {format_count(len(held), 'run')}: {format_names(held)}",
             action=f"Give one of them: {folder / held[-1]}.",
         )
     raise PathProblem(f"{folder} is not the folder of a run", expected="a folder with journal.jsonl")
@@ -114,7 +114,7 @@ def is_run(folder: Path) -> bool:
     return any((folder / name).exists() for name in RUN_PARTS)
 
 
-def forget_if_refused(folder: Path, problem: BaseException) -> None:
+def remove_if_refused(folder: Path, problem: BaseException) -> None:
     """Remove a run folder that was refused before its journal had a line."""
     refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (
         isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
@@ -125,7 +125,7 @@ def forget_if_refused(folder: Path, problem: BaseException) -> None:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def forget_if_empty(folder: Path) -> None:
+def remove_if_empty(folder: Path) -> None:
     """Remove a run folder in which nothing but the request and the log was written."""
     if not any(
         path.is_file() and not path.name.startswith((LOG_FILE, REQUEST_FILE)) for path, *_ in walk(folder)

@@ -9,10 +9,10 @@ from pathlib import Path
 from procedures.engine.case import Case, StepKey, Stored
 from procedures.engine.case_progress import CaseProgress
 from procedures.engine.order import CaseOrder
-from procedures.engine.run_folder import RunFolder, run_of, step_key, typed
+from procedures.engine.run_folder import RunFolder, parse_record, run_of, step_key
 from procedures.journal.journal import ENDS_OF_A_STEP, JOURNAL_FILE, Entry, JournalValue, Line
-from procedures.workcell.arm_history import ArmHistory, history_left_by
-from ronna_hw.evidence.inspection import Problem, inspected
+from procedures.workcell.arm_history import ArmHistory, fold_history
+from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import Chain, JournalCorrupt
 from ronna_hw.evidence.manifest import NOT_AS_LEFT, RECORDS_FOLDER
 from ronna_hw.evidence.unsealed import UNSEALED, unsealed
@@ -52,7 +52,7 @@ class InterruptedRun:
     @property
     def arm(self) -> ArmHistory:
         """History of arm and instrument at its end. Raises PRO-011 for a line of another version."""
-        return history_left_by(self.chain)
+        return fold_history(self.chain)
 
     @property
     def finished(self) -> bool:
@@ -66,7 +66,7 @@ class InterruptedRun:
         return self.finished and not self.arm.place.is_out
 
     @property
-    def nothing_to_bring_home(self) -> str | None:
+    def why_home_needs_no_device(self) -> str | None:
         """Why the way home needs no device; None if it does."""
         if self.parked:
             return "the run is finished: its arm is parked"
@@ -106,7 +106,7 @@ class InterruptedRun:
         folder = self.folder / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
 
-    def restored(self, order: CaseOrder) -> Case:
+    def restore_case(self, order: CaseOrder) -> Case:
         """Restore the case. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
         case = Case(self.folder, self.run.name)
         course = CaseProgress(order, case)
@@ -116,8 +116,8 @@ class InterruptedRun:
                 key, record = step_key(line), next(records)
                 if key not in order.sequence:
                     raise BadRecord(f"{record.identifier} belongs to a step that this case does not have")
-                _require_superseded(course.superseded_by(key), key, line)
-                course.accept(key, Stored(record, typed(record, order.spec(key).result)))
+                _require_superseded(course.records_superseded_by(key), key, line)
+                course.accept(key, Stored(record, parse_record(record, order.spec(key).result)))
             elif line["entry"] == Entry.VOIDED:
                 key = step_key(line)
                 _require_superseded(course.records_voided_by(key), key, line)
@@ -146,13 +146,13 @@ def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Interru
 
     Raises PRO-033 if it was changed; with `only_leaving`, if its journal, request or records were.
     """
-    found = inspected(folder)
+    found = inspect_run(folder)
     found = found.require_account() if only_leaving else found.require_unchanged()
     return InterruptedRun(run_of(found), found.chain, found.changes, found.not_as_left, unsealed(found))
 
 
-def _require_superseded(gone: Sequence[Record], key: StepKey, line: Line) -> None:
-    if [one.identifier for one in gone] != list(_names(line, "supersedes")):
+def _require_superseded(superseded: Sequence[Record], key: StepKey, line: Line) -> None:
+    if [one.identifier for one in superseded] != list(_names(line, "supersedes")):
         raise JournalCorrupt(f"line {line['sequence']} supersedes results that {key} does not")
 
 

@@ -27,7 +27,7 @@ from procedures.runs.simulated_theatre import SimulatedRoom, SimulatedTheatre
 from ronna_hw.command_line.messages import fail_with, tell
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
-from ronna_hw.host.process import ENDING_SIGNALS, interruption_deferred
+from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption
 from ronna_hw.log_output import keep_log
 
 if TYPE_CHECKING:
@@ -50,7 +50,7 @@ def open_run(
     with contextlib.ExitStack() as held:
         phantom = None
         if isinstance(request.procedure, CaseProcedure):
-            phantom = _patient_to_make(request.procedure, folder, resumption)
+            phantom = _find_missing_patient(request.procedure, folder, resumption)
         prepare = partial(_prepare, request, folder, resumption, held)
         with open_engine(request, folder, prepare, observers, resumption, phantom) as engine:
             yield engine
@@ -86,7 +86,7 @@ def _prepare(
     return EngineInput(order_of(steps, ()), title, calibrations=in_use(theatre.calibrations), recipe=recipe)
 
 
-def _patient_to_make(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
+def _find_missing_patient(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
     """Return the folder for a missing simulated patient; remove an incomplete one."""
     from procedures.runs.case import case_folder
 
@@ -115,10 +115,10 @@ def open_engine(
         stack.enter_context(keep_log(folder, run=folder.name, seed=request.seed))
         operator = operator_selection(request, observers, resumption)
         room: Room
-        simulated, away = None, None
+        simulated, not_home = None, None
         if request.config is not None:
             file = request.config
-            away, room = _hold_configured(file, folder, observers, resumption, stack)
+            not_home, room = _hold_configured_theatre(file, folder, observers, resumption, stack)
         else:
             simulated, room = _start_simulated(request, folder, observers, resumption, phantom, stack)
             file = simulated.theatre.file
@@ -135,7 +135,7 @@ def open_engine(
             resumption,
             on_ending=ignore_further_signals,
             opening={**request_hash(folder), "seed": request.seed},
-            arm_not_home=away,
+            arm_not_home=not_home,
         )
         if simulated is not None:
             simulated.keep_file()
@@ -144,7 +144,7 @@ def open_engine(
             begin_report(folder)
             publish_order(engine)
             observers.opened(engine)
-            with _device_watch(engine, often=observers.executor is not None):
+            with _build_device_watch(engine, fast=observers.executor is not None):
                 yield engine
             only_acknowledged = resumption is not None and not resumption.asks
             outcome = "left" if only_acknowledged or not engine.over else "done"
@@ -157,11 +157,11 @@ def open_engine(
         finally:
             if engine.instrument_in is not None:
                 tell(f"an instrument is still in {engine.instrument_in}: the arm does not move")
-            with interruption_deferred():
+            with defer_interruption():
                 engine.close(outcome, ended_by)
 
 
-def _hold_configured(
+def _hold_configured_theatre(
     file: Path,
     folder: Path,
     observers: RunObservers,
@@ -176,9 +176,9 @@ def _hold_configured(
 
     only_leaving = resumption is not None and resumption.only_leaving
     note = stack.enter_context(hold_theatre(file, folder, only_leaving=only_leaving))
-    away = arm_not_home(note, folder)
+    not_home = arm_not_home(note, folder)
     room = observers.staff(is_simulated(read_theatre_file(file)))
-    return away, room if observers.executor is None else observers.executor.staff(room)
+    return not_home, room if observers.executor is None else observers.executor.staff(room)
 
 
 def _start_simulated(
@@ -211,12 +211,12 @@ def _start_simulated(
     return simulated, SimulatedRoom(control)
 
 
-def _device_watch(engine: Engine, *, often: bool) -> contextlib.AbstractContextManager[object]:
-    """Publish the devices and the arm's body while the block runs; `often` enough to see it move."""
+def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:
+    """Publish the devices and the arm's body while the block runs; `fast` enough to see it move."""
     from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
 
     workcell = engine.setting.workcell
-    now_s, period_s = engine.setting.clock.now_s, SEEN_MOVING_S if often else PERIOD_S
+    now_s, period_s = engine.setting.clock.now_s, SEEN_MOVING_S if fast else PERIOD_S
     return DeviceWatch(workcell.devices, engine.events, now_s, period_s, BodyView(workcell))
 
 
@@ -268,8 +268,8 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
                 engine.retreat_home()
             return
         except OperatorAborted:
-            led_home = executor is not None and executor.has_led_home
-            if held is not None and not led_home:
+            went_home = executor is not None and executor.has_led_home
+            if held is not None and not went_home:
                 leave_head_if_agreed(engine)
             raise
         except RonnaError as error:

@@ -8,7 +8,13 @@ from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Protocol
 
 from procedures.operator.question import Operator, Room, Task, Topic
-from procedures.runs.answers import AnsweringOperator, ByTopic, ScriptedOperator, SilentOperator, is_rehearsal
+from procedures.runs.answers import (
+    AnsweringOperator,
+    OperatorByTopic,
+    ScriptedOperator,
+    SilentOperator,
+    is_rehearsal,
+)
 from procedures.runs.request import CaseProcedure, RunRequest
 from ronna_hw.command_line.messages import on_terminal, tell
 from ronna_hw.errors import RonnaError
@@ -94,7 +100,7 @@ def operator_selection(
     ):
         tell(NOBODY_ANSWERS if answers is None else NO_PERSON)
     script = ScriptedOperator()
-    without_file = _first_of(
+    without_file = _apply_rules(
         (
             (prompt, {Topic.PAUSE}, True),
             (script, {Topic.RESUME}, accepted),
@@ -108,14 +114,16 @@ def operator_selection(
     if answers is not None:
         by_file = AnsweringOperator(answers, without_file, None if file_answers_all else without_file)
         # `--accept` is the later word.
-        operator = _first_of(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
+        operator = _apply_rules(((script, {Topic.RESUME}, accepted), (by_file, ALL_TOPICS, True)))
     if observers.executor is None:
         return operator
-    in_person = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
-    return observers.executor.operator(operator, script_at_pause=not in_person)
+    person_present = on_terminal(sys.stdin) and (prompt is not None or on_terminal(sys.stderr))
+    return observers.executor.operator(operator, script_at_pause=not person_present)
 
 
-def _first_of(rules: Iterable[Rule]) -> Operator:
+def _apply_rules(rules: Iterable[Rule]) -> Operator:
     """Return an operator that answers each topic by the first rule for it."""
     present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
-    return ByTopic({topic: next(one for one, topics in present if topic in topics) for topic in Topic})
+    return OperatorByTopic(
+        {topic: next(one for one, topics in present if topic in topics) for topic in Topic}
+    )

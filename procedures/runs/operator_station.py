@@ -62,7 +62,7 @@ class Seat:
         return self._name if self._now_s() - self._renewed_s <= LEASE_S else ""
 
     @property
-    def lapsed(self) -> bool:
+    def has_lapsed(self) -> bool:
         """Whether the lease of a holder has run out."""
         return bool(self._name) and not self.holder
 
@@ -74,13 +74,13 @@ class Seat:
         self.ever_taken = True
         return ""
 
-    def held_by(self, session: str) -> bool:
+    def is_held_by(self, session: str) -> bool:
         """Whether that session holds the seat."""
         return bool(self.holder) and session == self._session
 
     def renew(self, session: str) -> None:
         """Renew the lease of that session's holder; else change nothing."""
-        if self.held_by(session):
+        if self.is_held_by(session):
             self._renewed_s = self._now_s()
 
     def free(self) -> None:
@@ -94,7 +94,7 @@ class PendingOrder:
 
     order: Next | RunTo | Resume | Abort | Acknowledge
     by: str
-    vacated: int = 0  # how often the seat had become free when it was given
+    times_vacated: int = 0  # how often the seat had become free when it was given
 
     @property
     def aborts(self) -> bool:
@@ -168,8 +168,8 @@ class OperatorStation:
     def open_question(self) -> tuple[int, str] | None:
         """Number of the open question, and the digest of what is shown; None without one."""
         with self._changed:
-            asked = self._question
-            return None if asked is None else (asked.question.number, asked.shown)
+            current = self._question
+            return None if current is None else (current.question.number, current.shown)
 
     @property
     def waits(self) -> bool:
@@ -210,7 +210,7 @@ class OperatorStation:
             late = sent.expires_s is not None and self._now_s() > sent.expires_s
             if late and not isinstance(sent.order, Stop):
                 return "the order came too late"
-            refused = self._why_not_now(sent) or self._follow(sent)
+            refused = self._find_refusal(sent) or self._follow(sent)
             self._changed.notify_all()
             return refused
 
@@ -222,10 +222,10 @@ class OperatorStation:
             return PAUSED if self._question.question.topic is Topic.PAUSE else CaseActivity.ASKING
         return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
-    def _why_not_now(self, sent: SentOrder) -> str:
+    def _find_refusal(self, sent: SentOrder) -> str:
         """Return why an order is refused whatever it asks for, by who gave it and in which state."""
         rule, state = RULE_OF[type(sent.order)], self._state
-        if rule.seat and not self._seat.held_by(sent.session):
+        if rule.seat and not self._seat.is_held_by(sent.session):
             return "you are not in the operator's seat"
         if state not in rule.from_console:
             if state is OPENING:
@@ -263,7 +263,7 @@ class OperatorStation:
         self, order: Next | RunTo | Resume | Pause | Abort | Acknowledge, by: Signature, engine: Engine
     ) -> str:
         """Answer an open pause, or keep the order until the engine next waits between steps."""
-        asked, state = self._question, self._state
+        current, state = self._question, self._state
         match order:
             case Pause():
                 engine.checkpoint.pause(f"{by.by} asked for a pause")
@@ -273,12 +273,12 @@ class OperatorStation:
                 return ""
             case Abort() if state is not WAITING:
                 engine.checkpoint.abort()
-                if asked is not None:
-                    self._settle(Answer(asked.question.silence))
-            case Acknowledge() if asked is not None:
-                if asked.answer is not None:
+                if current is not None:
+                    self._settle(Answer(current.question.silence))
+            case Acknowledge() if current is not None:
+                if current.answer is not None:
                     return "the pause is over"
-                asked.acknowledged_by = by.by
+                current.acknowledged_by = by.by
                 return ""
             case RunTo(step=step):
                 if step not in map(str, engine.order.sequence):
@@ -292,7 +292,7 @@ class OperatorStation:
         engine = self._engine
         if engine is None:
             return "the theatre is not open yet: nothing moves"
-        seated = self._seat.held_by(session)
+        seated = self._seat.is_held_by(session)
         who = self._seat.holder if seated else f"someone outside the operator's seat (session {session})"
         self._stopped = True
         engine.checkpoint.pause(f"{who} stopped the arm", firm=True)
@@ -300,15 +300,15 @@ class OperatorStation:
         return ""
 
     def _answer(self, order: AnswerQuestion, session: str) -> str:
-        asked = self._question
-        if asked is None or asked.question.number != order.question or asked.answer is not None:
+        current = self._question
+        if current is None or current.question.number != order.question or current.answer is not None:
             return "that question is no longer open"
-        question = asked.question
-        if order.shown != asked.shown:
+        question = current.question
+        if order.shown != current.shown:
             return "the question shown is not the question asked"
-        by = Signature(self._seat.holder, session, asked.shown)
+        by = Signature(self._seat.holder, session, current.shown)
         answer = Answer(order.answer, order.typed, order.readings, by)
-        asked.misread += question.is_misread(answer)
+        current.misread += question.is_misread(answer)
         if refused := question.why_refused(answer):
             return refused
         if question.topic is Topic.PAUSE:
@@ -321,8 +321,8 @@ class OperatorStation:
             self._question.answer = answer
 
     def _notice_lapse(self) -> None:
-        if self._seat.lapsed:
-            self._vacate("the operator's page has not responded for 10 s")
+        if self._seat.has_lapsed:
+            self._vacate(f"the operator's page has not responded for {LEASE_S:g} s")
 
     def _vacate(self, reason: str) -> None:
         """Free the seat and cancel the pending order, except abort."""
@@ -347,21 +347,23 @@ class OperatorStation:
         """
         ends_s = None if question.timeout_s is None else self._now_s() + question.timeout_s
         with self._changed:
-            self._question = asked = _OpenQuestion(
+            self._question = current = _OpenQuestion(
                 question, digest_of_question(as_shown(question, question.number))
             )
             try:
-                while asked.answer is None and not self._gone:
-                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    if left_s <= 0.0:
+                while current.answer is None and not self._gone:
+                    remaining_s = (
+                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    )
+                    if remaining_s <= 0.0:
                         return Answer(question.silence)
-                    self._changed.wait(left_s)
+                    self._changed.wait(remaining_s)
                     self._notice_lapse()
-                    while asked.misread:
-                        asked.misread -= 1
+                    while current.misread:
+                        current.misread -= 1
                         question.misread()
-                    if asked.acknowledged_by:
-                        by, asked.acknowledged_by = asked.acknowledged_by, ""
+                    if current.acknowledged_by:
+                        by, current.acknowledged_by = current.acknowledged_by, ""
                         self._changed.release()  # devices take seconds, and a stop must get through
                         try:
                             acknowledge(by)
@@ -369,7 +371,7 @@ class OperatorStation:
                             self._changed.acquire()
             finally:
                 self._question = None
-        return asked.answer
+        return current.answer
 
     def await_seat(self) -> None:
         """Wait, if required, until someone is in the seat or the console has ended."""
@@ -385,10 +387,12 @@ class OperatorStation:
             self._waiting_for = upcoming
             try:
                 while self._pending is None and not self._gone:
-                    left_s = LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
-                    if left_s <= 0.0:
+                    remaining_s = (
+                        LOOK_AGAIN_S if ends_s is None else min(LOOK_AGAIN_S, ends_s - self._now_s())
+                    )
+                    if remaining_s <= 0.0:
                         return None
-                    self._changed.wait(left_s)
+                    self._changed.wait(remaining_s)
                     self._notice_lapse()
                 order, self._pending = self._pending, None
                 return order
@@ -401,8 +405,8 @@ class OperatorStation:
         with self._changed:
             return self._pending is not None and self._pending.aborts
 
-    def is_occupied_since(self, vacated: int) -> bool:
-        """Whether somebody is in the seat, and it became free no more than `vacated` times."""
+    def is_occupied_since(self, times_vacated: int) -> bool:
+        """Whether somebody is in the seat, and it became free no more than `times_vacated` times."""
         with self._changed:
             self._notice_lapse()
-            return bool(self._seat.holder) and self._vacated == vacated
+            return bool(self._seat.holder) and self._vacated == times_vacated

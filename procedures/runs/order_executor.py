@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
-from procedures.engine.display_feed import HOME, comes_next, publish_waiting
+from procedures.engine.display_feed import HOME, publish_waiting, upcoming_name
 from procedures.operator.errors import OperatorAborted
 from procedures.operator.question import NOBODY, READ, Answer, Operator, Question, Room, Task, Topic
 from procedures.runs.operator_station import OperatorStation, PendingOrder
@@ -36,10 +36,10 @@ class ConsoleOperator:
     """
 
     def __init__(
-        self, station: OperatorStation, otherwise: Operator, executor: OrderExecutor, *, script_at_pause: bool
+        self, station: OperatorStation, fallback: Operator, executor: OrderExecutor, *, script_at_pause: bool
     ) -> None:
         self._station = station
-        self._otherwise = otherwise
+        self._otherwise = fallback
         self._executor = executor
         self._script_at_pause = script_at_pause
 
@@ -49,8 +49,8 @@ class ConsoleOperator:
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
         if waits:
             tell(STOPPED)
-        asked = waits or self._station.in_charge
-        answer = self._station.ask(question, self._executor.acknowledge) if asked else None
+        asks_console = waits or self._station.in_charge
+        answer = self._station.ask(question, self._executor.acknowledge) if asks_console else None
         self._executor.note_seat()
         if answer is None:  # whoever takes its place reads in another way
             return Answer(question.silence) if waits or question.reads else self._otherwise.ask(question)
@@ -61,17 +61,17 @@ class OrderExecutor:
     """Carries out orders between steps, on the engine's own thread."""
 
     def __init__(
-        self, station: OperatorStation, *, runs: bool, typed: Callable[[float], bool] = _input_is_ready
+        self, station: OperatorStation, *, runs: bool, input_ready: Callable[[float], bool] = _input_is_ready
     ) -> None:
         """With `runs` the case goes on by itself until the operator says otherwise.
 
-        `typed` says whether something can be read from the standard input within that host time.
+        `input_ready` says whether something can be read from the standard input within that host time.
         """
-        self._input_is_ready = typed
+        self._input_is_ready = input_ready
         self.station = station
         self.has_led_home = False  # the case was aborted, and led out and home as far as that was confirmed
         self._runs = runs
-        self._going = runs and not station.in_charge
+        self._is_running = runs and not station.in_charge
         self._vacated = 0  # how often the seat had become free when that was ordered
         self._rested = False  # since the console ended
         self._until: str | None = None  # the last step that was ordered; None: all
@@ -82,13 +82,13 @@ class OrderExecutor:
         """Whether the console operates the case."""
         return self.station.in_charge
 
-    def operator(self, otherwise: Operator, *, script_at_pause: bool = False) -> Operator:
+    def operator(self, fallback: Operator, *, script_at_pause: bool = False) -> Operator:
         """Return the operator of the case; with `script_at_pause` no person is there without the console."""
-        return ConsoleOperator(self.station, otherwise, self, script_at_pause=script_at_pause)
+        return ConsoleOperator(self.station, fallback, self, script_at_pause=script_at_pause)
 
-    def staff(self, otherwise: Room) -> Room:
+    def staff(self, fallback: Room) -> Room:
         """Return staff whose readings are typed at the console while it is in charge."""
-        return ConsoleRoom(otherwise, self)
+        return ConsoleRoom(fallback, self)
 
     def read(self, task: Task) -> tuple[float, ...] | None:
         """Return the readings that the operator at the console types; None without a console.
@@ -130,7 +130,7 @@ class OrderExecutor:
         """Write changes of the seat since the last call into the journal."""
         for session, name, since_s in self.station.changes_of_seat():
             if self._engine is not None:
-                self._engine.seated(session, name, since_s)
+                self._engine.record_seat(session, name, since_s)
 
     def await_operator(self) -> None:
         """Wait until someone is in a seat that must be taken, or the console has ended."""
@@ -144,7 +144,7 @@ class OrderExecutor:
         rests until it is continued without the console. Raises OperatorAborted, and the errors of steps and
         of the way home while nobody operates.
         """
-        while (name := comes_next(engine)) is not None:
+        while (name := upcoming_name(engine)) is not None:
             self.note_seat()
             in_charge = self.in_charge  # read first: a console that dies now still has this turn, and waits
             gone = self.station.gone
@@ -154,36 +154,36 @@ class OrderExecutor:
                 self._rested = True
                 engine.checkpoint.pause(WITHOUT)  # met before the step begins
             if self._must_wait(in_charge=in_charge):
-                self._carry_out(engine, self.station.next_order(self._wait(engine)))
+                self._carry_out(engine, self.station.next_order(self._publish_waiting(engine)))
                 continue
             self._run_step(engine, name)
 
     def follow_until_typed(self, engine: Engine) -> None:
         """Carry out orders until something is typed on the standard input, or that ends."""
-        self._wait(engine)
+        self._publish_waiting(engine)
         while not self._input_is_ready(0.0):
             self.note_seat()
             in_charge = self.in_charge
-            if self.station.gone or engine.machine.ended or (name := comes_next(engine)) is None:
+            if self.station.gone or engine.machine.ended or (name := upcoming_name(engine)) is None:
                 self._input_is_ready(LOOK_AGAIN_S)
-            elif self._going and not self._must_wait(in_charge=in_charge):
+            elif self._is_running and not self._must_wait(in_charge=in_charge):
                 self._run_step(engine, name)
             else:
-                if self._going:  # whoever ordered it has left the seat
-                    self._going = False
-                    self._wait(engine)
+                if self._is_running:  # whoever ordered it has left the seat
+                    self._is_running = False
+                    self._publish_waiting(engine)
                 self._carry_out(engine, self.station.next_order(name, LOOK_AGAIN_S))
-        self._going = False
+        self._is_running = False
 
     def _must_wait(self, *, in_charge: bool) -> bool:
         if not in_charge:
-            self._going = self._going or self._runs  # the console is gone, and the case goes on
-            return not self._going
-        return not self._going or not self.station.is_occupied_since(self._vacated)
+            self._is_running = self._is_running or self._runs  # the console is gone, and the case goes on
+            return not self._is_running
+        return not self._is_running or not self.station.is_occupied_since(self._vacated)
 
-    def _wait(self, engine: Engine) -> str:
+    def _publish_waiting(self, engine: Engine) -> str:
         publish_waiting(engine)
-        return comes_next(engine) or ""
+        return upcoming_name(engine) or ""
 
     def _run_step(self, engine: Engine, name: str) -> None:
         try:
@@ -199,9 +199,9 @@ class OrderExecutor:
             error, agreed = self._continue_by_consent(engine, error)
             if agreed and self._until is None:
                 return
-            self._going, self._until = False, None
+            self._is_running, self._until = False, None
             if agreed:  # what was ordered ends here: the steps that come now were not meant
-                self._wait(engine)
+                self._publish_waiting(engine)
                 return
             if not self.in_charge or engine.machine.ended:
                 raise
@@ -211,13 +211,13 @@ class OrderExecutor:
                 fail_with(error)
             if not self.station.aborting:
                 tell(HELD)
-            self._wait(engine)
+            self._publish_waiting(engine)
             return
         until = self._until
         if until == name or (until is not None and not engine.course.remains(until)):
-            self._going, self._until = False, None
-        if not self._going:
-            self._wait(engine)
+            self._is_running, self._until = False, None
+        if not self._is_running:
+            self._publish_waiting(engine)
 
     def _continue_by_consent(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
         """Return whether the case continues by consent, and else the error of the step or of the way on."""
@@ -239,15 +239,15 @@ class OrderExecutor:
                 return
             case Acknowledge():
                 self.acknowledge(pending.by)
-                self._wait(engine)
+                self._publish_waiting(engine)
                 return
             case Next():
-                self._until = comes_next(engine)
+                self._until = upcoming_name(engine)
             case RunTo(step=step):
                 self._until = step
             case Resume():
                 self._until = None  # to the end of the case
-        self._going, self._vacated = True, pending.vacated
+        self._is_running, self._vacated = True, pending.times_vacated
 
     def _abort(self, engine: Engine) -> None:
         """Retreat and park as far as the operator confirms it, then end the case. Raises OperatorAborted."""
@@ -279,8 +279,8 @@ class OrderExecutor:
 class ConsoleRoom:
     """Staff at the terminal whose readings are typed at the console while it is in charge."""
 
-    def __init__(self, otherwise: Room, executor: OrderExecutor) -> None:
-        self._otherwise = otherwise
+    def __init__(self, fallback: Room, executor: OrderExecutor) -> None:
+        self._otherwise = fallback
         self._executor = executor
 
     def announce(self, step: str) -> None:

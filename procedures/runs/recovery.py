@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.questions import IN_DIVOT, IN_GAUGE, taking_out
+from procedures.engine.questions import IN_DIVOT, IN_GAUGE, removal_words
 from procedures.engine.run_folder import step_key
 from procedures.journal.errors import StepRefused
 from procedures.journal.journal import Entry
@@ -23,13 +23,13 @@ from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.theatre_note import NOT_KNOWN
 from procedures.runs.way_out import (
     MOVED_SINCE,
-    guide_at_divot,
-    guide_in_gauge,
-    guide_on_an_axis,
-    head_moved_since,
+    find_guide_axis,
+    has_head_moved,
+    is_guide_at_divot,
+    is_guide_in_gauge,
     surround,
 )
-from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -37,39 +37,41 @@ from procedures.steps.clinical.work_progress import work_begun_elsewhere
 from ronna_hw.devices.capabilities import MESSAGES
 from ronna_hw.records import Record
 
-EXCHANGES = (MountedGuide.kind, ReadTip.kind)  # steps in which the guide is mounted
+EXCHANGES = (MountedGuide.kind, TipReadings.kind)  # steps in which the guide is mounted
 RESTORE = "The arm is home. Restore the recorded state and resume again, or start a new run."
 UNATTENDED = "the program was not running"  # leaves a check of the mounted tool in doubt
 LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must have finished before
 
 
-def recover(engine: Engine, left: InterruptedRun) -> None:
+def recover(engine: Engine, previous: InterruptedRun) -> None:
     """Bring an engine in recovery to the start of its next step.
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
     comparison = Comparison()
-    compare_inputs(engine, comparison, left.plan_sha256)
+    compare_inputs(engine, comparison, previous.plan_sha256)
     _doubt_tool(engine, comparison)
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
-        _take_up_arm(engine, left, stored.result, comparison)
+        _restore_arm(engine, previous, stored.result, comparison)
         seen = bool(comparison.differences) or compare_room(engine, comparison)
         if not seen:
             comparison.note(
                 "patient and robot base: not visible to the tracker; compared once the arm is home"
             )
-    _have_accepted(engine, comparison, "resume the run", (*_first(engine), _then(engine)))
+    _require_acceptance(
+        engine, comparison, "resume the run", (*_list_first_moves(engine), _describe_remaining_steps(engine))
+    )
     if stored is None:
         return
     surround(engine)
-    moved = _way_out(engine)
+    moved = _move_out(engine)
     if (moved or not seen) and engine.upcoming is not None:
         engine.setting.workcell.rest()  # the tracker measures while the arm's stream is off
         again = Comparison()
         if not compare_room(engine, again):
-            again.differs("patient", "at least three spheres in view", "fewer, with the arm home")
+            again.add_difference("patient", "at least three spheres in view", "fewer, with the arm home")
         _conclude(engine, again, RESTORE if moved else None)
 
 
@@ -83,29 +85,29 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
         )
 
 
-def bring_home(engine: Engine, left: InterruptedRun) -> bool:
+def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
     """Have the instrument taken out and bring the arm home; return whether anything moved.
 
     The run stays as it is. Only the arm is needed, and only conditions of the way home are compared. Raises
     PRO-001 if the devices were never set up, PRO-032 like `recover`, and the arm's errors.
     """
     comparison = Comparison()
-    _take_up_arm(engine, left, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
+    _restore_arm(engine, previous, engine.case.get(CheckedSetUp).result, comparison, only_leaving=True)
     comparison.note("patient and robot base: not compared, the arm only goes home")
-    for change in left.changes:
+    for change in previous.changes:
         comparison.warn(f"not as the run left it: {change}")
-    if not (first := _first(engine)):
+    if not (first := _list_first_moves(engine)):
         _conclude(engine, comparison)
         return False
-    _have_accepted(engine, comparison, "bring the arm home", first)
+    _require_acceptance(engine, comparison, "bring the arm home", first)
     surround(engine)
     engine.retreat_home()
     return True
 
 
-def _take_up_arm(
+def _restore_arm(
     engine: Engine,
-    left: InterruptedRun,
+    previous: InterruptedRun,
     set_up: CheckedSetUp,
     comparison: Comparison,
     *,
@@ -113,7 +115,7 @@ def _take_up_arm(
 ) -> None:
     """Restore the arm's history, compare every device, and look for an instrument at the guide's position."""
     workcell = engine.setting.workcell
-    workcell.restore_history(left.arm, set_up.home_rad)
+    workcell.restore_history(previous.arm, set_up.home_rad)
     inside = workcell.place.instrument_may_be_inside
     if inside is not None and workcell.place.assumed:
         comparison.warn(
@@ -121,19 +123,19 @@ def _take_up_arm(
         )
     elif inside is not None:
         comparison.warn(f"an instrument is in {inside}, as the journal says")
-    begun = _exchange_begun(engine, left)
+    begun = _has_exchange_begun(engine, previous)
     compare_devices(engine, set_up, comparison, exchange_begun=begun, only_leaving=only_leaving)
     _compare_last_to_move(engine, comparison)
-    if not workcell.place.on_axis and (found := guide_on_an_axis(engine)) is not None:
-        axis, beyond_mm = found
+    if not workcell.place.is_on_axis and (found := find_guide_axis(engine)) is not None:
+        axis, travel_mm = found
         workcell.record_found_on_axis(axis)  # the lost lines may also have said that an instrument goes in
         comparison.warn(
-            f"the guide is {beyond_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
+            f"the guide is {travel_mm:.0f} mm along {axis.trajectory}: an instrument is assumed to be inside"
         )
-    elif workcell.instrument.inside is None and guide_in_gauge(engine):
+    elif workcell.instrument.inside is None and is_guide_in_gauge(engine):
         workcell.instrument.record_assumed(IN_GAUGE)
         comparison.warn("the guide is at the gauge: the mandrel is assumed to be inside")
-    elif workcell.instrument.inside is None and guide_at_divot(engine):
+    elif workcell.instrument.inside is None and is_guide_at_divot(engine):
         workcell.instrument.record_assumed(IN_DIVOT)
         comparison.warn("the guide is at the divot, which is assumed to be raised")
 
@@ -143,25 +145,25 @@ def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
 
     An arm that is at this run's home has been jogged there since.
     """
-    if (away := engine.setting.arm_not_home) is None:
+    if (not_home := engine.setting.arm_not_home) is None:
         return
     if engine.setting.workcell.place.is_home:
-        comparison.warn(f"{away}; it is at the home of this run now")
-    elif away == NOT_KNOWN:  # it may have been this very run: the operator decides
-        comparison.warn(away)
+        comparison.warn(f"{not_home}; it is at the home of this run now")
+    elif not_home == NOT_KNOWN:  # it may have been this very run: the operator decides
+        comparison.warn(not_home)
     else:
-        comparison.refuse(away)
+        comparison.refuse(not_home)
 
 
-def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
+def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, order: Sequence[str]) -> None:
     """Have the operator accept the findings and the next actions. Raises PRO-032."""
     for begun in work_begun_elsewhere(engine):
         comparison.warn(begun)
-    if head_moved_since(engine):
+    if has_head_moved(engine):
         comparison.warn(MOVED_SINCE)
     _conclude(engine, comparison)
     _require_ready(engine)
-    question = Question(Topic.RESUME, subject, comparison.in_lines(order))
+    question = Question(Topic.RESUME, subject, comparison.format_lines(order))
     if engine.ask(question) != YES:
         late_s = engine.questions.unanswered_s
         raise RecoveryRefused(
@@ -176,11 +178,11 @@ def _have_accepted(engine: Engine, comparison: Comparison, subject: str, order: 
 def _require_ready(engine: Engine) -> None:
     """Raise PRO-001 if a device reports that no motion can begin, before the operator is asked in vain."""
     seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
-    held_back = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
-    if not held_back:
+    blocking = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
+    if not blocking:
         return
-    reasons = [f"{role}, {fact.name}: {fact.found}" for role, fact in held_back]
-    first = [fact.advice for _, fact in held_back if fact.name != MESSAGES]
+    reasons = [f"{role}, {fact.name}: {fact.found}" for role, fact in blocking]
+    first = [fact.advice for _, fact in blocking if fact.name != MESSAGES]
     run = shlex.quote(str(engine.case.folder))
     acknowledge = f"ronna-procedure acknowledge {run} --by 'YOUR NAME'"
     raise StepRefused(
@@ -202,7 +204,7 @@ def _conclude(engine: Engine, comparison: Comparison, action: str | None = None)
         )
 
 
-def _exchange_begun(engine: Engine, left: InterruptedRun) -> bool:
+def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
     """Whether a tool change was requested without a result that confirms it.
 
     If the journal's end is lost and every sphere is localized, the lost lines may have requested it.
@@ -210,44 +212,46 @@ def _exchange_begun(engine: Engine, left: InterruptedRun) -> bool:
     exchange = next((key for key in engine.order.sequence if key.name in EXCHANGES), None)
     if exchange is None or engine.case.stands(exchange):
         return False
-    begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in left.run.journal)
+    begun = any(line["entry"] == Entry.INTENT and step_key(line) == exchange for line in previous.run.journal)
     looks = [key for key in engine.order.sequence if key.name in LOOKS]
-    return begun or (bool(left.chain.torn) and all(map(engine.case.stands, looks)))
+    return begun or (bool(previous.chain.torn) and all(map(engine.case.stands, looks)))
 
 
-def _first(engine: Engine) -> tuple[str, ...]:
+def _list_first_moves(engine: Engine) -> tuple[str, ...]:
     """Return the moves that come before any step."""
     workcell = engine.setting.workcell
     first = []
     if (place := engine.instrument_in) is not None:
-        first.append(f"first, by hand: {taking_out(place)}")
-    if (on := workcell.place.trajectory) is not None:
-        first.append(f"the guide retreats from {on} along its axis")
+        first.append(f"first, by hand: {removal_words(place)}")
+    if (current_trajectory := workcell.place.trajectory) is not None:
+        first.append(f"the guide retreats from {current_trajectory} along its axis")
     if engine.case.find(CheckedSetUp, None) is not None and not workcell.place.is_home:
         first.append("the arm goes home the way it came")
     return tuple(first)
 
 
-def _then(engine: Engine) -> str:
+def _describe_remaining_steps(engine: Engine) -> str:
     course, order = engine.course, engine.order
-    again = {_step_of(gone) for key in course.checks_in_doubt for gone in course.records_voided_by(key)}
+    again = {_key_of(gone) for key in course.checks_in_doubt for gone in course.records_voided_by(key)}
     steps = (
-        [] if course.over else [str(key) for key in order.sequence if key in again or not course.settled(key)]
+        []
+        if course.over
+        else [str(key) for key in order.sequence if key in again or not course.is_settled(key)]
     )
     return f"remaining steps: {', '.join(steps) or 'none'}"
 
 
-def _step_of(record: Record) -> StepKey:
+def _key_of(record: Record) -> StepKey:
     return StepKey(record.kind, record.trajectory)
 
 
-def _way_out(engine: Engine) -> bool:
+def _move_out(engine: Engine) -> bool:
     """Have the instrument taken out, retreat, and bring the arm home; return whether anything moved."""
     workcell = engine.setting.workcell
-    engine.questions.have_instrument_out()
+    engine.questions.request_instrument_removal()
     following = engine.upcoming
     if (
-        workcell.place.on_axis
+        workcell.place.is_on_axis
         and following is not None
         and engine.order.spec(following).moves
         and not engine.why_refused(following)

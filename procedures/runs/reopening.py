@@ -17,7 +17,7 @@ from procedures.runs.folders import hold_run
 from procedures.runs.interrupted_run import InterruptedRun, read_interrupted_run
 from procedures.runs.request import RunRequest
 from procedures.runs.request_file import read_request
-from procedures.runs.theatre_lock import last_runs, require_free_theatre
+from procedures.runs.theatre_lock import list_last_runs, require_free_theatre
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.messages import tell
 from ronna_hw.errors import RonnaError
@@ -29,15 +29,15 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 
 
 def read_reopened_request(
-    folder: Path, *, accept: bool = False, answers: Path | None = None, as_before: bool = False
+    folder: Path, *, accept: bool = False, answers: Path | None = None, reuse_answers: bool = False
 ) -> RunRequest:
-    """Read the request of a run with these answers; without any, with the run's own if `as_before`.
+    """Read the request of a run with these answers; without any, with the run's own if `reuse_answers`.
 
     Raises CLI-001, CFG-001, PRO-026, 031 and 034.
     """
     request = read_request(folder.resolve())
     if answers is None and request.answers is not None:
-        if as_before:
+        if reuse_answers:
             tell("answering from the file given at the start; --answers FILE replaces it")
         else:
             request = replace(request, answers=None)
@@ -79,7 +79,7 @@ def require_free_devices(request: RunRequest) -> None:
 
 def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
     """Return the resumable run that had the devices of a theatre file last; None if that is `run`."""
-    for last in last_runs(theatre):
+    for last in list_last_runs(theatre):
         if last == run:
             return None
         try:
@@ -92,7 +92,7 @@ def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
     return None
 
 
-def make_ready(interrupted: InterruptedRun) -> None:
+def prepare_folder(interrupted: InterruptedRun) -> None:
     """Prepare the folder of a run before a program continues it. Raises PRO-003 if it cannot be written."""
     folder = interrupted.folder
     _check_writable(folder)
@@ -130,7 +130,7 @@ def _remove_half_written(folder: Path) -> None:
             tell(f"{path} could not be removed")
 
 
-def close_complete(
+def close_completed_run(
     interrupted: InterruptedRun, clinical: ClinicalInput | None, outcome: str = "done", **more: JournalValue
 ) -> InterruptedRun:
     """Write the end of a run whose every step is valid; moves nothing and asks no device."""
@@ -142,7 +142,7 @@ def close_complete(
     return read_interrupted_run(folder)
 
 
-def close_again(interrupted: InterruptedRun) -> InterruptedRun:
+def rewrite_end(interrupted: InterruptedRun) -> InterruptedRun:
     """Write the end of a closed but unsealed run again, with the names of its unconfirmed files."""
     last = interrupted.run.journal[-1]
     journal = Journal.reopen_run(interrupted.folder, interrupted.chain)

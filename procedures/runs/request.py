@@ -20,7 +20,7 @@ if TYPE_CHECKING:
     from ronna_hw.config import Calibrations
 
 
-NAMED = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
+PATIENT_SCENES = ("default", "mini")  # of the scenes that ronna-sim knows, those with a patient
 LARGEST_SEED = 2**63 - 1  # what a journal's JSON keeps exactly everywhere
 
 FREE = "free"  # screws of their own
@@ -41,12 +41,14 @@ class SceneChoice:
 
     def check(self) -> None:
         """Raise CLI-001 for a scene that is neither named nor a file; its reader checks the content."""
-        if self.scene not in NAMED and not Path(self.scene).is_file():
-            alike = get_close_matches(self.scene, NAMED, n=1)
+        if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
+            close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
             raise UsageMistake(
                 f"there is no scene {self.scene!r}",
-                expected=f"{' or '.join(NAMED)}, which have a patient, or the path of a scene file",
-                action=f"Did you mean {alike[0]}?" if alike else "ronna-sim scene prints one to start from.",
+                expected=f"{' or '.join(PATIENT_SCENES)}, which have a patient, or the path of a scene file",
+                action=f"Did you mean {close_matches[0]}?"
+                if close_matches
+                else "ronna-sim scene prints one to start from.",
             )
 
     def arguments(self) -> list[str]:
@@ -69,7 +71,7 @@ class SceneChoice:
         return options
 
     @property
-    def own_seed(self) -> int:
+    def scene_seed(self) -> int:
         """Seed of the drawing; a scene file holds its own, and its reader checks the rest of it."""
         path = Path(self.scene)
         if not path.suffix:
@@ -129,7 +131,7 @@ class RunRequest:
     @property
     def seed(self) -> int | None:
         """Seed of a simulated theatre; None on configured endpoints."""
-        return self.choice.own_seed if self.config is None else None
+        return self.choice.scene_seed if self.config is None else None
 
     @property
     def case(self) -> CaseProcedure:

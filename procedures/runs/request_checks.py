@@ -41,14 +41,14 @@ def check_case(request: RunRequest) -> None:
     """Check theatre, plan, answers and fault script of a case before its run folder is made."""
     from procedures.planning.plan_file import read_plan
     from procedures.steps.catalogue import clinical_steps
-    from procedures.strategies.catalogue import strategy_named
+    from procedures.strategies.catalogue import find_strategy
 
-    asked = request.case
-    strategy_named(asked.strategy)
+    case_procedure = request.case
+    find_strategy(case_procedure.strategy)
     check_theatre(request)
     if request.config is not None:
         require_one_kind(read_theatre_file(request.config))
-        case = asked.case or Path()
+        case = case_procedure.case or Path()
         around = case.resolve().parent
         if case.resolve() == around / "ct" and (around / "plan.toml").exists():
             raise PathProblem(f"{case} is the ct folder of a case", action=f"Give the case folder, {around}.")
@@ -59,12 +59,12 @@ def check_case(request: RunRequest) -> None:
         if request.answers is not None:
             plan = read_plan(case / "plan.toml")
             request.answers.check_trajectories([one.id for one in plan.trajectories])
-    if asked.plan is not None:
-        planned = [one.id for one in read_plan(asked.plan).trajectories]
+    if case_procedure.plan is not None:
+        planned = [one.id for one in read_plan(case_procedure.plan).trajectories]
         if request.answers is not None:
             request.answers.check_trajectories(planned)
     if request.faults is not None:
-        steps = clinical_steps(measure_targets=asked.measure_targets)
+        steps = clinical_steps(measure_targets=case_procedure.measure_targets)
         check_fault_script(request.faults, [step.name for step in steps])
 
 
@@ -84,9 +84,9 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
         )
 
 
-def never_began(path: Path, begun: Iterable[str], theatre_time_s: float) -> Iterator[str]:
+def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s: float) -> Iterator[str]:
     """Name the faults that a case did not reach, by the steps that it began and its theatre time."""
-    steps = {name for step in begun for name in (step, step.partition(":")[0])}
+    steps = {name for step in begun_steps for name in (step, step.partition(":")[0])}
     for number, line in _lines(path):
         if match := _STEP_OF_LINE.match(line):
             step = match["step"] + (match["trajectory"] or "")

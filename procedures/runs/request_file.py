@@ -15,7 +15,7 @@ from procedures.runs.request import FREE, CalibrationProcedure, CaseProcedure, R
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.manifest import REQUEST_FILE
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 
 if TYPE_CHECKING:
     from procedures.runs.answers import Answers
@@ -67,7 +67,7 @@ class RequestFile(BaseModel):
 def write_request(request: RunRequest, folder: Path) -> None:
     """Write the request into a new run folder, and return when it is on disk."""
     content = RequestFile(program=version(PROGRAM), **_theatre(request), **_procedure(request))
-    write_whole(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
+    write_atomically(folder / REQUEST_FILE, content.model_dump_json(by_alias=True, indent=1).encode())
     for place in (folder, folder.parent):  # a name is on disk only when its folder is
         directory = os.open(place, os.O_RDONLY)
         try:
@@ -78,8 +78,8 @@ def write_request(request: RunRequest, folder: Path) -> None:
 
 def _theatre(request: RunRequest) -> dict[str, Any]:
     choice = request.choice
-    drawn = {one.name: getattr(choice, one.name) for one in fields(choice)}
-    return drawn | dict(
+    choice_fields = {one.name: getattr(choice, one.name) for one in fields(choice)}
+    return choice_fields | dict(
         scene=str(Path(choice.scene).resolve()) if Path(choice.scene).suffix else choice.scene,
         records=tuple(folder.resolve() for folder in choice.records),
         speed=request.speed,
@@ -120,8 +120,10 @@ def read_request(folder: Path) -> RunRequest:
             f"{folder.name} was made by another version", expected=version(PROGRAM), got=content.program
         )
     procedure: CaseProcedure | CalibrationProcedure
-    if (asked := content.calibration) is not None:
-        procedure = CalibrationProcedure(recipe=asked.recipe, days=asked.days, write=asked.write)
+    if (calibration_file := content.calibration) is not None:
+        procedure = CalibrationProcedure(
+            recipe=calibration_file.recipe, days=calibration_file.days, write=calibration_file.write
+        )
     elif content.strategy is not None:
         procedure = CaseProcedure(
             strategy=content.strategy,

@@ -15,8 +15,8 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES, read_bounded
 from ronna_hw.control_port import ControlPortSilent, ask_control_port
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_LINK_LOST
 from ronna_hw.evidence.manifest import WITH_PORTS
-from ronna_hw.host.child_process import ChildNotReady, await_end, command, finished_command
-from ronna_hw.records import write_whole
+from ronna_hw.host.child_process import ChildNotReady, await_end, command, run_command
+from ronna_hw.records import write_atomically
 from ronna_hw.theatre import SIMULATOR_NAME, TheatreProcess
 
 if TYPE_CHECKING:
@@ -42,21 +42,23 @@ class SimulatedTheatre:
     ) -> None:
         """`continued` if the world of an earlier theatre goes on, without the fault script of the run."""
         self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
-        left = continued and self._file.exists()
-        self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if left else None
+        is_resumed = continued and self._file.exists()
+        self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if is_resumed else None
         scene = request.choice.theatre_arguments()
-        more = ["--faults", str(request.faults)] if request.faults is not None and not continued else []
+        extra_options = (
+            ["--faults", str(request.faults)] if request.faults is not None and not continued else []
+        )
         if request.measures_targets:
-            more.append("--target-balls")
+            extra_options.append("--target-balls")
         if continued:
-            more.append("--continue")
+            extra_options.append("--continue")
         self.theatre = TheatreProcess(
             *scene,
             "--speed",
             request.speed,
             "--out",
             str(folder),
-            *more,
+            *extra_options,
             on_controller_message=on_controller_message,
         )
         try:
@@ -72,11 +74,11 @@ class SimulatedTheatre:
         """
         assert self._phantom is not None, "this theatre has no patient"
 
-        def meanwhile() -> None:
+        def check_theatre() -> None:
             if not self.theatre.child.alive:
                 self.await_theatre()  # it was refused: nobody needs the patient
 
-        _, messages = await_end("ronna-sim phantom", self._phantom, PHANTOM_TIMEOUT_S, meanwhile)
+        _, messages = await_end("ronna-sim phantom", self._phantom, PHANTOM_TIMEOUT_S, check_theatre)
         if self._phantom.returncode != 0:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
@@ -109,11 +111,11 @@ class SimulatedTheatre:
                 self._phantom.stderr.close()
         child = self.theatre.child
         halted = isinstance(error, ControlPortSilent) and child.alive
-        gone = bool(child.ready) and (halted or not child.alive)
+        theatre_gone = bool(child.ready) and (halted or not child.alive)
         self.theatre.end()
         if self._former is not None:
-            write_whole(self._file, self._former)
-        if gone and error is not None:  # what the procedure met is only the consequence
+            write_atomically(self._file, self._former)
+        if theatre_gone and error is not None:  # what the procedure met is only the consequence
             words = "it no longer responds" if halted else " / ".join(child.messages) or "no message"
             raise CommandRefused(SIMULATOR_NAME, words, EXIT_LINK_LOST) from error
 
@@ -163,22 +165,22 @@ class SimulatedRoom:
         return tuple(float(reading) for reading in answer.get("readings", ()))
 
 
-def truth_of(folder: Path) -> Truth:
+def ask_verifier(folder: Path) -> Truth:
     """Ask the verifier about a run folder. Raises PRO-013 with its words, PRC-001 if it hangs."""
     from procedures.reporting.outcome import Truth
 
-    answer = finished_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
+    answer = run_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
     # A run that reached no target is a failure of that command, after its answer.
     if answer.returncode not in (EXIT_DONE, EXIT_FAILED) or not answer.stdout:
         raise CommandRefused(VERIFIER, answer.stderr, answer.returncode)
     return Truth.model_validate_json(answer.stdout)
 
 
-def truth_if_any(folder: Path) -> Truth | None:
+def find_truth(folder: Path) -> Truth | None:
     """Return the truth of a run; None without a simulated theatre, or with nothing to compare yet."""
     if not (folder / THEATRE_FOLDER).is_dir():
         return None
     try:
-        return truth_of(folder)
+        return ask_verifier(folder)
     except (CommandRefused, ChildNotReady):
         return None

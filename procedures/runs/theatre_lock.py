@@ -17,10 +17,10 @@ from pathlib import Path
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.journal.journal import JOURNAL_FILE
-from procedures.runs.theatre_note import TheatreNote, note_file, read_note
+from procedures.runs.theatre_note import TheatreNote, note_path, read_note
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.host.port_users import PortUser, holder_of_lock
+from ronna_hw.host.port_users import PortUser, find_lock_holder
 
 NOTE = os.O_NOFOLLOW  # where everyone may write, a link may lead to any file of whoever opens it
 READABLE_BY_ALL = 0o444
@@ -56,31 +56,36 @@ def hold_theatre(theatre: Path, run: Path | None, *, only_leaving: bool = False)
     Raises PRO-043 while another program has them, and PRO-045 if the next run could not know of this one.
     With `only_leaving` the latter is accepted: nothing keeps an arm over the head.
     """
-    if user := _user_of_own_run(theatre):
-        raise _is_in_use(user)
-    path = note_file(theatre)
+    if user := _find_user_of_own_run(theatre):
+        raise _build_in_use_error(user)
+    path = note_path(theatre)
     with ExitStack() as stack:
-        noted = _open_note(path)
-        for file in (_open_own(path, NOTE) if noted is None else noted, _open_own(theatre)):
+        note_descriptor = _open_note(path)
+        for file in (
+            _open_own(path, NOTE) if note_descriptor is None else note_descriptor,
+            _open_own(theatre),
+        ):
             if file is not None:
                 stack.callback(os.close, file)
-                _lock(file, path, needed=noted in (None, file))
-        before = read_note(path).settled()
-        if noted is not None:
+                _lock(file, path, needed=note_descriptor in (None, file))
+        before = read_note(path).with_outcome()
+        if note_descriptor is not None:
             with suppress(OSError):  # of another user; it names a run, so all may see who has the theatre
-                os.fchmod(noted, (os.fstat(noted).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH)
-        lines = 0 if run is None else _journal_lines(run)
+                os.fchmod(
+                    note_descriptor, (os.fstat(note_descriptor).st_mode | READABLE_BY_ALL) & ~stat.S_IWOTH
+                )
+        lines = 0 if run is None else _count_journal_lines(run)
         note = before.model_copy(
             update={"run": run and run.resolve(), "pid": os.getpid(), "lines_before": lines}
         )
-        if not (_write_note(noted, note) or only_leaving):
+        if not (_write_note(note_descriptor, note) or only_leaving):
             raise TheatreNotNoted(
                 f"cannot write {path}: a later run would not know that this one left the arm away from home"
             )
         try:
             yield before
         finally:  # from here on its folder may be moved
-            _write_note(noted, note.settled())
+            _write_note(note_descriptor, note.with_outcome())
 
 
 def _open_note(path: Path) -> int | None:
@@ -92,10 +97,10 @@ def _open_note(path: Path) -> int | None:
     return _open_own(path, NOTE | os.O_RDWR) if made is None else made
 
 
-def _open_own(path: Path, how: int = os.O_RDONLY) -> int | None:
+def _open_own(path: Path, flags: int = os.O_RDONLY) -> int | None:
     """Open a file or folder; None if it is another user's or does not exist."""
     try:
-        return os.open(path, how | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
+        return os.open(path, flags | os.O_CLOEXEC, 0o664)  # a note that all may write is not believed
     except OSError:
         return None
 
@@ -105,7 +110,7 @@ def _lock(file: int, path: Path, *, needed: bool) -> None:
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except BlockingIOError:
-        raise _is_in_use(_user(path, file)) from None
+        raise _build_in_use_error(_identify_user(path, file)) from None
     except OSError:  # a network file system may lock only what is open for writing
         if needed:
             raise
@@ -122,57 +127,57 @@ def _write_note(file: int | None, note: TheatreNote) -> bool:
     return True
 
 
-def theatre_user(theatre: Path) -> TheatreUser | None:
+def find_theatre_user(theatre: Path) -> TheatreUser | None:
     """Return the present user of a theatre file's devices, as far as this user may see."""
-    if user := _user_of_own_run(theatre):
+    if user := _find_user_of_own_run(theatre):
         return user
-    path = note_file(theatre)
+    path = note_path(theatre)
     for file in (_open_own(path, NOTE), _open_own(theatre)):
         if file is None:
             continue
         try:  # looked up, not tried: a lock for a moment would refuse a run that begins in it
-            if holder_of_lock(file) is not None:
-                return _user(path, file)
+            if find_lock_holder(file) is not None:
+                return _identify_user(path, file)
         finally:
             os.close(file)
     return None
 
 
-def last_moved(theatre: Path) -> TheatreNote:
+def read_last_note(theatre: Path) -> TheatreNote:
     """Return the note of the arm of a theatre file, whether or not a program has its devices."""
-    return read_note(note_file(theatre)).settled()
+    return read_note(note_path(theatre)).with_outcome()
 
 
-def unwritable_note(theatre: Path) -> Path | None:
+def find_unwritable_note(theatre: Path) -> Path | None:
     """Return the note that `hold_theatre` needs and this user may not write; None if it may."""
-    path = note_file(theatre)
-    there = next(place for place in (path, *path.parents) if place.exists())
-    return None if os.access(there, os.W_OK) else path
+    path = note_path(theatre)
+    nearest_existing = next(place for place in (path, *path.parents) if place.exists())
+    return None if os.access(nearest_existing, os.W_OK) else path
 
 
-def last_runs(theatre: Path) -> tuple[Path, ...]:
+def list_last_runs(theatre: Path) -> tuple[Path, ...]:
     """Return the last run that moved the arm of a theatre file, and the last that had its devices."""
-    note = last_moved(theatre)
+    note = read_last_note(theatre)
     return tuple(run for run in (note.moved_before, note.run) if run is not None)
 
 
 def require_free_theatre(theatre: Path) -> None:
     """Raise PRO-043 while another program has the devices, before anyone prepares anything."""
-    if user := theatre_user(theatre):
-        raise _is_in_use(user)
+    if user := find_theatre_user(theatre):
+        raise _build_in_use_error(user)
 
 
-def _is_in_use(user: TheatreUser) -> TheatreInUse:
+def _build_in_use_error(user: TheatreUser) -> TheatreInUse:
     return TheatreInUse(user.seen, action=user.advice("start again"))
 
 
-def _user(path: Path, file: int) -> TheatreUser:
+def _identify_user(path: Path, file: int) -> TheatreUser:
     """Return the holder of the lock, and its run if the note is its own."""
-    note, holder = read_note(path), holder_of_lock(file)
+    note, holder = read_note(path), find_lock_holder(file)
     return TheatreUser(note.run if holder is not None and holder.pid == note.pid else None, holder)
 
 
-def _user_of_own_run(theatre: Path) -> TheatreUser | None:
+def _find_user_of_own_run(theatre: Path) -> TheatreUser | None:
     """Return the user of a simulated theatre in the folder of its run, which uses it alone."""
     run = theatre.resolve().parent.parent
     if not (run / JOURNAL_FILE).is_file():
@@ -182,13 +187,13 @@ def _user_of_own_run(theatre: Path) -> TheatreUser | None:
     except OSError:
         return None
     try:
-        holder = holder_of_lock(folder)
+        holder = find_lock_holder(folder)
     finally:
         os.close(folder)
     return None if holder is None else TheatreUser(run, holder)
 
 
-def _journal_lines(run: Path) -> int:
+def _count_journal_lines(run: Path) -> int:
     """Return the number of lines of a run's journal; 0 if it cannot be read."""
     try:
         return len(read_chain(run / JOURNAL_FILE).lines)

@@ -15,13 +15,13 @@ from pydantic import BaseModel, ConfigDict, NonNegativeInt, ValidationError
 
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request_file import read_request
-from procedures.workcell.arm_history import arm_history, history_left_by
+from procedures.workcell.arm_history import arm_history, fold_history
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.config import MASTER, read_theatre_file
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.theatre_kind import on_this_computer
+from ronna_hw.theatre_kind import is_on_this_computer
 
 ARMS_FOLDER = Path("/var/tmp/ronna-hw")  # outlasts a restart of the computer, and every user may write there
 NOT_KNOWN = (
@@ -43,17 +43,19 @@ class TheatreNote(BaseModel):
     at_home: bool = False  # that is where it left it
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
-    def settled(self) -> TheatreNote:
+    def with_outcome(self) -> TheatreNote:
         """Return the note with the end of `run`, by its journal; a missing run may have done anything."""
         home = (
-            None if self.pid is None or self.run is None else _brought_arm_home(self.run, self.lines_before)
+            None
+            if self.pid is None or self.run is None
+            else _has_brought_arm_home(self.run, self.lines_before)
         )
         if home is None:
             return self.model_copy(update={"pid": None})
         return TheatreNote(run=self.run, moved_before=self.run, at_home=home)
 
 
-def _brought_arm_home(run: Path, lines_before: int) -> bool | None:
+def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
     """Whether a run brought the arm home; None if it certainly moved nothing.
 
     Motions that were refused at home, or stopped there before they began, moved nothing.
@@ -62,7 +64,7 @@ def _brought_arm_home(run: Path, lines_before: int) -> bool | None:
         if run.is_dir() and not (run / JOURNAL_FILE).exists():
             return None
         chain = read_chain(run / JOURNAL_FILE)
-        arm = history_left_by(chain)
+        arm = fold_history(chain)
         if not chain.torn and arm.journeys == arm_history(chain.lines[:lines_before]).journeys:
             return None
         return not arm.place.is_out
@@ -70,15 +72,15 @@ def _brought_arm_home(run: Path, lines_before: int) -> bool | None:
         return False
 
 
-def note_file(theatre: Path) -> Path:
+def note_path(theatre: Path) -> Path:
     """Return the note of a theatre's arm; next to the theatre file if nothing else tells arms apart."""
     theatre = theatre.resolve()
-    if controller := _controller(theatre):
+    if controller := _controller_key(theatre):
         return ARMS_FOLDER / f"{controller}.in-use"
     return theatre.with_name(f".{theatre.name}.in-use")
 
 
-def _controller(theatre: Path) -> str:
+def _controller_key(theatre: Path) -> str:
     """Return the addresses of a real arm, or the identity of a simulated theatre; else an empty string."""
     try:
         file = read_theatre_file(theatre)
@@ -88,8 +90,8 @@ def _controller(theatre: Path) -> str:
     if arm is None:
         return ""
     texts = (*arm.endpoints.values(), *([arm.endpoint] if arm.endpoint else []))
-    peers = [parse_endpoint(text).resolved() for text in texts]
-    if any(map(on_this_computer, peers)):
+    peers = [parse_endpoint(text).resolve_names() for text in texts]
+    if any(map(is_on_this_computer, peers)):
         return file.identity
     # At a UDP endpoint this computer listens: it says nothing about who sends there.
     return "+".join(sorted({(at.host or at.path).replace("/", "_") for at in peers if at.scheme != "udp"}))
@@ -129,11 +131,11 @@ def _is_trusted(note: Path) -> bool:
 
 def _is_ours(found: os.stat_result) -> bool:
     """Whether this user or root owns it, or a group of this user may write it."""
-    of_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
-    return found.st_uid in (os.geteuid(), 0) or of_group
+    by_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
+    return found.st_uid in (os.geteuid(), 0) or by_group
 
 
-def is_there(run: Path) -> bool:
+def run_exists(run: Path) -> bool:
     """Whether the folder of a run exists, or may exist where this user cannot see it."""
     try:
         return run.exists()
@@ -154,30 +156,30 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
         return None
     try:
         chain = read_chain(last / JOURNAL_FILE)
-        place = history_left_by(chain).place
+        place = fold_history(chain).place
         if not place.is_out:
             return None
     except (RonnaError, OSError):
-        if is_there(last):
+        if run_exists(last):
             return f"run {last.name} moved the arm last, and its journal cannot be read"
         gone = f"run {last.name} moved the arm last, and its folder {last} is gone"
         return None if note.at_home else f"{gone}; put it back for ronna-procedure home, or {JOG}"
     verb = "has lost the end of its journal, and may have left" if chain.torn else "left"
-    left = f"run {last.name} {verb} the arm away from its home"
+    message = f"run {last.name} {verb} the arm away from its home"
     try:
         read_request(last)
     except (RonnaError, OSError):  # of a check or a measurement, which nothing resumes
-        return f"{left}; {JOG}"
-    return f"{left}; ronna-procedure home {shlex.quote(str(last))} brings it there"
+        return f"{message}; {JOG}"
+    return f"{message}; ronna-procedure home {shlex.quote(str(last))} brings it there"
 
 
-def instrument_not_out(note: TheatreNote) -> tuple[Path, str] | None:
+def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
     """Return the last run that moved this theatre's arm, and where an instrument may be, if anywhere."""
     last = note.moved_before
     if last is None:
         return None
     try:
-        inside = history_left_by(read_chain(last / JOURNAL_FILE)).place.instrument_in_words
+        inside = fold_history(read_chain(last / JOURNAL_FILE)).place.instrument_description
     except (RonnaError, OSError):  # `arm_not_home` says that nothing is known of it
         return None
     return None if inside is None else (last, inside)
@@ -191,4 +193,4 @@ def _is_same(last: Path, run: Path) -> bool:
         first, *_ = read_chain(run / JOURNAL_FILE).lines or ({},)
     except (RonnaError, OSError):
         return False
-    return not is_there(last) and first.get("run") == last.name
+    return not run_exists(last) and first.get("run") == last.name

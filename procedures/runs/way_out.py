@@ -13,7 +13,7 @@ from dataclasses import dataclass
 from procedures.engine.case import StepKey
 from procedures.engine.engine import Engine
 from procedures.engine.errors import RecoveryRefused
-from procedures.engine.run_folder import typed
+from procedures.engine.run_folder import parse_record
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.tip_readings import HOVER_MM
 from procedures.steps.clinical.correspondence import Correspondence
@@ -24,7 +24,7 @@ from procedures.steps.clinical.results import RegisteredRobot, Relocalization
 from procedures.steps.clinical.surroundings import surround_guide, surround_stereo_head
 from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import stands_at
-from procedures.workcell.ball_watcher import around_ball, in_free_room, stand_under
+from procedures.workcell.ball_watcher import build_ball_surroundings, build_free_surroundings, build_stand
 from procedures.workcell.errors import TipOffAxis
 from ronna_hw.frames import Transform
 
@@ -48,8 +48,10 @@ def surround(engine: Engine) -> None:
     elif workcell.tool is MountedTool.STEREO_HEAD and engine.case.find(Correspondence, None) is not None:
         over = next(key for key in keys if key.name == Relocalization.kind)
         surround_stereo_head(engine.context(over), workcell.joints_rad())  # where the way out begins
-    elif (led := _registration_of_guide(engine)) is not None:
-        surround_guide(engine.context(led.key), led.robot_from_ct, workcell.joints_rad())
+    elif (guide_registration := _find_guide_registration(engine)) is not None:
+        surround_guide(
+            engine.context(guide_registration.key), guide_registration.robot_from_ct, workcell.joints_rad()
+        )
     elif not workcell.place.is_home:
         raise RecoveryRefused(
             "the arm is not home, and no result gives the position of the head",
@@ -57,12 +59,14 @@ def surround(engine: Engine) -> None:
         )
 
 
-def head_moved_since(engine: Engine) -> bool:
+def has_head_moved(engine: Engine) -> bool:
     """Whether the guide must leave by a registration that is no longer valid."""
-    return (led := _registration_of_guide(engine)) is not None and not led.holds
+    return (
+        guide_registration := _find_guide_registration(engine)
+    ) is not None and not guide_registration.is_valid
 
 
-def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
+def find_guide_axis(engine: Engine) -> tuple[Insertion, float] | None:
     """Return the trajectory whose axis the guide is on, and its travel along it in mm."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
@@ -73,21 +77,21 @@ def guide_on_an_axis(engine: Engine) -> tuple[Insertion, float] | None:
     tool = workcell.tool_pose()
     for key in engine.order.sequence:
         registered = case.find(RegisteredRobot, key.trajectory)
-        led_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
-        if not led_there or registered is None:
+        is_positioned_there = key.name == PositionedGuide.kind and key.trajectory in paths.result.targets
+        if not is_positioned_there or registered is None:
             continue
         insertion = insertion_for(engine.context(key), registered.result.robot_from_ct.transform)
         try:
             insertion.check_on_axis(tool)
         except TipOffAxis:
             continue
-        beyond_mm = insertion.beyond_start_mm(tool)
-        if beyond_mm > AT_START_MM:
-            return insertion, beyond_mm
+        travel_mm = insertion.travel_from_start_mm(tool)
+        if travel_mm > AT_START_MM:
+            return insertion, travel_mm
     return None
 
 
-def guide_in_gauge(engine: Engine) -> bool:
+def is_guide_in_gauge(engine: Engine) -> bool:
     """Whether the arm holds the guide over the gauge, where the mandrel is inserted."""
     workcell = engine.setting.workcell
     if workcell.tool is not MountedTool.GUIDE:
@@ -96,7 +100,7 @@ def guide_in_gauge(engine: Engine) -> bool:
     return stands_at(workcell.joints_rad(), gauge_rad, AT_GAUGE_RAD)
 
 
-def guide_at_divot(engine: Engine) -> bool:
+def is_guide_at_divot(engine: Engine) -> bool:
     """Whether the arm holds the tip of the guide at the place of the raised divot."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
@@ -111,42 +115,44 @@ def surround_calibration(engine: Engine) -> None:
     tool = workcell.flange_from_tool
     place, found = engine.case.find(BallPlace, None), engine.case.find(GlobalLocalization, None)
     if workcell.tool is MountedTool.GUIDE:
-        stand = () if place is None else stand_under(place.result.ball_mm)
-        workcell.surround(in_free_room(surroundings, tool, surroundings.guide, stand))
+        stand = () if place is None else build_stand(place.result.ball_mm)
+        workcell.surround(build_free_surroundings(surroundings, tool, surroundings.guide, stand))
     elif place is not None:
-        workcell.surround(around_ball(surroundings, tool, place.result.ball_mm, place.result.others_mm))
+        workcell.surround(
+            build_ball_surroundings(surroundings, tool, place.result.ball_mm, place.result.others_mm)
+        )
     elif found is not None and len(found.result.points_mm):
         ball_mm, *others_mm = found.result.points_mm
-        workcell.surround(around_ball(surroundings, tool, ball_mm, others_mm))
+        workcell.surround(build_ball_surroundings(surroundings, tool, ball_mm, others_mm))
     else:
-        workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
+        workcell.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
 
 
 @dataclass(frozen=True)
-class _Led:
+class _GuideRegistration:
     """The registration that leads, or would lead, the guide."""
 
     key: StepKey  # of the step that positions the guide
     robot_from_ct: Transform
-    holds: bool
+    is_valid: bool
 
 
-def _registration_of_guide(engine: Engine) -> _Led | None:
+def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
     """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None
-    on = workcell.place.trajectory
+    current_trajectory = workcell.place.trajectory
     keys = [key for key in engine.order.sequence if key.name == PositionedGuide.kind]
-    keys = [key for key in keys if on in (None, key.trajectory)]
+    keys = [key for key in keys if current_trajectory in (None, key.trajectory)]
     for key in keys:
         registered = case.find(RegisteredRobot, key.trajectory)
         if registered is not None and registered.record.identifier not in case.past:
-            return _Led(key, registered.result.robot_from_ct.transform, holds=True)
+            return _GuideRegistration(key, registered.result.robot_from_ct.transform, is_valid=True)
     made = [record for record in case.records if record.kind == RegisteredRobot.kind]
     for record in reversed(made):
         for key in keys:
             if record.trajectory in (None, key.trajectory):
-                former = typed(record, RegisteredRobot)
-                return _Led(key, former.robot_from_ct.transform, holds=False)
+                former = parse_record(record, RegisteredRobot)
+                return _GuideRegistration(key, former.robot_from_ct.transform, is_valid=False)
     return None

@@ -69,12 +69,12 @@ class Branch:
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
-def use(strategy: str) -> str:
+def strategy_answer(strategy: str) -> str:
     """Answer that agrees to another strategy."""
     return f"use {strategy}"
 
 
-def from_stage(task: str) -> str:
+def stage_answer(task: str) -> str:
     """Answer that continues the work through the guide from a stage."""
     return f"from {task}"
 
@@ -262,7 +262,7 @@ UNREACHABLE = Branch(
     Ending.ASK,
     (NotReachable,),
     Topic.UNREACHABLE,
-    (*(use(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
+    (*(strategy_answer(name) for name in BY_ACCURACY), LEAVE_OUT, HOLD),
 )
 NOT_CLEAR_NOW = Branch(
     "with the fine registration, the path to a target is not clear or out of range",
@@ -331,7 +331,7 @@ WORK_BEGUN = Branch(
     Ending.ASK,
     (NotConfirmed,),
     Topic.WORK_BEGUN,
-    (FINISHED, *(from_stage(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
+    (FINISHED, *(stage_answer(task) for task in (INSERT, DURA, DRILL, SKIN)), HOLD),
 )
 GUIDE_PUSHED = Branch(
     "someone pushes or pulls the guide, or the arm",

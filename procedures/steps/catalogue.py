@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from procedures.engine.order import Steps, StepSpec
 from procedures.journal.results import StepResult
 from procedures.operator.checkpoint import ABORT, GO_ON, LEAVE, WAIT
-from procedures.operator.question import NO, NOBODY, READ, YES, Topic, words
+from procedures.operator.question import NO, NOBODY, READ, YES, Topic, join_answers
 from procedures.steps.branches import BRANCHES
 from procedures.steps.clinical import (
     at_target,
@@ -86,10 +86,12 @@ class PlannedQuestion:
         return ANSWER_WORDS[self.topic]
 
     def __str__(self) -> str:
-        return f"{self.topic}: {words(self.answers)}{f', if {self.condition}' if self.condition else ''}"
+        return (
+            f"{self.topic}: {join_answers(self.answers)}{f', if {self.condition}' if self.condition else ''}"
+        )
 
 
-def planned_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
+def list_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
     """Questions of a step's normal course in order, then of its branches, but not those of any step."""
     course = [PlannedQuestion(topic) for topic in spec.asks]
     if spec.moves:

@@ -12,7 +12,7 @@ REMOUNTED = "; with the arm home, run global_localization: it is mounted there a
 LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, skull and dura half an hour
 
 
-def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
+def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
     """Require that the arm carries this tool and is on no axis; an unchecked tool is identified first.
 
     `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
@@ -26,21 +26,21 @@ def carries(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tupl
         if workcell.tool is not tool:
             instead = remedy if workcell.tool is MountedTool.GUIDE else ""
             reasons.append(f"the arm carries the {workcell.tool}, not the {tool}{instead}")
-        return (*reasons, *workcell.place.why_held)
+        return (*reasons, *workcell.place.hold_reasons)
 
     return unmet
 
 
-def exchangeable(context: StepContext) -> tuple[str, ...]:
+def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
     """Require the stereo head on the arm, or after a begun exchange an arm that is parked and cannot move."""
     workcell = context.workcell
-    unmet = carries(MountedTool.STEREO_HEAD)(context)
+    unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
     if not unmet or context.done_before:
         return unmet
     return () if not workcell.streaming and workcell.place.is_home else unmet
 
 
-def localizable(context: StepContext) -> tuple[str, ...]:
+def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
     """Require the guide unmounted: localizations that depend on the repeated step could not be redone."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
@@ -50,27 +50,29 @@ def localizable(context: StepContext) -> tuple[str, ...]:
     return ()
 
 
-def away_from_head(context: StepContext) -> tuple[str, ...]:
+def needs_arm_home(context: StepContext) -> tuple[str, ...]:
     """Require the arm at home: nobody works at cart or clamp while it reaches over the head."""
     place = context.workcell.place
     if place.is_home:
         return ()
-    return place.why_held or ("the arm is not home: send it there first (home)",)
+    return place.hold_reasons or ("the arm is not home: send it there first (home)",)
 
 
-def inserted(context: StepContext) -> tuple[str, ...]:
+def needs_insertion(context: StepContext) -> tuple[str, ...]:
     """Require the guide in front of this step's entry."""
-    if (on := context.workcell.place.trajectory) == context.trajectory:
+    if (current_trajectory := context.workcell.place.trajectory) == context.trajectory:
         return ()
-    where = "on no axis" if on is None else f"held in front of the entry of {on}"
+    where = (
+        "on no axis" if current_trajectory is None else f"held in front of the entry of {current_trajectory}"
+    )
     return (f"the guide is {where}, not in front of that of {context.trajectory}",)
 
 
-def is_inserted_or_just_out(context: StepContext) -> tuple[str, ...]:
+def needs_insertion_or_withdrawal(context: StepContext) -> tuple[str, ...]:
     """Require the guide in front of this step's entry, or last withdrawn from it."""
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
-    return inserted(context)
+    return needs_insertion(context)
 
 
 def require_recent(context: StepContext, what: str, read_s: float) -> None:

@@ -24,7 +24,7 @@ from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import APPROACHES, CheckedTool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.motions import facts_from
+from procedures.workcell.motions import collect_facts
 from ronna_hw.arm.clearance.bodies import Surroundings
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -37,7 +37,7 @@ from ronna_hw.vectors import JointVector
 OVER_SPHERE_MM = 40.0  # between where the stereo head looks and a sphere: less than between two of them
 
 
-def planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
+def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str, ...] | None:
     """Describe each motion of a step from the arm's present position; None before the path check."""
     stored = case.find(CheckedPaths, None)
     if stored is None:
@@ -50,14 +50,18 @@ def planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> tuple[str
     if key.name == Relocalization.kind:
         motions = motions_over_spheres(paths.motions, key.trajectory)
     else:
-        motions = [one for one in paths.motions if _belongs(one, key)]
+        motions = [one for one in paths.motions if _belongs_to_step(one, key)]
     if workcell.place.is_home or not motions or motions[0].start != HOME:
-        return _in_words(motions)
-    over = _sphere_below(paths, key, workcell)
-    if over is None:
-        return "the arm is not home; from home it would", *_in_words(motions)
-    reached = [number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{over}")]
-    return f"the arm is over sphere {over + 1}; from there", *_in_words(motions[max(reached, default=0) :])
+        return _describe_motions(motions)
+    sphere_index = _sphere_below(paths, key, workcell)
+    if sphere_index is None:
+        return "the arm is not home; from home it would", *_describe_motions(motions)
+    reached = [
+        number for number, one in enumerate(motions, start=1) if one.end.endswith(f"{SPHERE}{sphere_index}")
+    ]
+    return f"the arm is over sphere {sphere_index + 1}; from there", *_describe_motions(
+        motions[max(reached, default=0) :]
+    )
 
 
 @dataclass(frozen=True)
@@ -80,12 +84,12 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
     )
     robot_from_ct = case.get(Correspondence).result.robot_from_ct.transform
     around = scene.with_guide(robot_from_ct, workcell.flange_from(MountedTool.GUIDE), None)
-    there = workcell.settling(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
-    motions = (*[there] * APPROACHES, replace(workcell.returning_home(), otherwise=()))
-    facts = facts_from(
+    there = workcell.settle_motion(radians6(*workcell.tools.guide.gauge.joints_deg), ONE_SIDE)
+    motions = (*[there] * APPROACHES, replace(workcell.return_motion(), replacement=()))
+    facts = collect_facts(
         workcell.home_rad,
         _PlannedArm(workcell.arm.kinematics, workcell.arm.limits(), around),
-        [replace(one, moves=f"the {MountedTool.GUIDE}") for one in motions],
+        [replace(one, mover=f"the {MountedTool.GUIDE}") for one in motions],
     )
     names = ("home to the gauge", *["onto the gauge again"] * (APPROACHES - 1), "the gauge to home")
     return tuple(f"{MOVE} {name}, {fact}" for name, fact in zip(names, facts, strict=True))
@@ -104,11 +108,11 @@ def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int 
     return nearest if away_mm[nearest] < OVER_SPHERE_MM else None
 
 
-def _in_words(motions: Sequence[MotionPreview]) -> tuple[str, ...]:
+def _describe_motions(motions: Sequence[MotionPreview]) -> tuple[str, ...]:
     return tuple(_describe_motion(one) for one in motions)
 
 
-def _belongs(motion: MotionPreview, key: StepKey) -> bool:
+def _belongs_to_step(motion: MotionPreview, key: StepKey) -> bool:
     target = "/target"
     if key.name == MountedGuide.kind:
         return motion.end == HOME and SPHERE in motion.start
@@ -122,13 +126,13 @@ def _belongs(motion: MotionPreview, key: StepKey) -> bool:
 def _describe_motion(motion: MotionPreview) -> str:
     near = motion.closest
     passing = "" if near is None else f"; {near.first} clears {near.second} by {near.distance_mm:.0f} mm"
-    start, end = _place(motion.start), _place(motion.end)
+    start, end = _number_spheres(motion.start), _number_spheres(motion.end)
     ends = f"from {end}" if motion.kind == BACK else f"{start} to {end}" if start != end else f"onto {end}"
     speed = f"{motion.duration_s:.1f} s at up to {motion.largest_speed_mm_s:.0f} mm/s"
     return f"{motion.kind} {ends}, {speed}{passing}"
 
 
-def _place(name: str) -> str:
+def _number_spheres(name: str) -> str:
     """Name a place with spheres counted from 1."""
     before, sphere, number = name.partition(SPHERE)
     return f"{before}/sphere {int(number) + 1}" if sphere else name

@@ -43,10 +43,10 @@ class StrategyByTrajectory:
 
     @property
     def controls_approach(self) -> bool:
-        """Whether the usual strategy controls the approach; see `of` for one trajectory."""
+        """Whether the usual strategy controls the approach; see `strategy_for` for one trajectory."""
         return self.usual.controls_approach
 
-    def of(self, trajectory: str) -> Strategy:
+    def strategy_for(self, trajectory: str) -> Strategy:
         """The strategy of one trajectory."""
         return self.others.get(trajectory, self.usual)
 
@@ -57,20 +57,20 @@ class StrategyByTrajectory:
         return tuple(
             replace(axis, identifier=one.identifier)
             for one in trajectories
-            for axis in self.of(one.identifier).localized_along((one,), fiducials_mm, robot_from_ct)
+            for axis in self.strategy_for(one.identifier).localized_along((one,), fiducials_mm, robot_from_ct)
         )
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
         """Take the poses of the trajectory's own strategy."""
-        return self.of(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
+        return self.strategy_for(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
         """Take the turns of the trajectory's own strategy."""
-        return self.of(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
+        return self.strategy_for(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
 
 
 @dataclass(frozen=True)
@@ -100,11 +100,11 @@ STRATEGIES: tuple[Strategy, ...] = (
 )
 
 
-def strategy_named(name: str) -> Strategy:
+def find_strategy(name: str) -> Strategy:
     """Return the strategy with this name. Raises STR-002 for an unknown one."""
     for strategy in STRATEGIES:
         if strategy.name == name:
             return strategy
-    alike = get_close_matches(name.lower(), [one.name for one in STRATEGIES], n=1)
-    meant = f"Did you mean {alike[0]}? {UnknownStrategy.action}" if alike else None
-    raise UnknownStrategy(f"there is no strategy {name!r}", action=meant)
+    close_matches = get_close_matches(name.lower(), [one.name for one in STRATEGIES], n=1)
+    suggestion = f"Did you mean {close_matches[0]}? {UnknownStrategy.action}" if close_matches else None
+    raise UnknownStrategy(f"there is no strategy {name!r}", action=suggestion)

@@ -61,16 +61,16 @@ def least_displacement(
     start = np.asarray(start_rad)
     joints = start
     for _ in range(MOST_STEPS):
-        position, jacobian = _tool_origin(kinematics, _six(joints), tool)
+        position, jacobian = _tool_origin(kinematics, _as_joints(joints), tool)
         wanted = point - position + jacobian @ (joints - start)
         try:
-            following = start + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T, wanted)
+            next_joints = start + jacobian.T @ np.linalg.solve(jacobian @ jacobian.T, wanted)
         except np.linalg.LinAlgError:
             break
-        step = float(np.abs(following - joints).max())
-        joints = following
+        step = float(np.abs(next_joints - joints).max())
+        joints = next_joints
         if step < CONVERGED_RAD:
-            return _six(joints)
+            return _as_joints(joints)
         if not step < np.pi:  # also catches NaN
             break
     where = ", ".join(f"{value:.0f}" for value in point)
@@ -85,7 +85,7 @@ def _tool_origin(kinematics: Kinematics, joints_rad: Joints, tool_mm: Array) -> 
     return np.add(flange.position_mm, arm), jacobian[:3] + np.cross(jacobian[3:], arm, axis=0)
 
 
-def _six(joints: Array) -> Joints:
+def _as_joints(joints: Array) -> Joints:
     a, b, c, d, e, f = joints.tolist()
     return a, b, c, d, e, f
 
@@ -112,7 +112,7 @@ class JointDisplacementMinimization:
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.
         """
-        _, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
+        _, at_fiducials = solve_joints(along, fiducials_mm, robot_from_ct, arm)
         return tuple(arm.stereo_pose(joints) for joints in at_fiducials)
 
     def turns_rad(
@@ -123,18 +123,18 @@ class JointDisplacementMinimization:
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
             try:
-                at_target, at_fiducials = joints_of(turned, fiducials_mm, robot_from_ct, arm)
+                at_target, at_fiducials = solve_joints(turned, fiducials_mm, robot_from_ct, arm)
             except (LimitError, NoNearbyJoints):
                 continue
             ranked.append((sum(math.dist(at_target, one) ** 2 for one in at_fiducials), turn))
         return tuple(turn for _, turn in sorted(ranked, key=lambda one: one[0]))
 
 
-def joints_of(
+def solve_joints(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
     """Joints at the target and at each fiducial."""
-    at_target = arm.guide_at(target_pose(along, robot_from_ct))
+    at_target = arm.guide_joints(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
     return at_target, tuple(
         least_displacement(arm.kinematics, arm.flange_from_stereo.translation_mm, at_target, point)
@@ -152,43 +152,43 @@ class ImprovedDisplacementMinimization(JointDisplacementMinimization):
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
         """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm; raises like JDMS."""
-        at_target, at_fiducials = joints_of(along, fiducials_mm, robot_from_ct, arm)
-        wanted = _errors(arm, [at_target], robot_from_ct.apply(along.target_mm))[0]
-        return tuple(arm.stereo_pose(_nearest(arm, start, wanted)) for start in at_fiducials)
+        at_target, at_fiducials = solve_joints(along, fiducials_mm, robot_from_ct, arm)
+        wanted = _error_displacements(arm, [at_target], robot_from_ct.apply(along.target_mm))[0]
+        return tuple(arm.stereo_pose(_find_nearest_joints(arm, start, wanted)) for start in at_fiducials)
 
 
-def _nearest(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
+def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
     """Find joints with the tool origin of `start_rad` and errors nearest `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:
-        turn, joints = pose.rigid.rotation, arm.stereo_at(pose)
+        turn, joints = pose.rigid.rotation, arm.stereo_joints(pose)
     except LimitError:
         return start_rad
     for _ in range(MOST_TURNS):
         try:
             steps = [
-                arm.stereo_at(tool_pose(Rotation.from_rotvec(way) * turn, place))
+                arm.stereo_joints(tool_pose(Rotation.from_rotvec(way) * turn, place))
                 for way in STEP_RAD * np.eye(3)
             ]
         except LimitError:
             break
-        here, *beside = _errors(arm, [joints, *steps], place)
+        here, *beside = _error_displacements(arm, [joints, *steps], place)
         slopes = np.stack([(one - here) / STEP_RAD for one in beside], axis=1)
         way = np.linalg.lstsq(slopes, wanted - here, rcond=None)[0]
         size = float(np.linalg.norm(way))
-        further = Rotation.from_rotvec(way * min(1.0, LARGEST_STEP_RAD / max(size, SETTLED_RAD))) * turn
+        next_turn = Rotation.from_rotvec(way * min(1.0, LARGEST_STEP_RAD / max(size, SETTLED_RAD))) * turn
         try:
-            joints = arm.stereo_at(tool_pose(further, place))
+            joints = arm.stereo_joints(tool_pose(next_turn, place))
         except LimitError:
             break
-        turn = further
+        turn = next_turn
         if size < SETTLED_RAD:
             break
     return joints
 
 
-def _errors(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
+def _error_displacements(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
     """Displacement (p, 3 k) mm of a point (3,) mm in the tool by one standard deviation of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])

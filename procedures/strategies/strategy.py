@@ -59,12 +59,12 @@ class ArmInBranch:
         require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
         require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
-    def guide_at(self, pose: Transform) -> Joints:
+    def guide_joints(self, pose: Transform) -> Joints:
         """Joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
-    def stereo_at(self, pose: Transform) -> Joints:
+    def stereo_joints(self, pose: Transform) -> Joints:
         """Joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
@@ -149,5 +149,5 @@ def arrival_signs(
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
     """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
-    A = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
-    return (A[0], A[1], A[2], A[3], A[4], A[5])
+    before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
+    return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])

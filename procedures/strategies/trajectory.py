@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.strategies.errors import BadTrajectory
-from ronna_hw.frames import Frame, FrameMismatch, Transform, rigid_of
+from ronna_hw.frames import Frame, FrameMismatch, Transform, build_rigid
 
 Array = NDArray[np.float64]
 Point = tuple[float, float, float]
@@ -54,7 +54,7 @@ class Trajectory:
         if self.depth_mm < SHORTEST_MM:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
-    def held(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
+    def with_rest(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
         """Hold the tool at rest this far beyond the target."""
         return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
@@ -112,7 +112,7 @@ def turn_onto(orientation: Rotation, axis: Array) -> Rotation:
 
 def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
     """Pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
-    return Transform(Frame.ROBOT, Frame.TOOL, rigid_of(origin_mm, orientation))
+    return Transform(Frame.ROBOT, Frame.TOOL, build_rigid(origin_mm, orientation))
 
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
@@ -121,7 +121,7 @@ def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
     return Transform(
         Frame.ROBOT,
         Frame.TOOL,
-        rigid_of(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
+        build_rigid(pose.apply([0.0, 0.0, -distance_mm]), pose.rigid.rotation),
     )
 
 
@@ -138,7 +138,7 @@ def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
     return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.rest_mm))
 
 
-def refined_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
+def refine_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
     """Pose at the target for a finer transform, given the `planned` pose of the coarse one.
 
     The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in

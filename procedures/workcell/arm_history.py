@@ -76,7 +76,7 @@ class Insertion:
         """The pose on the axis where the approach begins."""
         return back_along_axis(self.held, self.travel_mm)
 
-    def beyond_start_mm(self, tool: Transform) -> float:
+    def travel_from_start_mm(self, tool: Transform) -> float:
         """Distance of a pose ROBOT <- TOOL along the axis; negative before the start of the approach."""
         along_mm = self.start.inverse().apply(tool.translation_mm)[2]
         return float(along_mm)
@@ -109,7 +109,7 @@ class MotionKind(StrEnum):
     WITHDRAW = "withdraw"
 
 
-class Where(StrEnum):
+class PlaceKind(StrEnum):
     """Place of an arm according to the journal."""
 
     HOME = "home"
@@ -128,7 +128,7 @@ class ArmPlace:
     `assumed` says that no line of the journal put it there.
     """
 
-    where: Where = Where.UNKNOWN
+    place_kind: PlaceKind = PlaceKind.UNKNOWN
     axis: Insertion | None = None
     withdrawn_from: str | None = None  # the trajectory that the guide left last, if it is on none
     instrument_may_be_inside: str | None = None
@@ -138,12 +138,12 @@ class ArmPlace:
     @property
     def is_home(self) -> bool:
         """Whether the arm is at home."""
-        return self.where is Where.HOME
+        return self.place_kind is PlaceKind.HOME
 
     @property
     def is_out(self) -> bool:
         """Whether the arm may be away from home, by a motion of the run or by measurement."""
-        return not self.is_home and (self.moved or self.where is not Where.UNKNOWN)
+        return not self.is_home and (self.moved or self.place_kind is not PlaceKind.UNKNOWN)
 
     @property
     def trajectory(self) -> str | None:
@@ -151,19 +151,19 @@ class ArmPlace:
         return None if self.axis is None else self.axis.trajectory
 
     @property
-    def on_axis(self) -> bool:
+    def is_on_axis(self) -> bool:
         """Whether the guide is, or may be, on the axis of a trajectory."""
         return self.axis is not None
 
     @property
-    def why_held(self) -> tuple[str, ...]:
+    def hold_reasons(self) -> tuple[str, ...]:
         """Reason why only a retreat is possible; empty unless the guide is on an axis."""
         if self.trajectory is None:
             return ()
         return (f"the guide is held in front of the entry of {self.trajectory}",)
 
     @property
-    def instrument_in_words(self) -> str | None:
+    def instrument_description(self) -> str | None:
         """State in words that an instrument is, or may be, inside; None if it is out."""
         if (inside := self.instrument_may_be_inside) is None:
             return None
@@ -196,20 +196,20 @@ class ArmHistory:
     stages: Stages = field(default_factory=dict)  # of the work through the guide
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
-    def after(self, line: Line) -> ArmHistory:
+    def with_line(self, line: Line) -> ArmHistory:
         """Fold one more line. Raises LookupError, TypeError or ValueError for a line that is not ours."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
-            return self.after_restart(torn=bool(line.get("torn_bytes")))
+            return self.with_restart(torn=bool(line.get("torn_bytes")))
         if line.get("arm", MASTER) != self.arm:
             return self
         match entry:
             case Entry.MOTION:
-                return self._after_intent(line)
+                return self._with_intent(line)
             case Entry.MOVED:
-                return self._after_arrival(line)
+                return self._with_arrival(line)
             case Entry.PLACED:
-                return self._after_look(line)
+                return self._with_look(line)
             case Entry.INSTRUMENT:
                 inside = str(line["trajectory"]) if line["inside"] else None
                 place = replace(
@@ -217,15 +217,15 @@ class ArmHistory:
                 )
                 return replace(self, place=place, instrument_out=inside is None)
             case Entry.STAGE:
-                return self._after_stage(line)
+                return self._with_stage(line)
             case _:
                 return self
 
-    def after_restart(self, *, torn: bool) -> ArmHistory:
+    def with_restart(self, *, torn: bool) -> ArmHistory:
         """Fold the end of a program; `torn` if its last lines may be lost."""
         place = self.place
-        if torn or place.where is Where.MOVING:
-            place = replace(place, where=Where.UNKNOWN, moved=True)
+        if torn or place.place_kind is PlaceKind.MOVING:
+            place = replace(place, place_kind=PlaceKind.UNKNOWN, moved=True)
         # The line saying that an instrument goes in follows that of the guide, and can be lost alone.
         if place.trajectory not in (None, place.instrument_may_be_inside) and (
             torn or not self.instrument_out
@@ -233,11 +233,11 @@ class ArmHistory:
             place = replace(place, instrument_may_be_inside=place.trajectory, assumed=True)
         return replace(self, place=place, under_way=None, instrument_out=self.instrument_out and not torn)
 
-    def _after_intent(self, line: Line) -> ArmHistory:
+    def _with_intent(self, line: Line) -> ArmHistory:
         what = str(line.get("what"))
         begun = replace(
             self,
-            place=replace(self.place, where=Where.MOVING, moved=True),
+            place=replace(self.place, place_kind=PlaceKind.MOVING, moved=True),
             motions=self.motions + 1,
             journeys=self.journeys + 1,
             under_way=what,
@@ -249,7 +249,7 @@ class ArmHistory:
             begun, place=replace(begun.place, axis=axis, withdrawn_from=None), instrument_out=False
         )
 
-    def _after_arrival(self, line: Line) -> ArmHistory:
+    def _with_arrival(self, line: Line) -> ArmHistory:
         arrived = "joints_rad" in line
         joints_rad, ended = _joints_rad(line) if arrived else None, self.under_way
         place, trail, journeys = self.place, self.trail, self.journeys
@@ -259,13 +259,13 @@ class ArmHistory:
         if refused or (arrived and ended == MotionKind.START):
             journeys -= 1
         if joints_rad is not None and ended == MotionKind.BACK:
-            trail = self._trail_to(joints_rad)
+            trail = self._cut_trail(joints_rad)
         elif joints_rad is not None and ended not in (MotionKind.START, MotionKind.INSERT):
             trail = (*trail, joints_rad)[-TRAIL:]
         moved = replace(self, place=replace(place, moved=journeys > 0), journeys=journeys, under_way=None)
-        return replace(moved, trail=trail)._resting(line.get("at_home"))
+        return replace(moved, trail=trail)._with_rest(line.get("at_home"))
 
-    def _after_look(self, line: Line) -> ArmHistory:
+    def _with_look(self, line: Line) -> ArmHistory:
         """Fold a comparison of the measured joints with home, which overrides the motions before it."""
         if (axis := line.get("axis")) is not None:
             found = Insertion.from_plain(str(line["trajectory"]), axis)
@@ -276,27 +276,29 @@ class ArmHistory:
                 instrument_may_be_inside=found.trajectory,
                 assumed=True,
             )
-            return replace(self, place=place, instrument_out=False)._resting(False)
+            return replace(self, place=place, instrument_out=False)._with_rest(False)
         if line["at_home"] is True:  # jogged off its axis, if it was on one
-            return replace(self, place=replace(self.place, axis=None))._resting(True)
-        return self._resting(False)
+            return replace(self, place=replace(self.place, axis=None))._with_rest(True)
+        return self._with_rest(False)
 
-    def _resting(self, at_home: object) -> ArmHistory:
+    def _with_rest(self, at_home: object) -> ArmHistory:
         """Set the place of the arm at rest; `at_home` is None if that was not measured."""
         if self.place.axis is not None:
-            return replace(self, place=replace(self.place, where=Where.ON_AXIS))
-        where = Where.UNKNOWN if at_home is None else Where.HOME if at_home is True else Where.AWAY
-        trail = () if where is Where.HOME else self.trail
-        return replace(self, place=replace(self.place, where=where), trail=trail)
+            return replace(self, place=replace(self.place, place_kind=PlaceKind.ON_AXIS))
+        place_kind = (
+            PlaceKind.UNKNOWN if at_home is None else PlaceKind.HOME if at_home is True else PlaceKind.AWAY
+        )
+        trail = () if place_kind is PlaceKind.HOME else self.trail
+        return replace(self, place=replace(self.place, place_kind=place_kind), trail=trail)
 
-    def _trail_to(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
+    def _cut_trail(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
         """Cut the trail at a place to which the arm went back."""
         for number in range(len(self.trail), 0, -1):
             if stands_at(joints_rad, self.trail[number - 1]):
                 return self.trail[:number]
         return self.trail
 
-    def _after_stage(self, line: Line) -> ArmHistory:
+    def _with_stage(self, line: Line) -> ArmHistory:
         trajectory, stop = str(line["trajectory"]), line.get("stop")
         if isinstance(stop, Mapping):
             return replace(self, stops={**self.stops, trajectory: stop})
@@ -312,9 +314,9 @@ def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
     return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
-def history_left_by(chain: Chain, arm: str = MASTER) -> ArmHistory:
+def fold_history(chain: Chain, arm: str = MASTER) -> ArmHistory:
     """Fold the journal of a program that has ended. Raises as `arm_history`."""
-    return arm_history(chain.lines, arm).after_restart(torn=bool(chain.torn))
+    return arm_history(chain.lines, arm).with_restart(torn=bool(chain.torn))
 
 
 def _joints_rad(line: Line) -> JointVector:
@@ -323,7 +325,7 @@ def _joints_rad(line: Line) -> JointVector:
 
 def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:
     try:
-        return history.after(line)
+        return history.with_line(line)
     except (LookupError, TypeError, ValueError) as error:
         raise JournalCorrupt(
             f"line {line.get('sequence')}, {line.get('entry')}, is not as this version writes it"
@@ -343,12 +345,12 @@ class ArmLog:
     def write(self, entry: Entry, **data: JournalValue) -> None:
         """Journal an event before it happens; on disk when this returns. Raises PRO-003."""
         self._journal.write(entry, self._clock.now_s(), arm=self.history.arm, **data)
-        self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
+        self.history = self.history.with_line({"entry": entry, "arm": self.history.arm, **data})
 
     def note(self, entry: Entry, **data: JournalValue) -> None:
         """Journal an event that has happened. Raises PRO-003."""
         self._journal.note(entry, self._clock.now_s(), arm=self.history.arm, **data)
-        self.history = self.history.after({"entry": entry, "arm": self.history.arm, **data})
+        self.history = self.history.with_line({"entry": entry, "arm": self.history.arm, **data})
 
     def is_home(self, joints_rad: JointVector) -> bool | None:
         """Whether these joints are those of home; None before there is a home."""

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from procedures.calibration import Observation, Outline
-from procedures.calibration.pose_set import PlannedLook, moved_to
+from procedures.calibration.pose_set import PlannedLook, move_look
 from procedures.relocalization.errors import PairNotUsable
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell.centring import refusal, search_poses
@@ -61,11 +61,11 @@ class BallWatcher:
     def observe(self, planned: PlannedLook) -> Observation | None:
         """Look at the ball; None, with the reason counted, if that fails or shows no ball."""
         seen = self.take(planned)
-        return None if seen is None else self._observation(seen, planned.orientation)
+        return None if seen is None else self._build_observation(seen, planned.orientation)
 
     def take(self, planned: PlannedLook, arriving: Sequence[int] = ONE_SIDE) -> Look | None:
         """Look at the ball with each joint arriving in its direction; None as for `observe`."""
-        pose = moved_to(planned, self.ball_mm).pose
+        pose = move_look(planned, self.ball_mm).pose
 
         def settle() -> None:
             self._settle(self.workcell.joints_at(pose, self.workcell.joints_rad()), arriving)
@@ -79,7 +79,7 @@ class BallWatcher:
         """Look from given joint angles. Raises the errors of the motion."""
         self._settle(joints)
         seen = self._look_or_none(None)
-        return None if seen is None else self._observation(seen, orientation)
+        return None if seen is None else self._build_observation(seen, orientation)
 
     def observe_all(
         self, plan: Iterable[PlannedLook], wanted: int, progress: Callable[[int], None]
@@ -124,7 +124,7 @@ class BallWatcher:
             return None
         return seen
 
-    def _observation(self, seen: Look, orientation: int | None) -> Observation:
+    def _build_observation(self, seen: Look, orientation: int | None) -> Observation:
         workcell = self.workcell
         assert seen.left is not None, "a measurement without outlines is rejected"
         assert seen.right is not None, "a measurement without outlines is rejected"
@@ -141,35 +141,35 @@ class BallWatcher:
         )
 
     def _settle(self, joints: JointVector, arriving: Sequence[int] = ONE_SIDE) -> None:
-        self.workcell.settle(joints, arriving, from_afar=True)
+        self.workcell.settle(joints, arriving, allow_detour=True)
 
 
-def around_ball(
+def build_ball_surroundings(
     surroundings: CollisionConfig,
     flange_from_tool: Transform,
     ball_mm: ArrayLike,
     neighbours_mm: ArrayLike = (),
 ) -> Surroundings:
     """Surroundings of the stereo head: the ball on its post, other balls (n, 3) mm, the room."""
-    ball = _three(ball_mm)
+    ball = _as_vector(ball_mm)
     x, y, z = ball
     below = (x, y, z - STAND_BELOW_MM)
-    obstacles = [*stand_under(ball), Obstacle("ball", Capsule(ball, below, NEIGHBOUR_RADIUS_MM))]
+    obstacles = [*build_stand(ball), Obstacle("ball", Capsule(ball, below, NEIGHBOUR_RADIUS_MM))]
     for number, centre in enumerate(np.reshape(np.asarray(neighbours_mm, dtype=float), (-1, 3)), start=1):
-        place = _three(centre)
+        place = _as_vector(centre)
         obstacles.append(Obstacle(f"other ball {number}", Capsule(place, place, NEIGHBOUR_RADIUS_MM)))
-    return in_free_room(surroundings, flange_from_tool, surroundings.stereo_head, obstacles)
+    return build_free_surroundings(surroundings, flange_from_tool, surroundings.stereo_head, obstacles)
 
 
-def stand_under(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
+def build_stand(ball_mm: ArrayLike) -> tuple[Obstacle, ...]:
     """Stand of a ball, without the ball."""
-    x, y, z = _three(ball_mm)
+    x, y, z = _as_vector(ball_mm)
     top = z - STAND_BELOW_MM - STAND_RADIUS_MM
     body = Capsule((x, y, top), (x, y, top - STAND_LENGTH_MM), STAND_RADIUS_MM)
     return (Obstacle("ball's stand", body, True),)
 
 
-def in_free_room(
+def build_free_surroundings(
     surroundings: CollisionConfig,
     flange_from_tool: Transform,
     tool: Sequence[ToolBody],
@@ -190,6 +190,6 @@ def in_free_room(
     )
 
 
-def _three(values: ArrayLike) -> Vector3:
+def _as_vector(values: ArrayLike) -> Vector3:
     x, y, z = np.asarray(values, dtype=float).tolist()
     return (x, y, z)

@@ -31,7 +31,7 @@ EXACT = ServoSettings()
 # From any side, steps smaller than the backlash end anywhere in it. The residual is recorded with the pose,
 # so a larger one costs nothing: backlash of 0.02 deg in every joint displaces the tool by up to 0.4 mm.
 WITHIN_BACKLASH = ServoSettings(tolerance_mm=0.5)
-OF_LIGHT = (NoContrast, NotTrusted)  # besides saturation, problems that another exposure may solve
+LIGHT_PROBLEMS = (NoContrast, NotTrusted)  # besides saturation, problems that another exposure may solve
 
 
 @dataclass(frozen=True)
@@ -61,14 +61,14 @@ class Centring:
     area_px: tuple[int, int]
     approach_mm: float
 
-    def onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
+    def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         """Centre the sphere expected at a pose ROBOT <- TOOL.
 
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
         """
         try:
-            return self._onto(fiducial, expected, near)
+            return self._centre_on(fiducial, expected, near)
         finally:
             self.workcell.sensors.expose(1.0)
 
@@ -76,7 +76,7 @@ class Centring:
         """Back off along the tool axis from the last look."""
         self.workcell.line_to(self._approach_pose(self.workcell.tool_pose()))
 
-    def _onto(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
+    def _centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
         workcell = self.workcell
         workcell.go(workcell.joints_at(self._approach_pose(expected), near))
         workcell.line_to(expected)
@@ -88,7 +88,7 @@ class Centring:
             pose = workcell.tool_pose(joints, self.arriving)
             if seen.point is None:
                 raise SphereNotFound(f"sphere {fiducial + 1} was lost during the servo", got=seen.reason)
-            servo = servo.measured(pose, seen.point.position_mm)
+            servo = servo.with_measurement(pose, seen.point.position_mm)
             if servo.converged:
                 break
             self._settle(servo.next_pose(pose))
@@ -117,31 +117,31 @@ class Centring:
         try:
             seen, looks = workcell.look(), 1
         except Saturated as error:  # a search would not help
-            return self._in_other_light(1, (SHORTER,), error)
+            return self._look_in_other_light(1, (SHORTER,), error)
         if seen.point is not None:
             return seen, looks
         workcell.sensors.read_whole()
         seen, looks = workcell.look(), looks + 1
         # the look with the best reason for a refusal: nearest to the place, or with a sphere
-        telling, pose = seen, expected
+        best_look, pose = seen, expected
         poses = search_poses(expected, self._settle, workcell.arm)
         try:
             while seen.point is None:
                 around = next(poses)
                 seen, looks = workcell.look(), looks + 1
-                if telling.left is None and seen.left is not None:
-                    telling, pose = seen, around
+                if best_look.left is None and seen.left is not None:
+                    best_look, pose = seen, around
         except SphereNotInView as error:
             refusal = SphereNotFound(
-                f"sphere {fiducial + 1} was not found: {error.what}: {telling.reason}", limit=error.limit
+                f"sphere {fiducial + 1} was not found: {error.what}: {best_look.reason}", limit=error.limit
             )
-            if not isinstance(telling.problem, OF_LIGHT):
+            if not isinstance(best_look.problem, LIGHT_PROBLEMS):
                 raise refusal from error
             self._settle(pose)
-            return self._in_other_light(looks, (LONGER, SHORTER), refusal)
+            return self._look_in_other_light(looks, (LONGER, SHORTER), refusal)
         return seen, looks
 
-    def _in_other_light(
+    def _look_in_other_light(
         self, looks: int, exposures: Sequence[float], refusal: RonnaError
     ) -> tuple[Look, int]:
         """Look with other exposures. Raises the refusal if none shows the sphere."""
@@ -173,19 +173,19 @@ def search_poses(
     The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
     the last, and errors that trip the arm.
     """
-    passed = 0
+    skipped_count = 0
     for number in count():
         try:
             pose = search_pose(expected, number)
         except SphereNotInView as error:
-            if not passed:
+            if not skipped_count:
                 raise
-            what = f"no sphere in {number - passed} image pairs, {passed} poses not clear"
+            what = f"no sphere in {number - skipped_count} image pairs, {skipped_count} poses not clear"
             raise SphereNotInView(what, limit=error.limit) from error
         if refusal(partial(settle, pose), arm) is None:
             yield pose
         else:
-            passed += 1
+            skipped_count += 1
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:

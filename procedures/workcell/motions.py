@@ -23,16 +23,16 @@ from ronna_hw.vectors import JointVector
 class PlannedMotion:
     """One motion of the workcell from the arm's present position: legs in turn, all but the last joint moves.
 
-    If its first leg is not clear, any motions of `otherwise` replace it. They are separate
+    If its first leg is not clear, any motions of `replacement` replace it. They are separate
     motions, so that the journal has the arm's actual way.
     """
 
     what: MotionKind
-    moves: str  # such as `the guide`
+    mover: str  # such as `the guide`
     to: tuple[float, ...]  # joints in rad, or the tool's position in mm
     legs: tuple[Motion, ...]
-    otherwise: tuple[PlannedMotion, ...] = ()
-    detour: str = "via home"  # what `otherwise` is
+    replacement: tuple[PlannedMotion, ...] = ()
+    detour: str = "via home"  # what `replacement` is
     axis: Insertion | None = None  # along which it leads
 
     @property
@@ -70,36 +70,38 @@ class MotionFacts:
 
     def __str__(self) -> str:
         """One line for the operator."""
-        return self.in_words(", ", self.near())
+        return self.describe(", ", self.clearances())
 
-    def in_words(self, apart: str, near: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after `apart`, the rest with `near`."""
+    def describe(self, apart: str, clearances: Sequence[str]) -> str:
+        """State the moving tool and its travel, then, after `apart`, the rest with `clearances`."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
         by = self.detour and f" {self.detour}"
         how = (
-            f"joints turn up to {_not_nothing(math.degrees(max(turns_rad)))} deg, in {duration_s:.1f} s "
-            f"at up to {_not_nothing(fastest_mm_s)} mm/s"
+            f"joints turn up to {_format_nonzero(math.degrees(max(turns_rad)))} deg, in {duration_s:.1f} s "
+            f"at up to {_format_nonzero(fastest_mm_s)} mm/s"
         )
-        return f"{self.what} moves {_not_nothing(self.travel_mm)} mm{by}{apart}" + "; ".join((how, *near))
+        return f"{self.what} moves {_format_nonzero(self.travel_mm)} mm{by}{apart}" + "; ".join(
+            (how, *clearances)
+        )
 
-    def near(self) -> list[str]:
+    def clearances(self) -> list[str]:
         """Closest pair of bodies, nearly always of the arm alone, and the distance from the head."""
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
-        said = ["nothing near"]
+        statements = ["nothing near"]
         if closest:
-            said = [f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"]
+            statements = [f"{closest.first} clears {closest.second} by {closest.distance_mm:.0f} mm"]
         if to_head_mm and not (closest and min(to_head_mm) <= closest.distance_mm):  # else already stated
-            said.append(f"at least {min(to_head_mm):.0f} mm from the head")
-        return said
+            statements.append(f"at least {min(to_head_mm):.0f} mm from the head")
+        return statements
 
     @property
     def read_back(self) -> ReadBack:
         """Distance to type back, known only to those who read the question."""
-        distance_mm = _not_nothing(self.travel_mm)
+        distance_mm = _format_nonzero(self.travel_mm)
         return ReadBack(
             "how many mm it moves first",
             distance_mm,
@@ -109,34 +111,36 @@ class MotionFacts:
         )
 
 
-def in_a_question(facts: Sequence[MotionFacts]) -> str:
+def describe_motions(facts: Sequence[MotionFacts]) -> str:
     """State all motions of a question; the distance to type ends a line, no clearance comes twice."""
     motions: list[str] = []
-    said: set[str] = set()
+    statements: set[str] = set()
     for one in facts:
-        near = one.near()
+        clearances = one.clearances()
         motions.append(
-            one.in_words(", " if motions else ",\n", [words for words in near if words not in said])
+            one.describe(
+                ", " if motions else ",\n", [words for words in clearances if words not in statements]
+            )
         )
-        said.update(near)
+        statements.update(clearances)
     return "; then ".join(motions)
 
 
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
     """Facts of these motions driven in turn from here. Raises as `RobotArm.preview`."""
     here = arm.read_state()
-    return facts_from(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
+    return collect_facts(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
 
 
-def facts_from(
+def collect_facts(
     at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
 ) -> list[MotionFacts]:
     """Facts of these motions driven in turn from the joints `at_rad`."""
     facts: list[MotionFacts] = []
     for motion in motions:
         own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
-        if motion.otherwise and not own_facts.previews[0].clear:
-            legs = [leg for one in motion.otherwise for leg in one.legs]
+        if motion.replacement and not own_facts.previews[0].clear:
+            legs = [leg for one in motion.replacement for leg in one.legs]
             own_facts, end_rad = _facts(arm, motion, legs, at_rad, motion.detour)
         facts.append(own_facts)
         at_rad = end_rad
@@ -153,7 +157,7 @@ def _facts(
         travel_mm += _travel_mm(arm.kinematics, leg, at_rad)
         if isinstance(leg, JointMove):
             at_rad = leg.target_rad
-    return MotionFacts(motion.moves, travel_mm, tuple(previews), detour), at_rad
+    return MotionFacts(motion.mover, travel_mm, tuple(previews), detour), at_rad
 
 
 def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -> float:
@@ -166,6 +170,6 @@ def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -
     return math.dist(there.translation_mm, here.translation_mm)
 
 
-def _not_nothing(value: float) -> str:
+def _format_nonzero(value: float) -> str:
     """Format as a whole number, with one decimal if that would read 0: something does move."""
     return f"{value:.1f}" if 0.05 <= value < 0.5 else f"{value:.0f}"

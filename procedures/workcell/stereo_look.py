@@ -84,7 +84,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
         raise PairNotUsable(
             "no usable pair of images",
             limit=f"{1 + FURTHER_TRIES} pairs in a row",
-            got=f"the pair is {reading.validity}: {_sides(reading)}",
+            got=f"the pair is {reading.validity}: {_describe_sides(reading)}",
         )
     images = (_as_area_image(reading.left), _as_area_image(reading.right))
     try:
@@ -100,15 +100,15 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
 
 def _grab(stereo: StereoPair, clock: Clock) -> StereoReading:
     """Grab a pair; STALE if it was exposed before the request, when the arm was elsewhere."""
-    asked_s = clock.now_s()
+    requested_s = clock.now_s()
     reading = stereo.grab_pair()
     sides = (side for side in (reading.left, reading.right) if side is not None)
     measured_s = [side.stamp.measured_s for side in sides if side.stamp.measured_s is not None]
-    old = min((reading.stamp.theatre_time_s, *measured_s)) < asked_s - CLOCK_ERROR_S
+    old = min((reading.stamp.theatre_time_s, *measured_s)) < requested_s - CLOCK_ERROR_S
     return replace(reading, validity=Validity.STALE) if old and reading.validity is Validity.OK else reading
 
 
-def _sides(reading: StereoReading) -> str:
+def _describe_sides(reading: StereoReading) -> str:
     sides = (("left", reading.left), ("right", reading.right))
     return ", ".join(f"{name} {image.validity if image else 'no image'}" for name, image in sides)
 
@@ -166,7 +166,7 @@ def _draw(side: str, image: CameraImage, sphere: SphereImage | None, height_px: 
     small = cv2.resize(eight_bit, None, fx=scale, fy=scale, interpolation=cv2.INTER_AREA)
     colour = cv2.cvtColor(small, cv2.COLOR_GRAY2BGR)
     caption = np.full((CAPTION_PX, colour.shape[1], 3), PAPER_BGR, dtype=np.uint8)
-    words = f"{side} {image.serial}: " + ("no sphere" if sphere is None else _words(sphere))
+    words = f"{side} {image.serial}: " + ("no sphere" if sphere is None else _describe_sphere(sphere))
     cv2.putText(caption, words, (2, CAPTION_PX - 7), LETTERS, LETTER_SCALE, (0, 0, 0), 1, cv2.LINE_AA)
     if sphere is not None:
         ink = TRUSTED_BGR if sphere.status is SphereStatus.OK else DOUBTED_BGR
@@ -179,6 +179,6 @@ def _draw(side: str, image: CameraImage, sphere: SphereImage | None, height_px: 
     return np.asarray(np.vstack([caption, colour]), dtype=np.uint8)
 
 
-def _words(sphere: SphereImage) -> str:
+def _describe_sphere(sphere: SphereImage) -> str:
     x, y = sphere.centre_px
     return f"{x:.2f} {y:.2f} px, rim {sphere.rim_fraction:.0%}, {sphere.doubt or sphere.status}"

@@ -16,7 +16,7 @@ from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import YES, Question, Topic
 from procedures.workcell.arm_history import ArmLog, MotionKind
-from procedures.workcell.motions import PlannedMotion, in_a_question, motion_facts
+from procedures.workcell.motions import PlannedMotion, describe_motions, motion_facts
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices import Device, Lifecycle, RobotArm
 from ronna_hw.devices.errors import MotionInterrupted, WrongState
@@ -25,7 +25,7 @@ from ronna_hw.devices.readings import ArmReading
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
 
-IN_WORDS = {
+MOTION_DESCRIPTIONS = {
     MotionKind.GO: "to the next pose, via home if necessary",
     MotionKind.HOME: "home",
     MotionKind.BACK: "back the way the arm came",
@@ -64,7 +64,7 @@ class SupervisedMotion:
         self._step_motions = ""
 
     @contextlib.contextmanager
-    def announcing(self, step_motions: str) -> Iterator[None]:
+    def announce_step_motions(self, step_motions: str) -> Iterator[None]:
         """Have a first-motion confirmation within the block also state all motions of the step."""
         self._step_motions = step_motions
         try:
@@ -76,7 +76,7 @@ class SupervisedMotion:
         """Pass this checkpoint before every motion from now on, and ask before the first one."""
         self._checkpoint, self._ask = checkpoint, ask
 
-    def begin_anew(self) -> None:
+    def reset_confirmation(self) -> None:
         """Have the next motion confirmed as a first one: the arm was stopped, or its stream ended."""
         self._confirmed = False
 
@@ -100,7 +100,7 @@ class SupervisedMotion:
         question = Question(
             topic,
             subject,
-            in_a_question(facts) + covers,
+            describe_motions(facts) + covers,
             trajectory=trajectory,
             read_back=facts[0].read_back if facts else None,
         )
@@ -144,9 +144,9 @@ class SupervisedMotion:
         try:
             return self.carry_out(motion)
         except NotClear:
-            if not motion.otherwise:
+            if not motion.replacement:
                 raise
-            return [self.carry_out(one) for one in motion.otherwise][-1]
+            return [self.carry_out(one) for one in motion.replacement][-1]
 
     def carry_out(self, motion: PlannedMotion) -> ArmReading:
         """Carry out a motion; after a stop, re-plan it if the operator agrees.
@@ -162,7 +162,7 @@ class SupervisedMotion:
             raise NotConfirmed(
                 f"the motion '{motion.what}' cannot be confirmed: the case is closed", expected="an open case"
             )
-        named = f"the motion '{motion.what}' ({IN_WORDS[motion.what]})"
+        named = f"the motion '{motion.what}' ({MOTION_DESCRIPTIONS[motion.what]})"
 
         def drive() -> ArmReading:
             with checkpoint.watching(named, True):
@@ -175,7 +175,7 @@ class SupervisedMotion:
                 here = f", here {self._step_motions}" if self._step_motions else ""
                 self.confirm(
                     Topic.FIRST_MOTION,
-                    f"first motion: {IN_WORDS[motion.what]}",
+                    f"first motion: {MOTION_DESCRIPTIONS[motion.what]}",
                     [motion],
                     motion.trajectory,
                     COVERS.format(here),
@@ -186,7 +186,7 @@ class SupervisedMotion:
             if not checkpoint.wanted and self._arm().state is Lifecycle.HOLD:
                 if not self._held:  # stopped from outside
                     self._confirmed = False
-                    checkpoint.stopped(f"the arm, before {named},", REPLANNED)
+                    checkpoint.rest_after_stop(f"the arm, before {named},", REPLANNED)
                     continue
                 self._arm().resume()  # moves nothing
                 self._held = False
@@ -200,7 +200,7 @@ class SupervisedMotion:
                 if isinstance(error, WrongState) and self._arm().state is not Lifecycle.HOLD:
                     raise
                 self._confirmed = False
-                checkpoint.stopped(named, REPLANNED)
+                checkpoint.rest_after_stop(named, REPLANNED)
                 continue
             if motion.what is MotionKind.HOME:
                 self.settled_home = True

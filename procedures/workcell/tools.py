@@ -10,7 +10,7 @@ from enum import StrEnum
 from procedures.journal.journal import Entry
 from procedures.workcell.arm_history import ArmLog, Stop
 from procedures.workcell.errors import AnotherArm, InstrumentInGuide, WrongTool
-from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.kinematics import Kinematics
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.calibration import STEREO_HEAD_NUMBER, ArmCalibration
@@ -93,7 +93,7 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
 
     Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
-    kinematics_named(kinematics.name)
+    find_kinematics(kinematics.name)
     if record is None:
         return CalibratedArm(kinematics)
     if record.arm != kinematics.name or len(record.sag_rad) != len(kinematics.axis_names):
@@ -126,7 +126,7 @@ class CarriedTool:
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
         """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
-        return self.arm.compensated(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
+        return self.arm.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
     def commanded(
         self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
@@ -137,7 +137,7 @@ class CarriedTool:
         """
         if self.arm.is_nominal:
             return pose
-        flange = self.arm.compensated(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
+        flange = self.arm.compensate(pose @ self.flange_from_tool.inverse(), here_rad(), arriving).commanded
         return flange.to_transform() @ self.flange_from_tool
 
 
@@ -150,7 +150,7 @@ class WorkedStages:
     def __init__(self, log: ArmLog) -> None:
         self._log = log
 
-    def at(self, trajectory: str) -> Mapping[str, bool]:
+    def tasks_at(self, trajectory: str) -> Mapping[str, bool]:
         """Whether each stage begun at a trajectory was confirmed as done, by task."""
         return self._log.history.stages.get(trajectory, {})
 

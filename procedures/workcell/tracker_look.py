@@ -38,22 +38,22 @@ def robot_from_marker(workcell: Workcell, joints_rad: JointVector) -> Transform:
     return flange @ workcell.flange_from(MountedTool.STEREO_HEAD) @ frame
 
 
-def frames_at_rest(
+def read_frames_at_rest(
     tracker: OpticalTracker,
     clock: Clock,
     progress: Callable[[float], None] = lambda _share: None,
     count: int = FRAMES,
 ) -> tuple[list[TrackerFrame], int]:
-    """Track, read `fresh_frames` and end the tracking."""
+    """Track, read `read_fresh_frames` and end the tracking."""
     tracker.activate()
     try:
-        return fresh_frames(tracker, clock, progress, count)
+        return read_fresh_frames(tracker, clock, progress, count)
     finally:
         if tracker.state is not Lifecycle.FAULT:  # a fault ended the tracking, and must be reported
             tracker.deactivate()
 
 
-def fresh_frames(
+def read_fresh_frames(
     tracker: OpticalTracker, clock: Clock, progress: Callable[[float], None], count: int = FRAMES
 ) -> tuple[list[TrackerFrame], int]:
     """Read distinct frames; also return the number of readings lost.
@@ -87,24 +87,24 @@ def fresh_frames(
 
 def average_pose(frames: list[TrackerFrame], tool: str) -> Transform:
     """Mean pose TRACKER <- MARKER of a tool over the frames that show it. Raises PRO-007 for too few."""
-    shown = _poses_of(frames, tool)
-    if len(shown) < LEAST_FRAMES_WITH_TOOL:
-        why, action = _why_unseen(frames, tool)
+    seen_poses = _list_poses(frames, tool)
+    if len(seen_poses) < LEAST_FRAMES_WITH_TOOL:
+        why, action = _explain_missing_frames(frames, tool)
         raise GateFailed(
-            f"the reference frame {tool} is in {len(shown)} of {len(frames)} frames{why}",
+            f"the reference frame {tool} is in {len(seen_poses)} of {len(frames)} frames{why}",
             limit=f"at least {LEAST_FRAMES_WITH_TOOL}",
             action=f"{action}, then repeat the step.",
         )
-    return _mean_of(shown)
+    return _average_poses(seen_poses)
 
 
 def mean_pose(frames: list[TrackerFrame], tool: str, least: int) -> Transform | None:
     """Mean pose TRACKER <- MARKER of a tool; None if fewer than `least` frames show it."""
-    shown = _poses_of(frames, tool)
-    return _mean_of(shown) if len(shown) >= least else None
+    seen_poses = _list_poses(frames, tool)
+    return _average_poses(seen_poses) if len(seen_poses) >= least else None
 
 
-def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
+def _explain_missing_frames(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     """Most frequent reason for frames without the tool, and the action to take."""
     readings = [frame.tool(tool) for frame in frames]
     outside = sum(reading.validity is Validity.OUT_OF_VOLUME for reading in readings)
@@ -119,7 +119,7 @@ def _why_unseen(frames: list[TrackerFrame], tool: str) -> tuple[str, str]:
     return "", "Clear the line of sight between tracker and tool"
 
 
-def _poses_of(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
+def _list_poses(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, Vector3]]:
     """Rotations and positions of a tool in the frames that show it."""
     readings = (frame.tool(tool) for frame in frames)
     return [
@@ -129,11 +129,11 @@ def _poses_of(frames: list[TrackerFrame], tool: str) -> list[tuple[Quaternion, V
     ]
 
 
-def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
+def _average_poses(seen_poses: list[tuple[Quaternion, Vector3]]) -> Transform:
     """Mean pose TRACKER <- MARKER of at least one."""
     from scipy.spatial.transform import RigidTransform, Rotation
 
-    quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*shown, strict=True))
+    quaternions, places_mm = (np.array(values, dtype=float) for values in zip(*seen_poses, strict=True))
     rotations = Rotation.from_quat(quaternions, scalar_first=True).as_matrix()
     if not (np.isfinite(rotations).all() and np.isfinite(places_mm).all()):
         raise FrameMismatch("expected finite poses from the tracker")
@@ -143,7 +143,7 @@ def _mean_of(shown: list[tuple[Quaternion, Vector3]]) -> Transform:
 
 def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFrame:
     """Add the spheres of the frame on the head to the strays, if it is seen as a tool."""
-    name = name_of_frame(tracker.markers_mm)
+    name = find_frame_name(tracker.markers_mm)
     if name is None or (reading := frame.tool(name)).validity is not Validity.OK:
         return frame
     places = reading.transform(Frame.TRACKER, Frame.MARKER).apply(tracker.markers_mm[name]).tolist()
@@ -151,7 +151,7 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
     return replace(frame, strays=(*frame.strays, *more))
 
 
-def name_of_frame(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
+def find_frame_name(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
     """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
     frame = np.array(SPHERE_CENTRES_MM)
     for name, markers in markers_mm.items():

@@ -23,7 +23,7 @@ from procedures.workcell.arm_history import (
     ArmPlace,
     Insertion,
     MotionKind,
-    Where,
+    PlaceKind,
     stands_at,
 )
 from procedures.workcell.device_views import ArmView, DeviceView
@@ -73,7 +73,7 @@ class Workcell:
         self._calibrated = calibrated_arm(self._arm.kinematics, self.calibrations.arm)
         self._log = ArmLog(journal, theatre.clock, history)
         self.supervised = SupervisedMotion(self._log, lambda: self._arm, self._require_allowed)
-        self.mount = ToolMount(self.reported_tool_number, self.calibrations)
+        self.mount = ToolMount(self.read_tool_number, self.calibrations)
         self.tools = ToolRecords.of(theatre.file, calibrating=calibrating)
         self.instrument = Instrument(self._log)
         self.surroundings: Surroundings | None = None  # as last declared to the arm
@@ -128,7 +128,7 @@ class Workcell:
         """The tool found mounted at the last check."""
         return self.mount.tool
 
-    def reported_tool_number(self) -> int:
+    def read_tool_number(self) -> int:
         """Number reported by the controller's inputs now; 0 is none."""
         return self._arm.read_tool_identity().number
 
@@ -197,7 +197,7 @@ class Workcell:
             return
         joints_rad = self.joints_rad()
         at_home = stands_at(joints_rad, self._log.home_rad)
-        if at_home != self.place.is_home or self.place.where is Where.UNKNOWN:
+        if at_home != self.place.is_home or self.place.place_kind is PlaceKind.UNKNOWN:
             self.supervised.settled_home = False
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
@@ -232,48 +232,50 @@ class Workcell:
             self.instrument.require_out("start the arm")
         self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
 
-    def going(self, joints_rad: JointVector) -> PlannedMotion:
+    def go_motion(self, joints_rad: JointVector) -> PlannedMotion:
         """Return the motion that `go` makes."""
-        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), by_home=True)
+        return self._joint_motion(MotionKind.GO, JointMove(joints_rad), via_home=True)
 
-    def settling(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> PlannedMotion:
+    def settle_motion(
+        self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False
+    ) -> PlannedMotion:
         """Return the motion that `settle` makes."""
         onto = JointMove(joints_rad)
         if arriving is None:
             return self._joint_motion(MotionKind.STEP, onto)
         back = JointMove(approach_joints(joints_rad, arriving))
-        return self._joint_motion(MotionKind.SETTLE, back, onto, by_home=from_afar)
+        return self._joint_motion(MotionKind.SETTLE, back, onto, via_home=allow_detour)
 
-    def returning_home(self) -> PlannedMotion:
+    def return_motion(self) -> PlannedMotion:
         """Return the motion that `return_home` makes."""
         home = self._home_motion(self.home_rad)
         back = tuple(
             self._joint_motion(MotionKind.BACK, JointMove(joints_rad))
             for joints_rad in reversed(self.history.trail)
         )
-        return replace(home, otherwise=back and (*back, home), detour="back the way the arm came")
+        return replace(home, replacement=back and (*back, home), detour="back the way the arm came")
 
-    def straight(
+    def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> PlannedMotion:
         """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present one."""
-        commanded = self._commanded(pose, arriving, near_rad)
+        commanded = self._commanded_pose(pose, arriving, near_rad)
         return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
-    def inserting(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
-        """Return the motion that `insert` makes; `near_rad` as for `straight`."""
-        commanded = self._commanded(insertion.held, insertion.arriving, near_rad)
+    def insert_motion(self, insertion: Insertion, near_rad: JointVector | None = None) -> PlannedMotion:
+        """Return the motion that `insert` makes; `near_rad` as for `line_to_motion`."""
+        commanded = self._commanded_pose(insertion.held, insertion.arriving, near_rad)
         line = LineMove(commanded, self.flange_from_tool, AXIAL_SPEED_FRACTION)
         return self._line_motion(MotionKind.INSERT, insertion.held, line, insertion)
 
-    def withdrawing(self, insertion: Insertion) -> PlannedMotion:
+    def withdraw_motion(self, insertion: Insertion) -> PlannedMotion:
         """Return the motion that `withdraw` makes."""
-        line = LineMove(self._commanded(insertion.start, insertion.arriving), self.flange_from_tool)
+        line = LineMove(self._commanded_pose(insertion.start, insertion.arriving), self.flange_from_tool)
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
         """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is."""
-        return self.supervised.carry_out_with_detour(self.going(joints_rad))
+        return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def go_home(self) -> ArmReading:
         """Move the joints home, each arriving from the same side, so that small changes show there."""
@@ -281,26 +283,26 @@ class Workcell:
 
     def return_home(self) -> ArmReading:
         """Go home, or back along the way the arm came if the direct way is not clear."""
-        return self.supervised.carry_out_with_detour(self.returning_home())
+        return self.supervised.carry_out_with_detour(self.return_motion())
 
     def park(self, subject: str = "park the arm") -> ArmReading:
         """Return home once the operator has confirmed it. Raises PRO-002."""
         self.start()
-        self.supervised.confirm(Topic.PARK, subject, [self.returning_home()])
+        self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
         return self.return_home()
 
-    def settle(self, joints_rad: JointVector, arriving: Sides, *, from_afar: bool = False) -> ArmReading:
+    def settle(self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False) -> ArmReading:
         """Move to joint angles with each joint arriving in its direction (+1 or -1), for equal backlash.
 
-        Without directions, go straight there. `from_afar` allows the way via home if the direct one is not
+        Without directions, go straight there. `allow_detour` allows the way via home if the direct one is not
         clear.
         """
-        settling = self.settling(joints_rad, arriving, from_afar=from_afar)
-        return self.supervised.carry_out_with_detour(settling)
+        settle_motion = self.settle_motion(joints_rad, arriving, allow_detour=allow_detour)
+        return self.supervised.carry_out_with_detour(settle_motion)
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
         """Bring the mounted tool to a pose by a straight line of the flange."""
-        return self.supervised.carry_out(self.straight(pose, arriving))
+        return self.supervised.carry_out(self.line_to_motion(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
         """Move the guide along its axis from the start of the approach to where it is held.
@@ -309,7 +311,7 @@ class Workcell:
         """
         self._require_outside(MotionKind.INSERT)
         self.mount.check(MountedTool.GUIDE)
-        return self.supervised.carry_out(self.inserting(insertion))
+        return self.supervised.carry_out(self.insert_motion(insertion))
 
     def hold(self) -> None:
         """Stand still, watched by the link, until the next motion."""
@@ -323,12 +325,12 @@ class Workcell:
         Raises PRO-014 if it is not on that trajectory, PRO-015 if it is beside its axis, TOOL-001 while an
         instrument is in it.
         """
-        return self.supervised.carry_out(self.withdrawing(self._axis_of(trajectory)))
+        return self.supervised.carry_out(self.withdraw_motion(self._axis_of(trajectory)))
 
     def retreat(self, trajectory: str) -> None:
         """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
         self.start()
-        way_out = [self.withdrawing(self._axis_of(trajectory))]
+        way_out = [self.withdraw_motion(self._axis_of(trajectory))]
         self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
         self.withdraw(trajectory)
 
@@ -345,8 +347,8 @@ class Workcell:
         device.recover(by)
         if device is self._arm:
             self.supervised.settled_home = False  # somebody may have jogged it
-            self.supervised.begin_anew()
-            if not self.place.on_axis:  # only the guide can be on an axis
+            self.supervised.reset_confirmation()
+            if not self.place.is_on_axis:  # only the guide can be on an axis
                 self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
@@ -369,13 +371,13 @@ class Workcell:
         for device in (self._arm, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
-        self.supervised.begin_anew()
+        self.supervised.reset_confirmation()
 
     def stop(self) -> None:
         """Bring the arm to rest, as well as the link still allows; never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
-        self.supervised.begin_anew()
+        self.supervised.reset_confirmation()
 
     def close(self) -> None:
         """Close all connections, the arm's first; never raises."""
@@ -391,11 +393,11 @@ class Workcell:
             for pose in (self.tool_pose(), axis.held):
                 (on or axis).check_on_axis(pose)
 
-    def _joint_motion(self, what: MotionKind, *legs: JointMove, by_home: bool = False) -> PlannedMotion:
+    def _joint_motion(self, what: MotionKind, *legs: JointMove, via_home: bool = False) -> PlannedMotion:
         direct = PlannedMotion(what, f"the {self.tool}", legs[-1].target_rad, legs)
-        if not by_home or self._log.home_rad is None:
+        if not via_home or self._log.home_rad is None:
             return direct
-        return replace(direct, otherwise=(self._home_motion(self._log.home_rad), direct))
+        return replace(direct, replacement=(self._home_motion(self._log.home_rad), direct))
 
     def _home_motion(self, home_rad: JointVector) -> PlannedMotion:
         before = JointMove(approach_joints(home_rad, ONE_SIDE))
@@ -408,10 +410,12 @@ class Workcell:
             what, f"the {self.tool}", tuple(pose.translation_mm.tolist()), (line,), axis=axis
         )
 
-    def _commanded(self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None) -> Transform:
+    def _commanded_pose(
+        self, pose: Transform, arriving: Sides, near_rad: JointVector | None = None
+    ) -> Transform:
         return self._carried.commanded(pose, lambda: near_rad or self.joints_rad(), arriving)
 
     def _require_outside(self, what: str) -> None:
         self.instrument.require_out(what)
-        for held in self.place.why_held:
+        for held in self.place.hold_reasons:
             raise InstrumentInside(f"{what}: {held}", expected=f"a retreat along {self.place.trajectory}")

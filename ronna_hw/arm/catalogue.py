@@ -19,7 +19,7 @@ from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 GROUP = "ronna_hw.arms"
 
 
-def kinematics_named(name: str) -> Kinematics:
+def find_kinematics(name: str) -> Kinematics:
     """Find the arm with this `Kinematics.name`; raises ARM-009 with the known names."""
     if name in (own := [str(variant) for variant in ArmVariant]):
         return kr6_r900(name)
@@ -31,10 +31,10 @@ def kinematics_named(name: str) -> Kinematics:
     return arm
 
 
-def known_arm(name: str) -> str:
+def require_known_arm(name: str) -> str:
     """Return the name of a known arm; a validator of models, raises ValueError with the known names."""
     try:
-        kinematics_named(name)
+        find_kinematics(name)
     except UnknownArm as error:
         raise ValueError(error.summary) from error
     return name

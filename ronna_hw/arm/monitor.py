@@ -86,7 +86,7 @@ class Monitor:
         self._start = start_rad
         # Newest first: the arm starts at rest.
         self._last: History = (start_rad, start_rad, start_rad, start_rad)
-        self._held = start_rad
+        self._followed_rad = start_rad
         self._recent = deque([start_rad], maxlen=limits.following_cycles)  # set-points, one a cycle
         self._watch: LiveWatch | None = None
 
@@ -107,33 +107,36 @@ class Monitor:
     @property
     def held_rad(self) -> JointVector:
         """The set-point that the arm follows: the last one sent, unless it was not accepted."""
-        return self._held
+        return self._followed_rad
 
     def check(self, joints_rad: JointVector) -> Violation | None:
         """Return the first limit that a set-point would exceed if it were sent next, or None."""
         limits = self.limits
-        one, two, three, _ = self._last
+        latest, previous, earlier, _ = self._last
         for i in range(len(joints_rad)):
             angle = joints_rad[i]
             low, high = limits.lower_rad[i] - RANGE_ROUNDING_RAD, limits.upper_rad[i] + RANGE_ROUNDING_RAD
             if not low <= angle <= high:  # NaN fails here
-                return Violation(ViolationKind.RANGE, i + 1, angle, limits.upper_rad[i] if angle > 0 else low)
+                return Violation(
+                    ViolationKind.RANGE,
+                    i + 1,
+                    angle,
+                    limits.lower_rad[i] if angle < low else limits.upper_rad[i],
+                )
             total = angle - self._start[i]
-            if not (
-                limits.correction_lower_rad[i] - RANGE_ROUNDING_RAD
-                <= total
-                <= limits.correction_upper_rad[i] + RANGE_ROUNDING_RAD
-            ):
-                return Violation(ViolationKind.TOTAL_CORRECTION, i + 1, total, limits.correction_upper_rad[i])
-            step = angle - one[i]
+            least, most = limits.correction_lower_rad[i], limits.correction_upper_rad[i]
+            if not least - RANGE_ROUNDING_RAD <= total <= most + RANGE_ROUNDING_RAD:
+                limit = least if total < least else most
+                return Violation(ViolationKind.TOTAL_CORRECTION, i + 1, total, limit)
+            step = angle - latest[i]
             if abs(step) > limits.step_rad[i]:
-                return self._too_fast(i, step)
-            before = one[i] - two[i]
+                return self._build_speed_violation(i, step)
+            before = latest[i] - previous[i]
             bend = step - before
             if abs(bend) > limits.second_difference_rad[i]:
                 most = limits.limits.acceleration_rad_s2[i]
                 return Violation(ViolationKind.ACCELERATION, i + 1, bend / limits.cycle_s**2, most)
-            twist = bend - before + two[i] - three[i]
+            twist = bend - before + previous[i] - earlier[i]
             if abs(twist) > limits.third_difference_rad[i]:
                 most = limits.limits.jerk_rad_s3[i]
                 return Violation(ViolationKind.JERK, i + 1, twist / limits.cycle_s**3, most)
@@ -141,37 +144,37 @@ class Monitor:
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record that this set-point was sent."""
-        one, two, three, _ = self._last
-        self._last = (joints_rad, one, two, three)
-        self._held = joints_rad
+        latest, previous, earlier, _ = self._last
+        self._last = (joints_rad, latest, previous, earlier)
+        self._followed_rad = joints_rad
         self._recent.append(joints_rad)
         if self._watch is not None:
             self._watch.sent(joints_rad)
 
     def mark_not_accepted(self) -> Violation | None:
         """Record that the last set-point was not accepted: the one before is held; recheck the step."""
-        held = self._held = self._last[1]
+        held = self._followed_rad = self._last[1]
         for i in range(len(held)):
             step = self._last[0][i] - held[i]
             if not abs(step) <= self.limits.step_rad[i]:
-                return self._too_fast(i, step)
+                return self._build_speed_violation(i, step)
         return None
 
-    def _too_fast(self, index: int, step_rad: float) -> Violation:
+    def _build_speed_violation(self, index: int, step_rad: float) -> Violation:
         most = self.limits.limits.speed_rad_s[index]
         return Violation(ViolationKind.SPEED, index + 1, step_rad / self.limits.cycle_s, most)
 
     def mark_sent_again(self) -> None:
         """Record that the last set-point was sent again. The next is checked as if there was no pause."""
-        self._held = self._last[0]
-        self._recent.append(self._held)
+        self._followed_rad = self._last[0]
+        self._recent.append(self._followed_rad)
 
-    def stands(self) -> None:
+    def mark_at_rest(self) -> None:
         """Record that the arm has come to rest at the held set-point, and that it was sent."""
-        self._last = (self._held, self._held, self._held, self._held)
-        self._recent.append(self._held)
+        self._last = (self._followed_rad, self._followed_rad, self._followed_rad, self._followed_rad)
+        self._recent.append(self._followed_rad)
         if self._watch is not None:
-            self._watch.sent(self._held)
+            self._watch.sent(self._followed_rad)
 
     def check_measured(self, measured_rad: JointVector) -> Violation | None:
         """Check that each measured axis is between its set-points of the last `FOLLOWING_TIME_S`.
@@ -186,8 +189,8 @@ class Monitor:
             low, high = (oldest[i], newest[i]) if oldest[i] < newest[i] else (newest[i], oldest[i])
             if low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:
                 continue
-            turned = [sent[i] for sent in self._recent]  # the axis may have turned back meanwhile
-            low, high = min(turned), max(turned)
+            axis_angles = [sent[i] for sent in self._recent]  # the axis may have turned back meanwhile
+            low, high = min(axis_angles), max(axis_angles)
             if not low - FOLLOWING_RAD <= angle <= high + FOLLOWING_RAD:  # NaN fails here
                 error = angle - (high if angle > high else low)
                 return Violation(ViolationKind.FOLLOWING_ERROR, i + 1, error, FOLLOWING_RAD)

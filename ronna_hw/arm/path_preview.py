@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import asdict, dataclass
 from typing import Any
 
-from ronna_hw.arm.clearance.sweep import Closest
+from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.kinematics import SingularMeasure
 
 
@@ -15,8 +15,8 @@ class PathPreview:
 
     duration_s: float
     joint_ranges_rad: tuple[tuple[float, float], ...]
-    closest: Closest | None
-    refused: Closest | None
+    closest: ClosestPair | None
+    refused: ClosestPair | None
     singularity: SingularMeasure
     largest_joint_speed_share: float  # of the limits of the motion
     largest_speed_mm_s: float

@@ -74,7 +74,7 @@ class ArmDeviations:
         return np.concatenate([np.ravel(getattr(self, field.name)) for field in fields(self)])
 
     @classmethod
-    def of_flat(cls, row: Array, joints: int) -> Self:
+    def from_flat(cls, row: Array, joints: int) -> Self:
         """Restore the deviations from a vector of `flat`."""
         parts, begin = [], 0
         for field in fields(cls):
@@ -85,7 +85,7 @@ class ArmDeviations:
         return cls(*parts)
 
 
-class Compensated(NamedTuple):
+class Compensation(NamedTuple):
     """Joints that bring the flange to the wanted pose, and the pose to command for it."""
 
     joints_rad: JointVector
@@ -130,9 +130,9 @@ class CalibratedArm:
         """Pose of the flange as a checked transform, ROBOT <- FLANGE."""
         return self.forward(joints_rad, flanks).to_transform()
 
-    def compensated(
+    def compensate(
         self, flange: Transform, near: JointVector, flanks: Sequence[float] | None = None
-    ) -> Compensated:
+    ) -> Compensation:
         """Joints, in the branch of `near`, that bring the flange to a pose ROBOT <- FLANGE.
 
         `flanks` as in `forward`, after arrival. Raises ARM-001 to ARM-003 like `Kinematics.solve_branch`;
@@ -144,10 +144,10 @@ class CalibratedArm:
         for _ in range(MOST_ROUNDS):
             joints = self.nominal.solve_branch(commanded, branch, near)
             if self._deviations is None:
-                return Compensated(joints, commanded)
+                return Compensation(joints, commanded)
             reached = self.forward(joints, flanks)
             if reached.distance_mm(wanted) < CLOSE_MM and reached.angle_rad(wanted) < CLOSE_RAD:
-                return Compensated(joints, commanded)
+                return Compensation(joints, commanded)
             commanded = self.nominal.forward(joints).compose(reached.inverse()).compose(wanted)
         raise Unreachable(
             "the calibrated arm does not reach the pose exactly",
@@ -168,12 +168,12 @@ def flange_poses(
     `levers` are the `gravity_levers` at these angles, if known.
     """
     encoders = np.atleast_2d(np.asarray(joints_rad, dtype=float))
-    acting = encoders + joint_errors(chain, deviations, encoders, flanks, levers)
+    effective_rad = encoders + joint_errors(chain, deviations, encoders, flanks, levers)
     place = np.tile(chain.base_mm, (len(encoders), 1))
     turned = np.tile(np.eye(3), (len(encoders), 1, 1))  # robot <- link
     link_turns = rotations(deviations.link_rotation_rad)
     for number, joint in enumerate(chain.joints):
-        turned = turned @ rotations(acting[:, number, None] * np.array(joint.axis))
+        turned = turned @ rotations(effective_rad[:, number, None] * np.array(joint.axis))
         place = place + turned @ (np.array(joint.to_next_mm) + deviations.link_translation_mm[number])
         turned = turned @ link_turns[number]
     poses = np.zeros((len(encoders), 4, 4))

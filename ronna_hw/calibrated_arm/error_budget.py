@@ -145,7 +145,7 @@ def displacements(chain: Chain, joints_rad: Array, points_mm: Array, sizes: Erro
     links = np.delete(by_joint, HARMONIC_COLUMNS, axis=3).reshape(len(columns), 3, -1)
     harmonics = EVEN_PHASE * by_joint[..., HARMONIC_COLUMNS].reshape(len(columns), 3, -1)
     levers = gravity_levers(chain, joints_rad)
-    sag = SAG_RAD * np.stack([swings[..., one] * levers[:, one, None] for one in SAGGING], axis=-1)
+    sag = SAG_RAD * np.stack([swings[..., item] * levers[:, item, None] for item in SAGGING], axis=-1)
     return Displacements(sizes.links * links, sizes.joints * np.concatenate([harmonics, sag], axis=2), swings)
 
 
@@ -186,7 +186,7 @@ def by_deviation(chain: Chain, joints_rad: Array, points_mm: Array, sides: Array
     fields = [by_joint[..., of] for of in (TRANSLATION, ROTATION, OFFSET, SINE, COSINE)]
     sag = swings * gravity_levers(chain, joints_rad)[:, None]
     backlash = FLANK_SHARE * swings * sides[:, None]
-    flat = [one.reshape(*columns.shape[:2], -1) for one in (*fields, sag, backlash)]
+    flat = [item.reshape(*columns.shape[:2], -1) for item in (*fields, sag, backlash)]
     return np.concatenate([*flat, flange_rotations(chain, joints_rad)], axis=2)
 
 

@@ -99,7 +99,7 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
         return problem
     if isinstance(problem, MemoryError) or (isinstance(problem, ImportError) and NOT_MAPPED in str(problem)):
         return OutOfMemory("the computer ran out of memory")
-    problem = _first_with_number(problem)
+    problem = _find_system_error(problem)
     if isinstance(problem, OSError) and problem.errno is not None:
         kind = _BY_ERRNO.get(problem.errno, SystemRefused)
         reason = os.strerror(problem.errno).lower()
@@ -108,13 +108,13 @@ def as_ronna_error(problem: BaseException) -> RonnaError:
     return InternalFault(f"{type(problem).__name__}: {problem}")
 
 
-def _first_with_number(problem: BaseException) -> BaseException:
+def _find_system_error(problem: BaseException) -> BaseException:
     """The operating-system error that a library has wrapped."""
     inner: BaseException | None = problem
     while inner is not None:
         if isinstance(inner, OSError) and inner.errno is not None:
             return inner
-        inner = inner.__cause__ or inner.__context__
+        inner = inner.__cause__ or (None if inner.__suppress_context__ else inner.__context__)
     return problem
 
 
@@ -122,7 +122,7 @@ MOST_ALIKE = 3  # suggestions
 _EXTRA = re.compile(r"Got unexpected extra argument(?:s|\(s\))? \((.*)\)")
 
 
-def selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
+def find_selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Sequence[Any]]:
     """Name and parameters of the command that the arguments select."""
     names = [str(command.name)]
     for word in arguments:
@@ -134,7 +134,7 @@ def selected_command(command: Any, arguments: Sequence[str]) -> tuple[str, Seque
     return " ".join(names), command.params
 
 
-def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
+def convert_usage_error(mistake: Exception, command: str, parameters: Sequence[Any] = ()) -> UsageMistake:
     """Turn typer's refusal of a command line into an error of ours: option, value, expectation, help."""
     context = getattr(mistake, "ctx", None)
     help_of = f"{command if context is None else context.command_path} --help"
@@ -142,32 +142,37 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
     if hasattr(mistake, "option_name") and hasattr(mistake, "possibilities"):
         return _unknown_option(str(mistake.option_name), context, help_of)
     parameter = getattr(mistake, "param", None)
-    reason = _validation(mistake.__cause__)
+    reason = _read_validation(mistake.__cause__)
     if parameter is not None and reason is not None:
         expected, got = reason
-        meaning = _meaning(parameter, context)
+        meaning = _describe_parameter(parameter, context)
         return UsageMistake(
-            f"{_hint(parameter, context)} cannot be {got}",
+            f"{_format_parameter(parameter, context)} cannot be {got}",
             expected=expected,
             action=f"{meaning} {see}".lstrip(),
         )
     if type(mistake).__name__ == "BadOptionUsage":  # too few values
         text = str(getattr(mistake, "message", "")).replace("Option ", "").replace("'", "").rstrip(".")
-        named = (one for one in parameters if getattr(mistake, "option_name", "") in one.opts)
-        meant = next((f"{one.metavar or one.opts[0]}: {one.help} " for one in named), "")
+        named = (
+            candidate for candidate in parameters if getattr(mistake, "option_name", "") in candidate.opts
+        )
+        meant = next(
+            (f"{candidate.metavar or candidate.opts[0]}: {candidate.help} " for candidate in named), ""
+        )
         return UsageMistake(text, action=f"{meant}{see}")
     message = getattr(mistake, "message", "")
     if not message:
         message = str(mistake.format_message() if hasattr(mistake, "format_message") else mistake)
     if found := _EXTRA.match(message):
-        repeated = [one.opts[0] for one in parameters if getattr(one, "multiple", False)]
+        repeated = [candidate.opts[0] for candidate in parameters if getattr(candidate, "multiple", False)]
         repeat = f"To give several values, repeat the option: {', '.join(repeated)}. " if repeated else ""
         if any(map(os.path.exists, found[1].split())):
             repeat = "A pattern such as * may stand for several files or folders: name one. "
         return UsageMistake(f"unexpected on this command line: {found[1]!r}", action=f"{repeat}{see}")
     if parameter is not None and type(mistake).__name__ == "MissingParameter":
         return UsageMistake(
-            f"{_hint(parameter, context)} is missing", action=f"{_meaning(parameter, context)} {see}".lstrip()
+            f"{_format_parameter(parameter, context)} is missing",
+            action=f"{_describe_parameter(parameter, context)} {see}".lstrip(),
         )
     hint = getattr(mistake, "param_hint", None)
     text = f"{hint}: {message}" if hint else message
@@ -175,14 +180,18 @@ def usage_mistake(mistake: Exception, command: str, parameters: Sequence[Any] = 
 
 
 def _unknown_option(name: str, context: Any, help_of: str) -> UsageMistake:
-    known = [] if context is None else [option for one in context.command.params for option in one.opts]
+    known = (
+        []
+        if context is None
+        else [option for candidate in context.command.params for option in candidate.opts]
+    )
     words = [option.removeprefix("--") for option in known if option.startswith("--")]
-    alike = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
-    meant = f"Did you mean {' or '.join(f'--{word}' for word in alike)}? " if alike else ""
+    close_matches = get_close_matches(name.removeprefix("--"), words, n=MOST_ALIKE)
+    meant = f"Did you mean {' or '.join(f'--{word}' for word in close_matches)}? " if close_matches else ""
     return UsageMistake(f"unknown option {name}", action=f"{meant}{help_of} lists all options.")
 
 
-def _validation(cause: BaseException | None) -> tuple[str, str] | None:
+def _read_validation(cause: BaseException | None) -> tuple[str, str] | None:
     """Return the expected and the given value of a failed validation; None for other errors."""
     errors = getattr(cause, "errors", None)
     if errors is None:
@@ -204,12 +213,12 @@ def _validation(cause: BaseException | None) -> tuple[str, str] | None:
     return expected, repr(first["input"])
 
 
-def _hint(parameter: Any, context: Any) -> str:
+def _format_parameter(parameter: Any, context: Any) -> str:
     """Option or argument as typed."""
     return str(parameter.get_error_hint()).replace("'", "").split(" (")[0]
 
 
-def _meaning(parameter: Any, context: Any) -> str:
+def _describe_parameter(parameter: Any, context: Any) -> str:
     """Help of an option or argument, with its limits."""
     record = parameter.get_help_record(context)
     text = " ".join(str(record[1] if record else "").replace("[required]", "").split())

@@ -21,7 +21,7 @@ import typer
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.messages import say
 from ronna_hw.errors import RonnaError
-from ronna_hw.logs import Logger, is_known, known_loggers, logger, set_level
+from ronna_hw.logs import Logger, is_known_logger, list_loggers, logger, set_level
 
 LEVELS_VARIABLE = "RONNA_LOG"
 VERBOSE_FLAG = "--verbose"
@@ -29,21 +29,21 @@ VERBOSE_FLAG = "--verbose"
 
 def with_common_options(command: Any) -> Any:
     """Add the common options to typer's command and to all commands of a group; returns it."""
-    declared = _declared()
-    for one in _all(command):
+    declared = _create_options()
+    for one in _walk_commands(command):
         is_group = bool(getattr(one, "commands", {}))
         one.params.extend(declared[-1:] if is_group else declared)
     return command
 
 
-def _all(command: Any) -> Iterator[Any]:
+def _walk_commands(command: Any) -> Iterator[Any]:
     """A command and all commands below it."""
     yield command
     for one in getattr(command, "commands", {}).values():
-        yield from _all(one)
+        yield from _walk_commands(one)
 
 
-def _declared() -> list[Any]:
+def _create_options() -> list[Any]:
     """The options as typer creates them: their callbacks do the work, and commands receive no value."""
     app = typer.Typer(add_completion=False, rich_markup_mode=None)
 
@@ -89,9 +89,9 @@ def _declared() -> list[Any]:
 def _tell_version(wanted: bool) -> None:
     if not wanted:
         return
-    from ronna_hw.software import this_software
+    from ronna_hw.software import identify_software
 
-    say(str(this_software()))
+    say(str(identify_software()))
     raise typer.Exit
 
 
@@ -104,19 +104,19 @@ def set_up_logging(verbose: bool) -> None:
         logging.getLogger().addHandler(logging.NullHandler())
         warnings.simplefilter("ignore")
         return
-    from ronna_hw.log_output import about_this_computer, show_log
+    from ronna_hw.log_output import describe_computer, show_log
 
     show_log(sys.stderr)
-    command_logger().info("started", **about_this_computer())
+    command_logger().info("started", **describe_computer())
 
 
 def set_log_levels(levels: Sequence[str]) -> None:
     """Apply levels such as `debug` (every logger) or `tracker=debug` (one); raises CLI-001."""
     for entry in levels:
         name, _, level = entry.strip().rpartition("=")
-        if name and not is_known(name):
+        if name and not is_known_logger(name):
             raise UsageMistake(
-                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(known_loggers())
+                f"log level {entry!r}: nothing logs as {name!r}", expected=", ".join(list_loggers())
             )
         try:
             set_level(level.lower(), name)
@@ -170,7 +170,7 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
         if isinstance(one.annotation, type) and is_dataclass(one.annotation)
     }
 
-    def expanded() -> Iterator[inspect.Parameter]:
+    def expand_parameters() -> Iterator[inspect.Parameter]:
         for name, one in parameters.items():
             if name not in records:
                 yield one.replace(kind=inspect.Parameter.KEYWORD_ONLY)
@@ -185,14 +185,14 @@ def with_option_records(command: Callable[..., Returned]) -> Callable[..., Retur
                 )
 
     @functools.wraps(command)
-    def called(**given: Any) -> Returned:
+    def call_with_records(**given: Any) -> Returned:
         for name, record in records.items():
             given[name] = record(**{field.name: given.pop(field.name) for field in fields(record)})
         return command(**given)
 
     # What `inspect.signature`, and so typer, reads first; the type of a function does not declare it.
-    called.__signature__ = inspect.Signature(list(expanded()))  # type: ignore[attr-defined]
-    return called
+    call_with_records.__signature__ = inspect.Signature(list(expand_parameters()))  # type: ignore[attr-defined]
+    return call_with_records
 
 
 def require_folder(out: Path) -> None:

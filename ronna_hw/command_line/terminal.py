@@ -20,7 +20,12 @@ from typing import Annotated, Any, NoReturn, TextIO
 
 import typer
 
-from ronna_hw.command_line.errors import UsageMistake, as_ronna_error, selected_command, usage_mistake
+from ronna_hw.command_line.errors import (
+    UsageMistake,
+    as_ronna_error,
+    convert_usage_error,
+    find_selected_command,
+)
 from ronna_hw.command_line.messages import (
     Progress,
     fail_with,
@@ -39,8 +44,8 @@ from ronna_hw.command_line.options import (
     with_common_options,
 )
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED, EXIT_INTERRUPTED, EXIT_USAGE
-from ronna_hw.host.files import own_files
-from ronna_hw.host.process import ENDING_SIGNALS, require_own_packages, single_threaded
+from ronna_hw.host.files import restrict_new_files
+from ronna_hw.host.process import ENDING_SIGNALS, limit_to_one_thread, require_own_packages
 
 __all__ = [
     "JsonOption",
@@ -63,12 +68,12 @@ JsonOption = Annotated[bool, typer.Option("--json", help="Print one JSON object 
 # the base of typer's usage errors: unknown option, missing argument, bad value
 _USAGE_ERROR: type[Exception] = typer.BadParameter.__bases__[0]
 # one of them: no arguments at all; its message is the help
-_NOTHING_ASKED: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
+_NO_ARGUMENTS: type[Exception] = sys.modules[_USAGE_ERROR.__module__].NoArgsIsHelpError
 
 
 def run(app: typer.Typer) -> NoReturn:
     """Run a command with this process's arguments and exit with the documented code."""
-    single_threaded()
+    limit_to_one_thread()
     code = exit_code_of(app, sys.argv[1:])
     for number in (signal.SIGINT, signal.SIGTERM):  # the outcome is final; only the interpreter has to exit
         signal.signal(number, signal.SIG_IGN)
@@ -84,13 +89,13 @@ def exit_code_of(app: typer.Typer, arguments: Sequence[str]) -> int:
     try:
         require_own_packages()
         set_log_levels_from_environment()
-        with _own_files():
+        with _restrict_new_files():
             code = _invoke(app, arguments)
         sys.stdout.flush()
     except (KeyboardInterrupt, typer.Abort):  # the latter at a prompt
         code = EXIT_INTERRUPTED
-    except SystemExit as leaving:  # the reader of a pipe closed it while the command was printing
-        code = leaving.code if isinstance(leaving.code, int) else EXIT_FAILED
+    except SystemExit as exit_request:  # the reader of a pipe closed it while the command was printing
+        code = exit_request.code if isinstance(exit_request.code, int) else EXIT_FAILED
     except BrokenPipeError:
         code = EXIT_FAILED
     except Exception as problem:
@@ -111,10 +116,10 @@ def print_json(document: dict[str, Any]) -> None:
 
 
 @contextlib.contextmanager
-def _own_files() -> Iterator[None]:
+def _restrict_new_files() -> Iterator[None]:
     with contextlib.ExitStack() as stack:
         try:
-            stack.enter_context(own_files())
+            stack.enter_context(restrict_new_files())
         except ValueError as mistake:
             raise UsageMistake(str(mistake), action="Correct it or unset it.") from mistake
         yield
@@ -125,23 +130,25 @@ def _invoke(app: typer.Typer, arguments: Sequence[str]) -> int:
     try:
         outcome = command.main(args=list(arguments), standalone_mode=False)
     except _USAGE_ERROR as mistake:
-        if isinstance(mistake, _NOTHING_ASKED):
+        if isinstance(mistake, _NO_ARGUMENTS):
             sys.stderr.write(f"{mistake}\n")
             return EXIT_USAGE
-        raise usage_mistake(mistake, *selected_command(command, arguments)) from mistake
+        raise convert_usage_error(mistake, *find_selected_command(command, arguments)) from mistake
     return outcome if isinstance(outcome, int) else EXIT_DONE
 
 
-def _command_of(app: typer.Typer, asked: str) -> Any:
+def _command_of(app: typer.Typer, requested: str) -> Any:
     """Build the command; of a group only the selected one, because typer takes two milliseconds for each."""
 
-    def name_of(one: typer.models.CommandInfo) -> str:
-        assert one.callback is not None
-        return one.name or typer.main.get_command_name(one.callback.__name__)
+    def name_of(candidate: typer.models.CommandInfo) -> str:
+        assert candidate.callback is not None
+        return candidate.name or typer.main.get_command_name(candidate.callback.__name__)
 
-    named = next((one for one in app.registered_commands if name_of(one) == asked), None)
-    alone = len(app.registered_commands) + len(app.registered_groups) == 1
-    return _build_command(app, None if alone else named)
+    chosen_command = next(
+        (candidate for candidate in app.registered_commands if name_of(candidate) == requested), None
+    )
+    is_single = len(app.registered_commands) + len(app.registered_groups) == 1
+    return _build_command(app, None if is_single else chosen_command)
 
 
 @cache

@@ -95,7 +95,9 @@ def own_addresses() -> set[ipaddress.IPv4Address | ipaddress.IPv6Address]:
     import psutil
 
     cards = psutil.net_if_addrs().values()
-    addresses = (one.address.partition("%")[0] for card in cards for one in card if one.family in FAMILIES)
+    addresses = (
+        entry.address.partition("%")[0] for card in cards for entry in card if entry.family in FAMILIES
+    )
     return {ipaddress.ip_address(address) for address in addresses}
 
 

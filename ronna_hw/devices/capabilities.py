@@ -18,7 +18,7 @@ class Direction(StrEnum):
     RECEIVED = "received"
 
 
-class Passed(NamedTuple):
+class PassedBytes(NamedTuple):
     """Bytes that passed at a time of the monotonic clock of the host."""
 
     host_ns: int
@@ -32,11 +32,11 @@ class ByteSink(Protocol):
     Never blocks, never raises. `link` is such as `robot.master.eki`.
     """
 
-    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+    def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         """Take bytes that have just passed."""
         ...
 
-    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+    def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         """Take traffic, in order, that another process saw since it was last queried."""
         ...
 
@@ -70,7 +70,7 @@ class Fact:
     advice: str = ""
 
 
-def counted_fact(name: str, count: int) -> tuple[Fact, ...]:
+def report_count(name: str, count: int) -> tuple[Fact, ...]:
     """Report a driver's count as an unsolicited fact; none while the count is 0."""
     return (Fact(name, str(count)),) if count else ()
 

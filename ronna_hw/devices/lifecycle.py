@@ -17,7 +17,7 @@ from typing import Generic, Protocol, Self, TypeVar, runtime_checkable
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.errors import PersonNotNamed, WrongState
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.process import interruption_deferred
+from ronna_hw.host.process import defer_interruption
 from ronna_hw.logs import logger
 
 R = TypeVar("R")
@@ -119,7 +119,7 @@ class Device(Protocol):
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
         """Bring the device to ACTIVE for a block, from its current state; deactivate it on leaving.
 
-        `activated` implements this for every driver.
+        `hold_active` implements this for every driver.
         """
         ...
 
@@ -158,7 +158,7 @@ D = TypeVar("D", bound=Device)
 
 
 @contextmanager
-def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
+def hold_active(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     """Connect and configure as needed, activate, and deactivate on leaving the block.
 
     `timeout_s` limits each of these calls. A device in HOLD is restarted; one that is already active is used
@@ -173,13 +173,13 @@ def activated(device: D, timeout_s: float = 10.0) -> Iterator[D]:
     try:
         yield device
     except BaseException as problem:  # including interruptions: the device stops whatever ended the block
-        with interruption_deferred():
+        with defer_interruption():
             try:
                 _deactivate(device, timeout_s)
             except Exception as error:
                 problem.add_note(f"{device.name} could not be deactivated: {error}")
         raise
-    with interruption_deferred():
+    with defer_interruption():
         _deactivate(device, timeout_s)
 
 
@@ -253,8 +253,8 @@ class LifecycleGuard:
             before = self.state
             if state is before:
                 return
-            closes = state is Lifecycle.CLOSED and before is not Lifecycle.CLOSED
-            if not closes and state not in _ALLOWED[before]:
+            is_closing = state is Lifecycle.CLOSED and before is not Lifecycle.CLOSED
+            if not is_closing and state not in _ALLOWED[before]:
                 raise WrongState(f"{self._device}: cannot go from {before} to {state}")
             self._now = (state, None)
         self.log.info(state, before=before, **facts)

@@ -69,7 +69,7 @@ def fact_diagnostics(subject: str, device: TellsReadiness) -> Iterator[Diagnosti
 Inspection = Callable[[Device, Identity], Iterable[Diagnostic]]  # further checks on a connected device
 
 
-def leave_alone(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
+def inspect_nothing(_device: Device, _identity: Identity) -> Iterable[Diagnostic]:
     """Make no further checks."""
     return ()
 
@@ -78,7 +78,7 @@ class Probe(Protocol):
     """Checks a device of a theatre file."""
 
     def __call__(
-        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+        self, name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
     ) -> Sequence[Diagnostic]:
         """Return the findings in reading order; never raises, whatever the device does.
 
@@ -97,17 +97,17 @@ class EndpointProbe(Probe, Protocol):
         """Schemes that it can check, such as `serial`."""
         ...
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+    def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         """Identify the device at each endpoint, without the driver itself."""
         ...
 
 
-def connect_and_leave(
+def connect_and_identify(
     name: str,
     config: DeviceConfig,
     make_device: Callable[[str, DeviceConfig, Clock], D],
     advice: str = "",
-    inspect: Inspection = leave_alone,
+    inspect: Inspection = inspect_nothing,
 ) -> tuple[Diagnostic, ...]:
     """Connect as a procedure would, read the identity, run `inspect`, and close.
 
@@ -125,7 +125,7 @@ def connect_and_leave(
             device.close()
     except RonnaError as error:
         if isinstance(error, ConnectError):  # a wrong configuration has its own advice
-            advice = advice or next(filter(None, map(why_unreachable, endpoints)), "")
+            advice = advice or next(filter(None, map(explain_unreachable, endpoints)), "")
         advice = advice or error.advice
         return (Diagnostic(subject, False, f"{addresses}: {error.code} {error.summary}", advice),)
     seen = f"{addresses}: {identity.model} {identity.serial} {identity.firmware}"
@@ -138,7 +138,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
     return tuple(parse_endpoint(text) for text in texts)
 
 
-def why_unreachable(endpoint: Endpoint) -> str:
+def explain_unreachable(endpoint: Endpoint) -> str:
     """Say why a TCP endpoint accepts no connection; empty if it does, and for other endpoints."""
     if endpoint.scheme != "tcp":
         return ""
@@ -205,7 +205,7 @@ class Finder(Protocol):
         ...
 
 
-def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
+def describe_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tuple[Option, ...]:
     """Options of a driver with their descriptions, including the values of the chosen ones."""
     return tuple(
         Option(
@@ -219,8 +219,8 @@ def documented_options(model: type[BaseModel], chosen: Mapping[str, Any]) -> tup
     )
 
 
-LOOKS_OF_A_CASE = 200  # of five spheres for three trajectories, with some searching
-MOST_FAILED_LOOKS = 0.02  # in a case, expected: each ends it
+PAIRS_OF_A_CASE = 200  # of five spheres for three trajectories, with some searching
+MOST_FAILED_PAIRS = 0.02  # in a case, expected: each ends it
 
 
 def picture_diagnostics(
@@ -228,31 +228,32 @@ def picture_diagnostics(
     stereo: StereoPair,
     pairs: int,
     tries: int,
-    judged: Callable[[StereoReading], Iterator[Diagnostic]],
+    judge: Callable[[StereoReading], Iterator[Diagnostic]],
 ) -> Iterator[Diagnostic]:
     """Take so many pairs with configured cameras and report whether enough arrive complete for a case.
 
-    A case repeats a lost pair, up to `tries` times in all. `judged` reports on the last pair. Nothing moves.
+    A case repeats a lost pair, up to `tries` times in all. `judge` reports on the last pair. Nothing moves.
     """
-    whole = 0
+    complete_pairs = 0
     last: StereoReading | None = None
     found: tuple[Diagnostic, ...] = ()
     try:
         with stereo.active():
             for _ in range(pairs):
                 last = stereo.grab_pair()
-                whole += int(last.validity is Validity.OK)
+                complete_pairs += int(last.validity is Validity.OK)
             if isinstance(stereo, TellsReadiness):
                 found = tuple(fact_diagnostics(subject, stereo))  # about these images
     except RonnaError as error:
         yield refusal(f"{subject}pictures", error)
-    failed_looks = LOOKS_OF_A_CASE * (1.0 - whole / pairs) ** tries
+        return
+    expected_failures = PAIRS_OF_A_CASE * (1.0 - complete_pairs / pairs) ** tries
     yield Diagnostic(
         f"{subject}pictures",
-        failed_looks <= MOST_FAILED_LOOKS,
-        f"{whole} of {pairs} pairs arrived complete",
-        "" if whole == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
+        expected_failures <= MOST_FAILED_PAIRS,
+        f"{complete_pairs} of {pairs} pairs arrived complete",
+        "" if complete_pairs == pairs else "Packets are lost: jumbo frames, cable, switch, receive buffer.",
     )
     yield from found
     if last is not None:
-        yield from judged(last)
+        yield from judge(last)

@@ -115,13 +115,13 @@ def new_frames(
     and the errors of `read_frame`.
     """
     for _ in itertools.count() if count is None else range(count):
-        yield _new_frame(tracker, timeout_s)
+        yield _read_new_frame(tracker, timeout_s)
 
 
-def _new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
+def _read_new_frame(tracker: OpticalTracker, timeout_s: float) -> TrackerFrame:
     deadline_s = time.monotonic() + timeout_s
-    while (left_s := deadline_s - time.monotonic()) > 0:
-        frame = tracker.read_frame(left_s)
+    while (remaining_s := deadline_s - time.monotonic()) > 0:
+        frame = tracker.read_frame(remaining_s)
         if frame.validity is not Validity.STALE:
             return frame
         time.sleep(ASK_AGAIN_S)

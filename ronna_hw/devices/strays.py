@@ -47,7 +47,7 @@ class StrayAverage:
 
 
 @dataclass
-class _Growing:
+class _GroupBuilder:
     readings: list[Array] = field(default_factory=list)
     total: Array = field(default_factory=lambda: np.zeros(3))
 
@@ -84,11 +84,11 @@ def group_strays(
     """
     if not (0.0 < radius_mm < math.inf and 0.0 <= least_share <= 1.0):
         raise BadStrays("the radius must be positive and the share between 0 and 1")
-    groups: list[_Growing] = []
+    groups: list[_GroupBuilder] = []
     for frame in frames:
-        readings = _checked(frame)
+        readings = _require_positions(frame)
         for index in _assign(groups, readings, radius_mm):
-            groups.append(_Growing())
+            groups.append(_GroupBuilder())
             groups[-1].add(readings[index])
     least = max(1.0, least_share * len(frames))
     averages = [_average(group) for group in groups]
@@ -99,7 +99,7 @@ def group_strays(
     )
 
 
-def _checked(frame: Sequence[Vector3]) -> Array:
+def _require_positions(frame: Sequence[Vector3]) -> Array:
     readings = np.asarray(frame, dtype=float)
     if readings.size == 0:
         return np.zeros((0, 3))
@@ -108,7 +108,7 @@ def _checked(frame: Sequence[Vector3]) -> Array:
     return readings
 
 
-def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[int]:
+def _assign(groups: list[_GroupBuilder], readings: Array, radius_mm: float) -> list[int]:
     """Assign each reading to the nearest group without one in this frame; returns the unassigned readings."""
     free = list(range(len(readings)))
     if not groups or not free:
@@ -126,7 +126,7 @@ def _assign(groups: list[_Growing], readings: Array, radius_mm: float) -> list[i
     return free
 
 
-def _average(group: _Growing) -> StrayGroup:
+def _average(group: _GroupBuilder) -> StrayGroup:
     readings = np.array(group.readings)
     from_median = np.linalg.norm(readings - np.median(readings, axis=0), axis=1)
     sigma = max(robust_sigma(from_median), LEAST_SIGMA_MM)

@@ -15,7 +15,14 @@ from pathlib import Path, PurePosixPath
 from typing import NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, read_json_lines
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Chain, Entry, Line, RunChanged, chain_until_broken
+from ronna_hw.evidence.journal_reading import (
+    JOURNAL_FILE,
+    Chain,
+    Entry,
+    Line,
+    RunChanged,
+    read_chain_until_break,
+)
 from ronna_hw.evidence.manifest import (
     RECORDS_FOLDER,
     REQUEST_FILE,
@@ -24,9 +31,9 @@ from ronna_hw.evidence.manifest import (
     Manifest,
     Seal,
     count_names,
-    files_of,
-    is_later,
-    is_made_anew,
+    is_regenerated,
+    is_written_later,
+    iterate_files,
     read_seal,
     sha256_of,
 )
@@ -58,7 +65,7 @@ class Problem:
     out_of_reach: bool = False
 
     @property
-    def of_account(self) -> bool:
+    def is_account_file(self) -> bool:
         """Whether journal, request or records are not as written."""
         of_it = self.file in (JOURNAL_FILE, REQUEST_FILE) or self.file.startswith(f"{RECORDS_FOLDER}/")
         return of_it and not self.beside
@@ -102,11 +109,12 @@ class Inspection:
         Excluded are files that every program continues, such as the log, unless added. A renamed folder is
         excluded too: every reading finds it.
         """
-        known = self.manifest.files | self.manifest.outside | self.manifest.lasting
+        known = self.manifest.files | self.manifest.outside_files | self.manifest.lasting_files
         return {
-            one.file: known.get(one.file)
-            for one in self.changes
-            if one.file not in (JOURNAL_FILE, SEAL_FILE) and (one.beside or not is_later(one.file))
+            issue.file: known.get(issue.file)
+            for issue in self.changes
+            if issue.file not in (JOURNAL_FILE, SEAL_FILE)
+            and (issue.beside or not is_written_later(issue.file))
         }
 
     def require_unchanged(self, action: str | None = None) -> Inspection:
@@ -115,7 +123,7 @@ class Inspection:
 
     def require_account(self) -> Inspection:
         """Return itself, or raise PRO-033 if journal, request or records changed: homing depends on them."""
-        return self._require(tuple(problem for problem in self.changes if problem.of_account))
+        return self._require(tuple(problem for problem in self.changes if problem.is_account_file))
 
     def require_whole(self) -> Inspection:
         """Return itself, or raise PRO-033 unless the folder is as a closed and sealed run left it."""
@@ -125,7 +133,7 @@ class Inspection:
         """Return content read after the check; raise PRO-033 if its file was exchanged since."""
         named = self.manifest.files if self.chain.is_closed else {}
         changed = bool(named) and named.get(name) != hashlib.sha256(content).hexdigest()
-        if what := "changed" if changed else self.manifest.truth_difference(name, content):
+        if what := "changed" if changed else self.manifest.describe_truth_difference(name, content):
             self._require((Problem(name, what),))
         return content
 
@@ -138,37 +146,39 @@ class Inspection:
         return self
 
 
-def inspected(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
+def inspect_run(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> Inspection:
     """Check a run folder; never raises because of its content.
 
     Without `every_file` only the journal (also against the seal), the records, and those of `files` that
     exist are checked, which takes milliseconds.
     """
     problems: list[Problem] = []
-    chain = _chain(folder, problems)
+    chain = _read_chain(folder, problems)
     if count_names(chain.lines) > MOST_NAMES:
         problems.append(Problem(JOURNAL_FILE, f"names more than {MOST_NAMES} files: none was checked"))
         return Inspection(folder, chain, Manifest(), (), tuple(problems))
     manifest = Manifest(chain.lines)
-    records = tuple(_records(folder, chain.lines, problems))
+    records = tuple(_check_records(folder, chain.lines, problems))
     if every_file and chain.lines:
-        problems += _files(folder, chain, manifest)
+        problems += _check_files(folder, chain, manifest)
     elif chain.lines:
-        problems += _sealed_only(folder, chain, [name for name in files if os.path.lexists(folder / name)])
-    found = tuple(one for one in dict.fromkeys(problems) if not one.out_of_reach)
-    out_of_reach = dict.fromkeys(one.file for one in problems if one.out_of_reach)
+        problems += _check_sealed_files(
+            folder, chain, [name for name in files if os.path.lexists(folder / name)]
+        )
+    found = tuple(issue for issue in dict.fromkeys(problems) if not issue.out_of_reach)
+    out_of_reach = dict.fromkeys(issue.file for issue in problems if issue.out_of_reach)
     return Inspection(folder, chain, manifest, records, found, tuple(out_of_reach))
 
 
-def _chain(folder: Path, problems: list[Problem]) -> Chain:
+def _read_chain(folder: Path, problems: list[Problem]) -> Chain:
     try:
-        chain, broken = chain_until_broken(folder / JOURNAL_FILE)
+        chain, broken = read_chain_until_break(folder / JOURNAL_FILE)
     except FileNotFoundError:
         began = any((folder / name).exists() for name in (RECORDS_FOLDER, SEAL_FILE))
         problems.append(Problem(JOURNAL_FILE, "missing", unfinished=not began))
         return Chain()
     except (OSError, InputRefused) as error:
-        problems.append(Problem(JOURNAL_FILE, why_unread(error)))
+        problems.append(Problem(JOURNAL_FILE, explain_unreadable(error)))
         return Chain()
     if broken is not None:
         problems.append(Problem(JOURNAL_FILE, broken.what))
@@ -187,7 +197,7 @@ def _chain(folder: Path, problems: list[Problem]) -> Chain:
     return chain
 
 
-def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
+def _check_records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> Iterator[Record]:
     """Records that match their lines and whose parents come before them."""
     known: dict[str, KnownRecord] = {}
     run = lines[0].get("run") if lines else None
@@ -195,18 +205,18 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         if line["entry"] != Entry.RESULT:
             continue
         name = f"{RECORDS_FOLDER}/{line.get('record')}.json"
-        if refused := wrong_name(name) or ("named twice" if str(line.get("record")) in known else ""):
+        if refused := explain_bad_name(name) or ("named twice" if str(line.get("record")) in known else ""):
             problems.append(Problem(name, refused))
             continue
         try:
             record = read_record(folder / name)
         except BadRecord as problem:
-            there = os.path.exists(folder / name)  # a name from a file may be too long to ask pathlib
+            present = os.path.exists(folder / name)  # a name from a file may be too long to ask pathlib
             what = problem.what.removeprefix(f"{line.get('record')}.json ")
-            problems.append(Problem(name, what if there else "missing: named in the journal"))
+            problems.append(Problem(name, what if present else "missing: named in the journal"))
             series = None
         else:
-            wrong = [Problem(name, what) for what in _mismatches(record, line, run, known)]
+            wrong = [Problem(name, what) for what in _find_mismatches(record, line, run, known)]
             problems += wrong
             if not wrong:
                 yield record
@@ -214,7 +224,9 @@ def _records(folder: Path, lines: tuple[Line, ...], problems: list[Problem]) -> 
         known[str(line.get("record"))] = KnownRecord(str(line.get("sha256")), series)
 
 
-def _mismatches(record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]) -> Iterator[str]:
+def _find_mismatches(
+    record: Record, line: Line, run: object, known: Mapping[str, KnownRecord]
+) -> Iterator[str]:
     step, _, trajectory = str(line.get("step")).partition(":")
     if record.sha256 != line.get("sha256"):
         yield "not the record named in the journal"
@@ -232,27 +244,27 @@ def _mismatches(record: Record, line: Line, run: object, known: Mapping[str, Kno
             yield f"is of another CT series than its parent {identifier}"
 
 
-def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
+def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
     """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.request | manifest.pictures)
-    yield from (Problem(name, what) for name, what in manifest.truth_problems(folder))
-    there = [name for name, _ in files_of(folder)]
+    yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))
+    present = [name for name, _ in iterate_files(folder)]
     seal = read_seal(folder)
     if closed:
         yield from compare_files(folder, named)
-        yield from (Problem(name, what) for name, what in manifest.exchanged_inputs())
+        yield from (Problem(name, what) for name, what in manifest.find_exchanged_inputs())
         # What could not be read at the end is compared with what results were made from.
-        unread = {name: of for name, of in manifest.made_from.items() if name not in named}
-        yield from compare_files(folder, unread | manifest.outside, inputs=True)
+        unread = {name: of for name, of in manifest.result_inputs.items() if name not in named}
+        yield from compare_files(folder, unread | manifest.outside_files, inputs=True)
     else:
-        yield from compare_files(folder, manifest.lasting)
-        yield from _not_put_back(folder, manifest, there)
+        yield from compare_files(folder, manifest.lasting_files)
+        yield from _find_unrestored_files(folder, manifest, present)
         # A resumed run compares what is in them.
-        since = compare_files(folder, manifest.made_from, inputs=True)
-        for one in since:
-            yield replace(one, what=f"{one.what} since results were made from it", unfinished=True)
-        for name in there:
+        since = compare_files(folder, manifest.result_inputs, inputs=True)
+        for issue in since:
+            yield replace(issue, what=f"{issue.what} since results were made from it", unfinished=True)
+        for name in present:
             if name.startswith(f"{RECORDS_FOLDER}/") and name not in manifest.records:
                 yield Problem(name, "not in the journal: written as the run was killed, or added", True)
     if seal is None:
@@ -260,55 +272,57 @@ def _files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
             yield Problem(SEAL_FILE, "changed")
         elif closed:
             yield Problem(SEAL_FILE, "missing: the run's end was not sealed", unfinished=True)
-            unnamed = [name for name in there if name not in named and not is_later(name)]
-            yield from _added(unnamed, sealed=False)
+            unnamed = [name for name in present if name not in named and not is_written_later(name)]
+            yield from _report_added_files(unnamed, sealed=False)
         return
-    whole = yield from _against_seal(folder, chain, seal)
+    whole = yield from _compare_with_seal(folder, chain, seal)
     if whole:
         yield from compare_files(folder, seal.files)
-        yield from _added([name for name in there if name not in named and name not in seal.files])
+        yield from _report_added_files(
+            [name for name in present if name not in named and name not in seal.files]
+        )
     elif closed:
         yield Problem(SEAL_FILE, "from an earlier end: the last end was not sealed", unfinished=True)
 
 
-def _not_put_back(folder: Path, manifest: Manifest, there: Collection[str]) -> Iterator[Problem]:
+def _find_unrestored_files(folder: Path, manifest: Manifest, present: Collection[str]) -> Iterator[Problem]:
     """Report files that a killed program found changed or added, if they still are."""
-    expected = manifest.not_vouched_for
+    expected = manifest.unvouched_files
     known = {name: sha256 for name, sha256 in expected.items() if sha256 is not None}
     yield from compare_files(folder, known, inputs=True)
-    suspects = {*there} - {*TRUTH_FILES, *manifest.pictures}
-    yield from _added([name for name in expected if expected[name] is None and name in suspects])
+    suspects = {*present} - {*TRUTH_FILES, *manifest.pictures}
+    yield from _report_added_files([name for name in expected if expected[name] is None and name in suspects])
 
 
-def _sealed_only(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
+def _check_sealed_files(folder: Path, chain: Chain, names: Sequence[str]) -> Iterator[Problem]:
     """Problems with files that only the seal covers, and with the journal, which it also covers."""
     seal = read_seal(folder)
     if seal is None and os.path.lexists(folder / SEAL_FILE):
         yield Problem(SEAL_FILE, "changed")
-    whole = seal is not None and (yield from _against_seal(folder, chain, seal))
+    whole = seal is not None and (yield from _compare_with_seal(folder, chain, seal))
     for name in names:
         if seal is None or not whole:
             yield Problem(name, "not confirmed by a seal")
         elif name in seal.files:
             yield from compare_files(folder, {name: seal.files[name]})
         else:
-            yield from _added([name])
+            yield from _report_added_files([name])
 
 
-def _against_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
+def _compare_with_seal(folder: Path, chain: Chain, seal: Seal) -> Generator[Problem, None, bool]:
     """Differences between the journal and its sealed state; returns whether the seal covers all of it."""
-    journal = read_json_lines(folder / JOURNAL_FILE, linked=False)
+    journal = read_json_lines(folder / JOURNAL_FILE, follow_links=False)
     sealed, after = journal[: seal.journal_bytes], journal[seal.journal_bytes :]
     if hashlib.sha256(sealed).hexdigest() != seal.journal_sha256:
         yield Problem(JOURNAL_FILE, "not the journal that was sealed: lines were changed, added or removed")
         return False
-    went_on = chain.lines[sealed.count(b"\n") :]
-    if went_on and went_on[0]["entry"] != Entry.RESTARTED:
+    later_lines = chain.lines[sealed.count(b"\n") :]
+    if later_lines and later_lines[0]["entry"] != Entry.RESTARTED:
         yield Problem(JOURNAL_FILE, "continues after its seal, but the run was not resumed")
     return not after
 
 
-def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
+def _report_added_files(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
     for name in names:
         if not sealed and name.endswith(PARTIAL):
             yield Problem(name, "incomplete: the program was killed while writing", unfinished=True)
@@ -318,34 +332,34 @@ def _added(names: Sequence[str], *, sealed: bool = True) -> Iterator[Problem]:
 
 def compare_files(folder: Path, hashes: Mapping[str, str], *, inputs: bool = False) -> Iterator[Problem]:
     """Compare files of the folder with their hashes; with `inputs` also files elsewhere, by whole path."""
-    left_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
+    remaining_bytes = LARGEST_INPUTS_BYTES  # of those elsewhere, of which many names may lead to one
     for name, recorded in hashes.items():
-        if wrong := wrong_name(name.removeprefix("/") if inputs else name):
+        if wrong := explain_bad_name(name.removeprefix("/") if inputs else name):
             yield Problem(name, wrong)
             continue
         try:
             if PurePosixPath(name).is_absolute():
-                left_bytes -= os.stat(name).st_size
-            if left_bytes < 0:
+                remaining_bytes -= os.stat(name).st_size
+            if remaining_bytes < 0:
                 yield Problem(name, "not checked: too much lies outside the run", unfinished=True)
                 continue
             if sha256_of(folder / name) != recorded:
                 yield Problem(name, "changed")
         except (FileNotFoundError, ValueError):  # the second for a name that no file can have
-            gone = _is_out_of_reach(name)
-            yield Problem(name, "missing", unfinished=is_made_anew(name), out_of_reach=gone)
+            is_unreachable = _is_out_of_reach(name)
+            yield Problem(name, "missing", unfinished=is_regenerated(name), out_of_reach=is_unreachable)
         except OSError as error:
-            yield Problem(name, why_unread(error), out_of_reach=_is_out_of_reach(name))
+            yield Problem(name, explain_unreadable(error), out_of_reach=_is_out_of_reach(name))
 
 
-def wrong_name(name: str) -> str:
+def explain_bad_name(name: str) -> str:
     """Explain why a name is not that of a file in the folder: it leads elsewhere, or is not normalised."""
     path = PurePosixPath(name)
     leads_elsewhere = path.is_absolute() or ".." in path.parts
     return "not the name of a file of the run" if leads_elsewhere or path.as_posix() != name else ""
 
 
-def why_unread(error: OSError | InputRefused) -> str:
+def explain_unreadable(error: OSError | InputRefused) -> str:
     """Explain why a file of a run cannot be read."""
     if isinstance(error, InputRefused):
         return error.summary

@@ -95,19 +95,19 @@ class Chain:
 
 def read_chain(path: Path) -> Chain:
     """Read a journal's lines in order, with the torn rest at its end; raises PRO-011 for a broken chain."""
-    chain, broken = chain_until_broken(path)
+    chain, broken = read_chain_until_break(path)
     if broken is not None:
         raise broken
     return chain
 
 
-def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
+def read_chain_until_break(path: Path) -> tuple[Chain, JournalCorrupt | None]:
     """Read the chain up to a broken line; returns it with the break, if any. Raises INP-001, OSError."""
-    content = read_json_lines(path, linked=False)
+    content = read_json_lines(path, follow_links=False)
     lines: list[Line] = []
     size, broken = 0, None
     try:
-        for line, end in _whole_lines(content, path.name):
+        for line, end in _iterate_lines(content, path.name):
             lines.append(line)
             size = end
     except JournalCorrupt as problem:
@@ -120,16 +120,16 @@ def chain_until_broken(path: Path) -> tuple[Chain, JournalCorrupt | None]:
 
 def read_journal(path: Path) -> Iterator[Line]:
     """The lines of a journal in order, without a torn end; raises PRO-011 where the chain is broken."""
-    for line, _ in _whole_lines(read_json_lines(path, linked=False), path.name):
+    for line, _ in _iterate_lines(read_json_lines(path, follow_links=False), path.name):
         yield line
 
 
-def _whole_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
+def _iterate_lines(content: bytes, name: str) -> Iterator[tuple[Line, int]]:
     """Each line that follows its predecessor, with the offset of its end."""
     number, begin, previous = 0, 0, FIRST
     while begin < len(content):
         end = content.find(b"\n", begin) + 1
-        entry = _parsed(content[begin:end]) if end else None
+        entry = _parse_line(content[begin:end]) if end else None
         if entry is None or entry.get("previous") != previous or entry.get("sequence") != number:
             if _is_torn(content[begin:]):
                 return
@@ -144,7 +144,7 @@ def _hash(line: bytes) -> str:
     return hashlib.sha256(line).hexdigest()
 
 
-def _parsed(line: bytes) -> dict[str, JournalValue] | None:
+def _parse_line(line: bytes) -> dict[str, JournalValue] | None:
     try:
         entry = parse_json(line)
     except ValueError:
@@ -157,4 +157,4 @@ def _is_torn(rest: bytes) -> bool:
     *whole, last = rest.split(b"\n", MOST_TORN_LINES)
     if b"\0" not in rest and (whole or not last):
         return False
-    return len(whole) < MOST_TORN_LINES and all(_parsed(line) is None for line in whole)
+    return len(whole) < MOST_TORN_LINES and all(_parse_line(line) is None for line in whole)

@@ -22,7 +22,7 @@ from pydantic import BaseModel, ConfigDict, Field
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, Entry, JournalValue, Line
 from ronna_hw.host.files import open_regular, walk
-from ronna_hw.records import PARTIAL, canonical_json, write_whole
+from ronna_hw.records import PARTIAL, canonical_json, write_atomically
 
 REQUEST_FILE = "request.json"
 RECORDS_FOLDER = "records"
@@ -59,7 +59,7 @@ LARGEST_FILE_BYTES = 4_000_000_000  # twice the tape of readings at its largest
 LARGEST_TRUTH_BYTES = 10_000_000  # ten times what the verifier reads
 
 
-def hashes_in(line: Line, field: str) -> dict[str, str]:
+def read_hashes(line: Line, field: str) -> dict[str, str]:
     """File names and hashes in a field of a line; empty without the field."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
@@ -68,7 +68,7 @@ def hashes_in(line: Line, field: str) -> dict[str, str]:
 def count_names(lines: Iterable[Line]) -> int:
     """Count the files that the lines of a journal name."""
     fields = ("pictures", "files", "inputs", NOT_AS_LEFT)
-    return sum(len(hashes_in(line, field)) for line in lines for field in fields)
+    return sum(len(read_hashes(line, field)) for line in lines for field in fields)
 
 
 class StatedTruth(NamedTuple):
@@ -82,12 +82,12 @@ class StatedTruth(NamedTuple):
 class Manifest:
     """Files of a run by name, with the SHA-256 that its journal states for each.
 
-    `files` and `outside` are those of the last `closed` line, in the run's folder and elsewhere.
-    `begun_with` are the inputs at the last opening of the run. `made_from` are those of the standing
+    `files` and `outside_files` are those of the last `closed` line, in the run's folder and elsewhere.
+    `initial_inputs` are the inputs at the last opening of the run. `result_inputs` are those of the standing
     results, or of a finding that one was rewritten since with the same meaning. `pictures` with different
     hashes have no valid one. `superseded` are identifiers of records.
 
-    `not_vouched_for` are files that were not as left when the run was resumed after an end, as in
+    `unvouched_files` are files that were not as left when the run was resumed after an end, as in
     `Inspection.not_as_left`. They are collected over every program since that end, up to the one that has
     just closed the run. A killed program vouches for nothing. The first program states the earlier hash of a
     file.
@@ -96,29 +96,31 @@ class Manifest:
     def __init__(self, lines: Sequence[Line] = ()) -> None:
         self.request = {} if not lines else _hash_of(REQUEST_FILE, lines[0].get("request_sha256"))
         self.files: dict[str, str] = {}
-        self.outside: dict[str, str] = {}
-        self.begun_with: dict[str, str] = {}
-        self.made_from: dict[str, str] = {}
+        self.outside_files: dict[str, str] = {}
+        self.initial_inputs: dict[str, str] = {}
+        self.result_inputs: dict[str, str] = {}
         self.pictures: dict[str, str] = {}
         self.records: set[str] = set()
-        self.not_vouched_for: dict[str, str | None] = {}
+        self.unvouched_files: dict[str, str | None] = {}
         self.truth: dict[str, StatedTruth] = {}
-        gone = (line.get("supersedes") for line in lines)
-        self.superseded = frozenset(str(one) for names in gone if isinstance(names, list) for one in names)
+        superseded_names = (line.get("supersedes") for line in lines)
+        self.superseded = frozenset(
+            str(item) for names in superseded_names if isinstance(names, list) for item in names
+        )
         for number, line in enumerate(lines):
             if line["entry"] in BEGINNINGS or not number:
-                self.begun_with = hashes_in(line, "inputs")
+                self.initial_inputs = read_hashes(line, "inputs")
             match line["entry"]:
                 case Entry.RESULT | Entry.FINDING if str(line.get("record")) not in self.superseded:
-                    self.made_from |= hashes_in(line, "inputs")
+                    self.result_inputs |= read_hashes(line, "inputs")
                 case Entry.RESTARTED:
-                    found = cast("dict[str, str | None]", hashes_in(line, NOT_AS_LEFT))
-                    self.not_vouched_for = found | self.not_vouched_for
+                    found = cast("dict[str, str | None]", read_hashes(line, NOT_AS_LEFT))
+                    self.unvouched_files = found | self.unvouched_files
                 case Entry.CLOSED:
-                    self.files, self.outside = hashes_in(line, "files"), hashes_in(line, "inputs")
+                    self.files, self.outside_files = read_hashes(line, "files"), read_hashes(line, "inputs")
                     if number < len(lines) - 1:
-                        self.not_vouched_for = {}
-            for picture, sha256 in hashes_in(line, "pictures").items():
+                        self.unvouched_files = {}
+            for picture, sha256 in read_hashes(line, "pictures").items():
                 name = f"{PICTURES_FOLDER}/{picture}"
                 self.pictures[name] = sha256 if self.pictures.get(name, sha256) == sha256 else "two hashes"
             if "record" in line:
@@ -135,23 +137,27 @@ class Manifest:
                     self.truth[name] = StatedTruth(int(length), sha256)
 
     @property
-    def lasting(self) -> dict[str, str]:
+    def lasting_files(self) -> dict[str, str]:
         """Files of an open run that must not have changed since the journal named them.
 
         Inputs of results are left out: resuming the run compares their content.
         """
-        lasting = {name: sha256 for name, sha256 in self.files.items() if name.startswith(LASTING)}
-        apart = {WITH_PORTS, *self.made_from}
-        return {name: sha256 for name, sha256 in (lasting | self.begun_with).items() if name not in apart}
+        lasting_files = {name: sha256 for name, sha256 in self.files.items() if name.startswith(LASTING)}
+        apart = {WITH_PORTS, *self.result_inputs}
+        return {
+            name: sha256
+            for name, sha256 in (lasting_files | self.initial_inputs).items()
+            if name not in apart
+        }
 
-    def exchanged_inputs(self) -> Iterator[tuple[str, str]]:
+    def find_exchanged_inputs(self) -> Iterator[tuple[str, str]]:
         """Inputs of a closed run that differ between its standing results and its end, and how."""
-        at_end = self.files | self.outside
-        for name, sha256 in (self.begun_with | self.made_from).items():
+        at_end = self.files | self.outside_files
+        for name, sha256 in (self.initial_inputs | self.result_inputs).items():
             if at_end.get(name, sha256) != sha256:
                 yield name, "exchanged while the run was open: its results were made from another file"
 
-    def truth_problems(self, folder: Path) -> Iterator[tuple[str, str]]:
+    def find_truth_problems(self, folder: Path) -> Iterator[tuple[str, str]]:
         """Truth files of a run that do not match its journal, and how."""
         for name in self.truth:
             try:
@@ -162,10 +168,10 @@ class Manifest:
             except OSError as error:
                 yield name, f"replaced, or cannot be read: {error.strerror}"
             else:
-                if what := self.truth_difference(name, content):
+                if what := self.describe_truth_difference(name, content):
                     yield name, what
 
-    def truth_difference(self, name: str, content: bytes) -> str:
+    def describe_truth_difference(self, name: str, content: bytes) -> str:
         """Describe the difference of a truth file from the journal; empty if it matches or is not named."""
         if name not in self.truth:
             return ""
@@ -196,23 +202,23 @@ def sha256_of(path: Path) -> str:
     with open_regular(path) as file:
         size = os.fstat(file.fileno()).st_size
         # A log may grow meanwhile by some lines; what claims to be empty, as in /proc, may have no end.
-        left = size + CHUNK_BYTES if size <= LARGEST_FILE_BYTES else 0
+        remaining_bytes = size + CHUNK_BYTES if size <= LARGEST_FILE_BYTES else 0
         while part := file.read(CHUNK_BYTES):
-            left -= len(part)
-            if left < 0:
+            remaining_bytes -= len(part)
+            if remaining_bytes < 0:
                 raise OSError(errno.EFBIG, os.strerror(errno.EFBIG), str(path))
             found.update(part)
     return found.hexdigest()
 
 
-def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
+def iterate_files(folder: Path) -> Iterator[tuple[str, Path]]:
     """Every file of a run with its name, except journal, seal and exports.
 
     Also lists unexpected folders: too deep or unreadable ones, below which nothing is listed, and empty ones
     that no run makes.
     """
-    found = sorted(walk(folder, without=APART))
-    parents = {one.path.parent for one in found}
+    found = sorted(walk(folder, excluded=APART))
+    parents = {item.path.parent for item in found}
     for path, is_folder, entered in found:
         name = path.relative_to(folder).as_posix()
         expected = is_folder and entered and (path in parents or name in OWN_FOLDERS)
@@ -220,32 +226,32 @@ def files_of(folder: Path) -> Iterator[tuple[str, Path]]:
             yield name, path
 
 
-def unchecked_folders(folder: Path) -> list[str]:
+def list_unchecked_folders(folder: Path) -> list[str]:
     """Unchecked folders inside a run's folder, which are not part of the run."""
     return [name for name in APART if (folder / name).is_dir()]
 
 
-def is_later(name: str) -> bool:
+def is_written_later(name: str) -> bool:
     """Whether a file with this name is also written after the run is closed."""
     return name.split("/", 1)[0] in LATER_FOLDERS or name.startswith(LATER_FILES)
 
 
-def is_made_anew(name: str) -> bool:
+def is_regenerated(name: str) -> bool:
     """Whether a file belongs to the report and follows from the rest of the run."""
     return name == REPORT_FILE or (name.startswith("report/") and not name.startswith(ONLY_IN_REPORT))
 
 
-def theatre_files(folder: Path) -> list[Path]:
+def list_theatre_files(folder: Path) -> list[Path]:
     """Files that describe the theatre in a run's folder; constant while the run is open."""
     return sorted(path for kind in THEATRE_FILES for path in folder.glob(kind))
 
 
-def hashes_at_closing(folder: Path) -> dict[str, str]:
+def hash_files_at_closing(folder: Path) -> dict[str, str]:
     """Hash the files that are complete when a run is closed. Raises OSError."""
-    return {name: sha256_of(path) for name, path in _own_files(folder) if not is_later(name)}
+    return {name: sha256_of(path) for name, path in _own_files(folder) if not is_written_later(name)}
 
 
-def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
+def hash_outside_files(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     """Hash files and whole folders outside a run that it worked with, by path."""
     hashes = {}
     for given in inputs:
@@ -256,7 +262,7 @@ def hashes_outside(folder: Path, inputs: Iterable[Path]) -> dict[str, str]:
     return hashes
 
 
-def input_hashes(folder: Path, files: Iterable[Path]) -> dict[str, str]:
+def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     """Hash the input files of a run as far as they are readable.
 
     Files in the run's folder are named relative to it, others by their whole path.
@@ -269,7 +275,7 @@ def input_hashes(folder: Path, files: Iterable[Path]) -> dict[str, str]:
     return hashes
 
 
-def truth_so_far(folder: Path) -> dict[str, JournalValue]:
+def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
     """Journal field with length and hash of the truth files so far; empty without a simulated theatre."""
     known: dict[str, JournalValue] = {}
     for name in TRUTH_FILES:
@@ -313,20 +319,20 @@ def seal(folder: Path, closed: Collection[str], apart: Collection[str] = ()) -> 
         name: sha256_of(path) for name, path in _own_files(folder) if name not in closed and name not in apart
     }
     journal = folder / JOURNAL_FILE
-    made = Seal(
+    new_seal = Seal(
         journal_bytes=journal.stat().st_size, journal_sha256=sha256_of(journal), files=later
     ).with_own_hash()
-    write_whole(folder / SEAL_FILE, _as_written(made))
+    write_atomically(folder / SEAL_FILE, _encode_seal(new_seal))
 
 
 def read_seal(folder: Path) -> Seal | None:
     """Read the seal of a run; None if it is missing, unreadable or changed."""
     try:
-        content = read_json_bytes(folder / SEAL_FILE, linked=False)
+        content = read_json_bytes(folder / SEAL_FILE, follow_links=False)
         found = Seal.model_validate_json(content)
     except (OSError, ValueError):
         return None
-    return found if found.whole and content == _as_written(found) else None
+    return found if found.whole and content == _encode_seal(found) else None
 
 
 def is_sealed(folder: Path) -> bool:
@@ -337,7 +343,7 @@ def is_sealed(folder: Path) -> bool:
 
 def _own_files(folder: Path) -> Iterator[tuple[str, Path]]:
     """Files that the run itself can have written; anything else was added."""
-    for name, path in files_of(folder):
+    for name, path in iterate_files(folder):
         status = path.lstat()
         regular = stat.S_ISREG(status.st_mode) and status.st_size <= LARGEST_FILE_BYTES
         if regular and _is_text(name):
@@ -353,5 +359,5 @@ def _is_text(name: str) -> bool:
     return True
 
 
-def _as_written(made: Seal) -> bytes:
-    return made.model_dump_json(by_alias=True, indent=1).encode()
+def _encode_seal(new_seal: Seal) -> bytes:
+    return new_seal.model_dump_json(by_alias=True, indent=1).encode()

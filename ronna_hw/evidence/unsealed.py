@@ -11,9 +11,9 @@ from pathlib import PurePosixPath
 
 from ronna_hw.evidence.inspection import Inspection
 from ronna_hw.evidence.journal_reading import Line
-from ronna_hw.evidence.manifest import files_of, is_later, is_sealed
+from ronna_hw.evidence.manifest import is_sealed, is_written_later, iterate_files
 from ronna_hw.records import PARTIAL
-from ronna_hw.text import counted, printable
+from ronna_hw.text import format_count, printable
 
 UNSEALED = "unsealed"  # in a `restarted` line: name -> bytes
 REPORT = "report"  # made anew at every end
@@ -24,38 +24,38 @@ def unsealed(found: Inspection) -> dict[str, int]:
     if not found.chain.lines:
         return {}
     manifest = found.manifest
-    known = {*found.not_as_left, *manifest.not_vouched_for}
+    known = {*found.not_as_left, *manifest.unvouched_files}
     if is_sealed(found.folder):
-        doubtful = {one.file for one in found.changes if is_later(one.file)}
+        doubtful = {issue.file for issue in found.changes if is_written_later(issue.file)}
     else:
-        doubtful = {name for name, _ in files_of(found.folder)}
-        known.update(manifest.files if found.chain.is_closed else manifest.lasting, manifest.request)
-        known.update(manifest.records, manifest.pictures, manifest.made_from, manifest.truth)
+        doubtful = {name for name, _ in iterate_files(found.folder)}
+        known.update(manifest.files if found.chain.is_closed else manifest.lasting_files, manifest.request)
+        known.update(manifest.records, manifest.pictures, manifest.result_inputs, manifest.truth)
     return {
         name: path.lstat().st_size
-        for name, path in files_of(found.folder)
+        for name, path in iterate_files(found.folder)
         if name in doubtful - known and not name.startswith(REPORT) and not name.endswith(PARTIAL)
     }
 
 
-def unsealed_sentences(lines: tuple[Line, ...]) -> Iterator[str]:
+def describe_unsealed_files(lines: tuple[Line, ...]) -> Iterator[str]:
     """Describe in sentences the files that the seal covers without vouching for them."""
     for number, line in enumerate(lines):
         files = line.get(UNSEALED)
         if isinstance(files, Mapping) and files:
             yield (
-                f"not vouched for: {', '.join(_named(files))} had no seal when the run was resumed "
+                f"not vouched for: {', '.join(_name_files(files))} had no seal when the run was resumed "
                 f"after line {number} of its journal; a change before that would not show"
             )
 
 
-def _named(files: Mapping[str, object]) -> Iterator[str]:
+def _name_files(files: Mapping[str, object]) -> Iterator[str]:
     """Files with their length; several in one folder by their number."""
     folders: dict[str, list[str]] = {}
     for name in map(str, files):
         folders.setdefault(str(PurePosixPath(name).parent), []).append(name)
     for folder, names in folders.items():
         if len(names) > 1 and folder != ".":
-            yield f"{printable(folder)} ({counted(len(names), 'file')})"
+            yield f"{printable(folder)} ({format_count(len(names), 'file')})"
         else:
             yield from (f"{printable(name)} ({files[name]} bytes)" for name in names)

@@ -19,7 +19,7 @@ from queue import Empty, SimpleQueue
 from typing import IO, TYPE_CHECKING, Any
 
 from ronna_hw.errors import LinkTimeout
-from ronna_hw.host.process import children_uninterrupted, describe_exit
+from ronna_hw.host.process import describe_exit, shield_children
 from ronna_hw.logs import logger
 
 if TYPE_CHECKING:
@@ -32,8 +32,8 @@ READY_TIMEOUT_S = 60.0  # a busy computer takes many times the seconds that a st
 IDLE_TIMEOUT_S = 10.0  # without processor time: it is halted, or waits for what does not come
 STOP_TIMEOUT_S = 2.0  # the contract of every command that prints READY, for SIGTERM
 MESSAGE_LINES_KEPT = 5
-LOOK_S = 1.0  # between two readings, each of which lists the computer's processes
-LOOK_AGAIN_S = 0.1  # host time
+POLL_S = 1.0  # between two readings, each of which lists the computer's processes
+OUTPUT_POLL_S = 0.1  # host time
 
 
 class ChildNotReady(LinkTimeout):
@@ -43,7 +43,7 @@ class ChildNotReady(LinkTimeout):
     action = "Run the command alone to see why it stops."
 
 
-def gave_up(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
+def timeout_error(what: str, late_s: float | None, idle_s: float = IDLE_TIMEOUT_S) -> ChildNotReady:
     """Build the error of a process that took `late_s`, or with None used no processor time for `idle_s`."""
     if late_s is not None:
         return ChildNotReady(what, limit=f"{late_s:g} s", action=TOO_SLOW)
@@ -112,17 +112,17 @@ class ChildProcess:
         now. A child without processor time for `idle_s` has failed.
         """
         deadline = (time.monotonic() if since is None else since) + timeout_s
-        use = ProcessorUse(self.process.pid)
+        processor_use = ProcessorUse(self.process.pid)
         while True:
             try:
-                line = self._lines.get(timeout=max(0.0, min(LOOK_S, deadline - time.monotonic())))
+                line = self._lines.get(timeout=max(0.0, min(POLL_S, deadline - time.monotonic())))
             except Empty:
-                late = time.monotonic() >= deadline
-                if not late and use.idle_s() < idle_s:
+                is_late = time.monotonic() >= deadline
+                if not is_late and processor_use.idle_s() < idle_s:
                     continue
                 self.stop(stop_s)
                 what = f"{self.name} did not become ready"
-                raise gave_up(what, timeout_s if late else None, idle_s) from None
+                raise timeout_error(what, timeout_s if is_late else None, idle_s) from None
             if line is None:
                 self.process.wait()
                 self._readers[1].join(timeout=1.0)
@@ -155,10 +155,10 @@ class ChildProcess:
             self.process.wait(timeout_s)
         if self.alive:
             self._log.warning("killed: SIGTERM did not end it", limit_s=timeout_s)
-            below = descendants_of(self.process.pid)
+            offspring = descendants_of(self.process.pid)
             self.process.kill()
             self.process.wait()
-            kill_all(below)
+            kill_all(offspring)
         for reader in self._readers:
             reader.join(timeout=1.0)
         for stream in (self.process.stdout, self.process.stderr):
@@ -187,9 +187,9 @@ class ChildProcess:
                 self._on_message(line.rstrip())
 
 
-def finished_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
+def run_command(name: str, arguments: Sequence[str], limit_s: float) -> subprocess.CompletedProcess[str]:
     """Run a command to its end, whatever its exit code. Raises PRC-001 like `await_end`."""
-    with children_uninterrupted():
+    with shield_children():
         process = subprocess.Popen(
             arguments,
             stdin=subprocess.DEVNULL,
@@ -211,16 +211,16 @@ def await_end(
     `meanwhile` is called several times a second. Kills the command and raises PRC-001 when it takes longer
     than `limit_s` or stops using the processor.
     """
-    deadline_s, use = time.monotonic() + limit_s, ProcessorUse(process.pid)
+    deadline_s, processor_use = time.monotonic() + limit_s, ProcessorUse(process.pid)
     try:
         while True:
             try:
-                return process.communicate(timeout=LOOK_AGAIN_S)
+                return process.communicate(timeout=OUTPUT_POLL_S)
             except subprocess.TimeoutExpired:
                 meanwhile()
-            late = time.monotonic() >= deadline_s
-            if late or use.idle_s() >= IDLE_TIMEOUT_S:
-                raise gave_up(f"{name} did not finish", limit_s if late else None)
+            is_late = time.monotonic() >= deadline_s
+            if is_late or processor_use.idle_s() >= IDLE_TIMEOUT_S:
+                raise timeout_error(f"{name} did not finish", limit_s if is_late else None)
     except BaseException:  # also an interruption: nothing is left running
         process.kill()
         process.wait()
@@ -232,29 +232,29 @@ class ProcessorUse:
 
     def __init__(self, number: int) -> None:
         self._number = number  # of the process
-        self._used_s = 0.0
+        self._processor_time_s = 0.0
         self._changed_s = self._next_s = time.monotonic()
 
     def idle_s(self) -> float:
         """Host time since the process or a descendant was last seen to use the processor."""
         now_s = time.monotonic()
         if now_s >= self._next_s:
-            self._next_s = now_s + LOOK_S
-            used_s = _used_s(self._number)
-            if used_s != self._used_s:
-                self._used_s, self._changed_s = used_s, now_s
+            self._next_s = now_s + POLL_S
+            used_s = _processor_time_s(self._number)
+            if used_s != self._processor_time_s:
+                self._processor_time_s, self._changed_s = used_s, now_s
         return now_s - self._changed_s
 
 
-def _used_s(number: int) -> float:
+def _processor_time_s(number: int) -> float:
     import psutil  # imported late: device processes import little
 
     used_s = 0.0
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(number)
-        for one in (process, *process.children(recursive=True)):
+        for member in (process, *process.children(recursive=True)):
             with contextlib.suppress(psutil.Error):
-                used_s += sum(one.cpu_times())
+                used_s += sum(member.cpu_times())
     return used_s
 
 
@@ -266,10 +266,10 @@ def descendants_of(number: int) -> list[psutil.Process]:
     import psutil  # imported late: device processes import little
 
     try:
-        below: list[psutil.Process] = psutil.Process(number).children(recursive=True)
+        offspring: list[psutil.Process] = psutil.Process(number).children(recursive=True)
     except psutil.Error:
         return []
-    return below
+    return offspring
 
 
 def kill_all(processes: list[psutil.Process]) -> None:

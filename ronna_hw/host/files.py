@@ -20,12 +20,12 @@ from ronna_hw.errors import RonnaError
 NOT_REGULAR = (errno.EINVAL, "not a regular file")
 
 
-def open_regular(path: Path, *, linked: bool = False) -> BinaryIO:
+def open_regular(path: Path, *, follow_links: bool = False) -> BinaryIO:
     """Open a file for reading; never blocks. Raises OSError, also for a pipe or a device.
 
-    A link raises OSError too, unless `linked`.
+    A link raises OSError too, unless `follow_links`.
     """
-    follow = 0 if linked else os.O_NOFOLLOW
+    follow = 0 if follow_links else os.O_NOFOLLOW
     try:
         file = os.open(path, os.O_RDONLY | follow | os.O_NONBLOCK | os.O_CLOEXEC)
     except ValueError as error:  # a zero byte, which no name of a file has
@@ -49,20 +49,20 @@ class WalkedPath(NamedTuple):
     entered: bool  # a folder whose content follows
 
 
-def walk(folder: Path, *, without: Collection[str] = ()) -> Iterator[WalkedPath]:
-    """Iterate without recursion over everything below a folder, except top-level folders named in `without`.
+def walk(folder: Path, *, excluded: Collection[str] = ()) -> Iterator[WalkedPath]:
+    """Iterate without recursion over everything below a folder, except top-level folders named in `excluded`.
 
     Links are not followed. Folders at `DEEPEST_LEVEL` and unreadable ones are listed but not entered.
     """
     waiting = [(folder, 0)]
     while waiting:
-        at, level = waiting.pop()
+        current_folder, level = waiting.pop()
         entries: list[os.DirEntry[str]] = []
-        with suppress(OSError), os.scandir(at) as listed:
+        with suppress(OSError), os.scandir(current_folder) as listed:
             entries = sorted(listed, key=lambda entry: entry.name)
         for entry in entries:
-            path, is_folder = at / entry.name, entry.is_dir(follow_symlinks=False)
-            if is_folder and level == 0 and entry.name in without:
+            path, is_folder = current_folder / entry.name, entry.is_dir(follow_symlinks=False)
+            if is_folder and level == 0 and entry.name in excluded:
                 continue
             readable = is_folder and os.access(path, os.R_OK | os.X_OK)
             entered = readable and level + 1 < DEEPEST_LEVEL
@@ -83,7 +83,7 @@ _UMASKS = {"owner": 0o077, "group": 0o007}  # folders 0700 and files 0600, or 07
 
 
 @contextmanager
-def own_files() -> Iterator[None]:
+def restrict_new_files() -> Iterator[None]:
     """Create files in the block, also in child processes, for this user only, whatever the umask.
 
     `RONNA_ACCESS=group` also admits the folder's group, for a folder that a lab shares. Raises ValueError for

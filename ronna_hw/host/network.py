@@ -42,21 +42,21 @@ def interfaces() -> tuple[Interface, ...]:
     return tuple(
         Interface(
             name,
-            each.address,
-            IPv4Network(f"0.0.0.0/{each.netmask or '255.255.255.255'}").prefixlen,
+            entry.address,
+            IPv4Network(f"0.0.0.0/{entry.netmask or '255.255.255.255'}").prefixlen,
             states[name].mtu if name in states else 0,
         )
         for name, addresses in psutil.net_if_addrs().items()
-        for each in addresses
-        if each.family == socket.AF_INET
+        for entry in addresses
+        if entry.family == socket.AF_INET
     )
 
 
-def interface_of(local_address: str) -> Interface | None:
+def find_interface(local_address: str) -> Interface | None:
     """Interface with that address, or else the one whose subnet contains it; None if there is none."""
-    every = interfaces()
-    exact = (each for each in every if each.address == local_address)
-    return next(exact, next((each for each in every if each.reaches(local_address)), None))
+    all_interfaces = interfaces()
+    exact = (entry for entry in all_interfaces if entry.address == local_address)
+    return next(exact, next((entry for entry in all_interfaces if entry.reaches(local_address)), None))
 
 
 FIRST_PORT = 20_000  # below the ports that the kernel assigns itself, which start at 32768
@@ -88,7 +88,7 @@ _ACCOUNT, _INODE = 7, 9  # columns of /proc/net/tcp
 _MAPPED = "0000000000000000FFFF0000"  # before an IPv4 address in IPv6, on a little-endian computer
 
 
-def account_at(peer: Place, here: Place) -> int | None:
+def find_account(peer: Place, here: Place) -> int | None:
     """User id of the program at `peer` of a TCP connection to the listening socket `here`.
 
     None if that end is closed, or on another computer. The kernel is asked for this one connection
@@ -101,7 +101,7 @@ def account_at(peer: Place, here: Place) -> int | None:
         if found is not None or _diagnosed(here, _NOWHERE) is not None:  # the second is always there
             account, inode = found or (None, 0)
             return account if inode else None  # without it its program has closed it, and its account is lost
-    return _listed(peer, here)
+    return _search_table(peer, here)
 
 
 def _diagnosed(local: Place, remote: Place) -> tuple[int, int] | None:
@@ -126,8 +126,8 @@ def _ports(*places: Place) -> tuple[bytes, ...]:
     return tuple(port.to_bytes(2, "big") for _, port in places)
 
 
-def _listed(peer: Place, here: Place) -> int | None:
-    ends = [_in_list(peer), _in_list(here)]
+def _search_table(peer: Place, here: Place) -> int | None:
+    ends = [_format_place(peer), _format_place(here)]
     for table, mapped in (("tcp", ""), ("tcp6", _MAPPED)):
         with contextlib.suppress(OSError):
             for line in Path(f"/proc/self/net/{table}").read_text().splitlines()[1:]:
@@ -137,6 +137,6 @@ def _listed(peer: Place, here: Place) -> int | None:
     return None
 
 
-def _in_list(place: Place) -> str:
+def _format_place(place: Place) -> str:
     address = int.from_bytes(socket.inet_aton(place[0]), sys.byteorder)
     return f"{address:08X}:{place[1]:04X}"

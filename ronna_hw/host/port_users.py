@@ -36,7 +36,7 @@ class PortUser:
         return f"{self.name} (pid {self.pid}{', ' * bool(self.terminal)}{self.terminal})"
 
 
-def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
+def find_serial_port_users(path: str) -> tuple[PortUser, ...]:
     """Other processes with this port open, except the one on the master side of a pseudo-terminal."""
     try:
         device = os.stat(path).st_rdev
@@ -47,41 +47,46 @@ def users_of_serial_port(path: str) -> tuple[PortUser, ...]:
         files = tuple(_open_devices(pid))
         opened = pid != os.getpid() and any(_is_device(file, device) for file in files)
         if opened and not any(_is_master_of(file, device) for file in files):
-            found.append(PortUser(pid, _name(pid)))
+            found.append(PortUser(pid, _describe_process(pid)))
     return tuple(found)
 
 
-def user_of_udp_port(address: str, port: int) -> PortUser | None:
+def find_udp_port_user(address: str, port: int) -> PortUser | None:
     """Process of this computer bound to a UDP port; None if there is none, or it is hidden."""
-    for each in psutil.net_connections(kind="udp4"):
-        if each.pid and each.laddr.port == port and each.laddr.ip in (address, ANY_ADDRESS):
-            return PortUser(each.pid, _name(each.pid))
+    for connection in psutil.net_connections(kind="udp4"):
+        if connection.pid and connection.laddr.port == port and connection.laddr.ip in (address, ANY_ADDRESS):
+            return PortUser(connection.pid, _describe_process(connection.pid))
     return None
 
 
-def listener_of_tcp_port(address: str, port: int) -> PortUser | None:
+def find_tcp_listener(address: str, port: int) -> PortUser | None:
     """Process of this computer listening on a TCP port; None if there is none, or it is hidden."""
-    for each in psutil.net_connections(kind="tcp4"):
-        listens = each.status == psutil.CONN_LISTEN and each.laddr.port == port
-        if each.pid and listens and each.laddr.ip in (address, ANY_ADDRESS):
-            return PortUser(each.pid, _name(each.pid))
+    for connection in psutil.net_connections(kind="tcp4"):
+        listens = connection.status == psutil.CONN_LISTEN and connection.laddr.port == port
+        if connection.pid and listens and connection.laddr.ip in (address, ANY_ADDRESS):
+            return PortUser(connection.pid, _describe_process(connection.pid))
     return None
 
 
-def clients_of_tcp_port(host: str, port: int) -> tuple[PortUser, ...]:
+def find_tcp_clients(host: str, port: int) -> tuple[PortUser, ...]:
     """Other processes of this computer that are connected to a TCP port, here or elsewhere."""
     try:
         there = (socket.gethostbyname(host), port)
     except OSError:
         return ()
     return tuple(
-        PortUser(each.pid or 0, _name(each.pid) if each.pid else "a program of another user")
-        for each in psutil.net_connections(kind="tcp4")
-        if each.status == psutil.CONN_ESTABLISHED and each.raddr == there and each.pid != os.getpid()
+        PortUser(
+            connection.pid or 0,
+            _describe_process(connection.pid) if connection.pid else "a program of another user",
+        )
+        for connection in psutil.net_connections(kind="tcp4")
+        if connection.status == psutil.CONN_ESTABLISHED
+        and connection.raddr == there
+        and connection.pid != os.getpid()
     )
 
 
-def holder_of_lock(file: int) -> PortUser | None:
+def find_lock_holder(file: int) -> PortUser | None:
     """Process that holds the `flock` of an open file, with its terminal; None if it is hidden.
 
     psutil does not know locks.
@@ -95,7 +100,7 @@ def holder_of_lock(file: int) -> PortUser | None:
                 terminal = ""
                 with contextlib.suppress(psutil.Error):
                     terminal = psutil.Process(pid).terminal() or ""
-                return PortUser(pid, _name(pid), terminal)
+                return PortUser(pid, _describe_process(pid), terminal)
     return None
 
 
@@ -126,7 +131,7 @@ def _is_master_of(file: Path, device: int) -> bool:
     return False
 
 
-def _name(pid: int) -> str:
+def _describe_process(pid: int) -> str:
     with contextlib.suppress(psutil.Error):
         process = psutil.Process(pid)
         words = [word for word in process.cmdline() if word]
@@ -138,7 +143,7 @@ def _name(pid: int) -> str:
     return "a program"
 
 
-def permissions(path: str) -> str:
+def describe_permissions(path: str) -> str:
     """Mode, owner and group of a port, as `ls -l` shows them."""
     try:
         status = os.stat(path)
@@ -147,7 +152,7 @@ def permissions(path: str) -> str:
     return f"{stat.filemode(status.st_mode)} {_owner(status.st_uid)} {_group(status.st_gid)}"
 
 
-def permission_advice(path: str) -> str:
+def advise_on_permission(path: str) -> str:
     """Say who may use a port, and how to get that permission."""
     try:
         status = os.stat(path)

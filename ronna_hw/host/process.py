@@ -25,15 +25,15 @@ from typing import NamedTuple
 from ronna_hw.errors import ConfigurationError
 
 
-def begin_start() -> None:
-    """Suspend garbage collection until `end_start`.
+def suspend_garbage_collection() -> None:
+    """Suspend garbage collection until `resume_garbage_collection`.
 
     Nearly all that a starting process allocates stays, and collecting would take a fifth of the start.
     """
     gc.disable()
 
 
-def end_start() -> None:
+def resume_garbage_collection() -> None:
     """Exclude all present objects from later collections, and collect again."""
     gc.freeze()
     gc.enable()
@@ -49,7 +49,7 @@ class ParentProcess(NamedTuple):
     gone_at_start: bool = False
 
     @property
-    def gone(self) -> bool:
+    def is_gone(self) -> bool:
         """Whether the parent has died, possibly before it was noted; an orphan is adopted by init."""
         return self.gone_at_start or os.getppid() != self.pid
 
@@ -61,8 +61,8 @@ def note_parent() -> ParentProcess:
     other group is an orphan whose parent died before this call.
     """
     pid = os.getppid()
-    orphan = pid == INIT and os.getpgrp() not in (os.getpid(), os.getpgid(INIT))
-    return ParentProcess(pid, gone_at_start=orphan)
+    is_orphan = pid == INIT and os.getpgrp() not in (os.getpid(), os.getpgid(INIT))
+    return ParentProcess(pid, gone_at_start=is_orphan)
 
 
 PARENT = note_parent()
@@ -81,12 +81,12 @@ def require_own_packages() -> None:
 
     `sim`, `drivers` and `procedures` are common names: half of the program would be foreign code.
     """
-    foreign = foreign_packages()
+    foreign = find_foreign_packages()
     if foreign:
         raise ForeignPackage(f"another package on the path is named {' and '.join(foreign)}")
 
 
-def foreign_packages() -> tuple[str, ...]:
+def find_foreign_packages() -> tuple[str, ...]:
     """Our package names that Python would not load from the folder of `ronna_hw`."""
     home = Path(__file__).resolve().parents[2]
     foreign = []
@@ -104,16 +104,16 @@ def foreign_packages() -> tuple[str, ...]:
 _THREADS = ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")
 
 
-def single_threaded() -> None:
+def limit_to_one_thread() -> None:
     """Keep this process and its children to one thread. Call before NumPy is imported."""
     os.environ.update(dict.fromkeys(_THREADS, "1"))
 
 
 @contextmanager
-def processes_single_threaded() -> Iterator[None]:
+def limit_children_to_one_thread() -> Iterator[None]:
     """Keep processes started in the block to one thread."""
     before = {name: os.environ.get(name) for name in _THREADS}
-    single_threaded()
+    limit_to_one_thread()
     try:
         yield
     finally:
@@ -128,7 +128,7 @@ ENDING_SIGNALS = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)  # Ctrl-C, an or
 
 
 @contextmanager
-def interruption_deferred() -> Iterator[None]:
+def defer_interruption() -> Iterator[None]:
     """Defer the signals that end a program to the end of the block; for work bounded in time.
 
     Python delivers signals to the main thread only; in any other thread nothing is deferred.
@@ -141,14 +141,14 @@ def interruption_deferred() -> Iterator[None]:
     def note(number: int, _frame: FrameType | None) -> None:
         received.append(signal.Signals(number))
 
-    with _handled_by(note):
+    with _handle_signals(note):
         yield
     for number in dict.fromkeys(received):
         signal.raise_signal(number)
 
 
 @contextmanager
-def interruptible() -> Iterator[None]:
+def allow_interruption() -> Iterator[None]:
     """Let the ending signals raise KeyboardInterrupt in the block, even if they are ignored around it."""
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -157,12 +157,12 @@ def interruptible() -> Iterator[None]:
     def interrupt(_number: int, _frame: FrameType | None) -> None:
         raise KeyboardInterrupt
 
-    with _handled_by(interrupt):
+    with _handle_signals(interrupt):
         yield
 
 
 @contextmanager
-def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
+def _handle_signals(handler: Callable[[int, FrameType | None], None]) -> Iterator[None]:
     """Direct the ending signals to `handler` in the block; main thread only."""
     before = {number: signal.signal(number, handler) for number in ENDING_SIGNALS}
     try:
@@ -173,7 +173,7 @@ def _handled_by(handler: Callable[[int, FrameType | None], None]) -> Iterator[No
 
 
 @contextmanager
-def children_uninterrupted() -> Iterator[None]:
+def shield_children() -> Iterator[None]:
     """Start processes in the block that never receive SIGINT: they inherit it blocked.
 
     Their own session, which hides the other signals of the terminal, begins only after the fork.

@@ -28,7 +28,7 @@ def lock_memory() -> bool:
         return False
 
 
-def run_first(priority: int) -> bool:
+def request_priority(priority: int) -> bool:
     """Run ahead of all ordinary processes (SCHED_FIFO); returns whether granted.
 
     Priority 0 requests nothing.
@@ -42,13 +42,13 @@ def run_first(priority: int) -> bool:
     return True
 
 
-def sleep_exactly() -> None:
+def make_sleep_precise() -> None:
     """Make short sleeps precise (timer slack), also at ordinary priority."""
     with contextlib.suppress(OSError, AttributeError):
         ctypes.CDLL(None, use_errno=True).prctl(_PR_SET_TIMERSLACK, _LEAST_SLACK_NS, 0, 0, 0)
 
 
-def stop_collecting() -> None:
+def stop_garbage_collection() -> None:
     """Turn off garbage collection, for a control cycle that creates no reference cycles."""
     gc.collect()
     gc.freeze()

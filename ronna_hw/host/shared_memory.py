@@ -41,7 +41,7 @@ class MemoryMap:
 
     def __init__(self, mark: bytes) -> None:
         self.mark = mark
-        self.size_bytes = _aligned(len(mark))
+        self.size_bytes = _align(len(mark))
 
     def mark_memory(self, memory: Any) -> None:
         """Write our mark."""
@@ -61,7 +61,7 @@ class MemoryMap:
         self._take(place.size_bytes)
         return place
 
-    def checked(self, row: type[RowT]) -> CheckedRow[RowT]:
+    def checked_row(self, row: type[RowT]) -> CheckedRow[RowT]:
         """Assign a row behind a checksum."""
         place = CheckedRow(row, self.size_bytes)
         self._take(place.size_bytes)
@@ -85,11 +85,11 @@ class MemoryMap:
 
     def _take(self, size_bytes: int) -> int:
         offset = self.size_bytes
-        self.size_bytes = _aligned(offset + size_bytes)
+        self.size_bytes = _align(offset + size_bytes)
         return offset
 
 
-def _aligned(size_bytes: int) -> int:
+def _align(size_bytes: int) -> int:
     return -(-size_bytes // ALIGNMENT_BYTES) * ALIGNMENT_BYTES
 
 
@@ -115,7 +115,7 @@ class Rows(Generic[RowT]):
 
     def __init__(self, row: type[RowT], offset: int, count: int) -> None:
         self._codec = RowCodec(row)
-        self._stride = _aligned(self._codec.size_bytes)
+        self._stride = _align(self._codec.size_bytes)
         self._offset = offset
         self.count = count
         self.size_bytes = self._stride * count
@@ -133,7 +133,7 @@ class CheckedRow(Generic[RowT]):
 
     def __init__(self, row: type[RowT], offset: int) -> None:
         self._codec = RowCodec(row)
-        self._block = _Checked(offset, self._codec.size_bytes)
+        self._block = _ChecksummedBlock(offset, self._codec.size_bytes)
         self.size_bytes = _CHECKSUM.size + self._codec.size_bytes
 
     def read(self, memory: Any) -> RowT | None:
@@ -156,17 +156,17 @@ class CheckedBytes:
     def read(self, memory: Any) -> bytes | None:
         """Read the bytes; None while they are being written."""
         length = _LENGTH.unpack_from(memory, self._offset)[0]
-        return _Checked(self._offset + _LENGTH.size, min(length, self.capacity_bytes)).read(memory)
+        return _ChecksummedBlock(self._offset + _LENGTH.size, min(length, self.capacity_bytes)).read(memory)
 
     def write(self, memory: Any, content: bytes) -> None:
         """Write the bytes; raises ValueError if they do not fit."""
         if len(content) > self.capacity_bytes:
             raise ValueError(f"{len(content)} bytes do not fit into {self.capacity_bytes}")
         memory[self._offset : self._offset + _LENGTH.size] = _LENGTH.pack(len(content))
-        _Checked(self._offset + _LENGTH.size, len(content)).write(memory, content)
+        _ChecksummedBlock(self._offset + _LENGTH.size, len(content)).write(memory, content)
 
 
-class _Checked:
+class _ChecksummedBlock:
     def __init__(self, offset: int, size_bytes: int) -> None:
         self._offset = offset
         self._start = offset + _CHECKSUM.size

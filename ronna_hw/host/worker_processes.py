@@ -11,13 +11,13 @@ from contextlib import contextmanager
 from multiprocessing import active_children, get_context, parent_process
 from typing import TypeVar
 
-from ronna_hw.host.child_process import IDLE_TIMEOUT_S, LOOK_S, ProcessorUse, gave_up
+from ronna_hw.host.child_process import IDLE_TIMEOUT_S, POLL_S, ProcessorUse, timeout_error
 
 Result = TypeVar("Result")
 
 
 @contextmanager
-def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
+def start_workers(count: int) -> Iterator[ProcessPoolExecutor]:
     """Start so many worker processes, which end with this one. A fork would inherit locks of library threads.
 
     An error or interruption in the block kills them: their work may never end by itself.
@@ -33,13 +33,13 @@ def fresh_processes(count: int) -> Iterator[ProcessPoolExecutor]:
             raise
 
 
-def results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
+def collect_results(waiting: Sequence[Future[Result]]) -> Iterator[Result]:
     """Results of workers that only compute, in order; raises PRC-001 when none uses the processor."""
     uses = [ProcessorUse(process.pid) for process in active_children() if process.pid is not None]
     for future in waiting:
-        while not wait([future], LOOK_S).done:
+        while not wait([future], POLL_S).done:
             if all([use.idle_s() >= IDLE_TIMEOUT_S for use in uses]):
-                raise gave_up("the worker processes do not finish", None, IDLE_TIMEOUT_S)
+                raise timeout_error("the worker processes do not finish", None, IDLE_TIMEOUT_S)
         yield future.result()
 
 

@@ -27,7 +27,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from ronna_hw.bounded_input import InputRefused, parse_json
-from ronna_hw.devices.capabilities import Direction, Passed
+from ronna_hw.devices.capabilities import Direction, PassedBytes
 from ronna_hw.host.files import open_regular
 from ronna_hw.logs import logger
 
@@ -74,22 +74,24 @@ class FlightRecorder:
         self._queue_length = queue_length
         self._dropped: dict[str, int] = defaultdict(int)
         self._lock = threading.Lock()  # protects the count of dropped entries
-        self._looked: dict[str, tuple[int, float]] = {}  # by link: host and theatre time of the last query
+        self._last_queries: dict[
+            str, tuple[int, float]
+        ] = {}  # by link: host and theatre time of the last query
         self._last_s = 0.0
         self._files: dict[str, AlternatingFiles | None] = {}  # None: not writable
         self._ending = threading.Event()
         self._writer = threading.Thread(target=self._run, name="flight recorder", daemon=True)
         self._writer.start()
 
-    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+    def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         """Record bytes that have just passed."""
         self._put(_Entry(link, time.monotonic_ns(), self._theatre_s(), direction, data, {}))
 
-    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+    def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         """Record earlier traffic; theatre time is interpolated since the last call for this link."""
         now_ns, now_s = time.monotonic_ns(), self._theatre_s()
-        before_ns, before_s = self._looked.get(link, (now_ns, now_s))
-        self._looked[link] = now_ns, now_s
+        before_ns, before_s = self._last_queries.get(link, (now_ns, now_s))
+        self._last_queries[link] = now_ns, now_s
         rate = (now_s - before_s) / (now_ns - before_ns) if now_ns > before_ns else 0.0
         for host_ns, direction, data in all_passed:
             theatre_s = min(now_s, max(before_s, now_s - rate * (now_ns - host_ns)))
@@ -200,28 +202,28 @@ class AlternatingFiles:
         """Close the file."""
         os.close(self._file)
 
-    def _open(self, how: int) -> int:
-        return os.open(self._paths[self._which], os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | how, 0o666)
+    def _open(self, open_flags: int) -> int:
+        return os.open(self._paths[self._which], os.O_WRONLY | os.O_CREAT | os.O_CLOEXEC | open_flags, 0o666)
 
 
 def encode_bytes(epoch_ns: int, theatre_time_s: float, direction: Direction, data: bytes) -> str:
     """Line for bytes that passed at `epoch_ns`."""
-    return f'{_moment(epoch_ns, theatre_time_s)}{_HEX[direction]}{data.hex()}"}}\n'
+    return f'{_format_moment(epoch_ns, theatre_time_s)}{_HEX[direction]}{data.hex()}"}}\n'
 
 
 def encode_note(epoch_ns: int, theatre_time_s: float, facts: Facts) -> str:
     """Line for a note."""
-    return f'{_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
+    return f'{_format_moment(epoch_ns, theatre_time_s)},"note":{json.dumps(dict(facts))}}}\n'
 
 
-def _moment(epoch_ns: int, theatre_time_s: float) -> str:
+def _format_moment(epoch_ns: int, theatre_time_s: float) -> str:
     second, ns = divmod(epoch_ns, 1_000_000_000)
-    moment = f"{_to_the_second(second)}.{ns // 1000:06d}+00:00"
+    moment = f"{_format_second(second)}.{ns // 1000:06d}+00:00"
     return f'{{"host_time":"{moment}","theatre_time_s":{theatre_time_s:.6f}'
 
 
 @lru_cache(maxsize=4)  # thousands of telegrams pass within a second
-def _to_the_second(second: int) -> str:
+def _format_second(second: int) -> str:
     return datetime.fromtimestamp(second, UTC).strftime("%Y-%m-%dT%H:%M:%S")
 
 
@@ -237,7 +239,7 @@ class LinkLine:
     note: Facts = field(default_factory=dict)
 
 
-def links_of(folder: Path) -> tuple[str, ...]:
+def list_links(folder: Path) -> tuple[str, ...]:
     """Names of the links with bytes in a folder."""
     names = {path.name.rsplit(".", 2)[0] for path in folder.glob("*.jsonl")}
     return tuple(sorted(names))
@@ -249,14 +251,14 @@ def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
     Raises INP-001 for a file that is too large, OSError.
     """
     files = [folder / name.format(link=link) for name in FILE_NAMES]
-    parts = [_read(link, path) for path in files if path.exists()]
-    begun = [(first, part) for part in parts if (first := next(part, None)) is not None]
-    for first, part in sorted(begun, key=lambda one: one[0].host_time):
+    parts = [_read_file(link, path) for path in files if path.exists()]
+    started_parts = [(first, part) for part in parts if (first := next(part, None)) is not None]
+    for first, part in sorted(started_parts, key=lambda pair: pair[0].host_time):
         yield first
         yield from part
 
 
-def _read(link: str, path: Path) -> Iterator[LinkLine]:
+def _read_file(link: str, path: Path) -> Iterator[LinkLine]:
     with io.TextIOWrapper(open_regular(path), encoding="ascii", errors="replace") as file:
         if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
             raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")

@@ -40,14 +40,14 @@ ANSWERS: dict[str, Any] = {
     **dict.fromkeys(("surround", "set_areas", "set_exposure", "scale_exposure", "confirm_start"), None),
 }
 # Properties that may change on their own; each access is an answer.
-LOOKS: dict[str, Any] = {"to_confirm": str | None}
+RECORDED_PROPERTIES: dict[str, Any] = {"to_confirm": str | None}
 # Properties that a device knows after one of the calls below; recorded with its answer.
 PROPERTIES: dict[str, Any] = {
     "serials": tuple[str, str],
     "notices": tuple[str, ...],
     "operating_mode": OperatingMode,
 }
-TELLING = ("connect", "configure")
+IDENTIFYING_CALLS = ("connect", "configure")
 
 
 @runtime_checkable
@@ -58,7 +58,7 @@ class RecordsCalls(Protocol):
     def recorded_calls(self) -> Mapping[str, Any]: ...
 
 
-def answers_of(device: object) -> Mapping[str, Any]:
+def list_recorded_calls(device: object) -> Mapping[str, Any]:
     """Recorded calls of a device, with the type of each answer."""
     return {**device.recorded_calls, **ANSWERS} if isinstance(device, RecordsCalls) else ANSWERS
 
@@ -74,14 +74,14 @@ def as_plain(value: Any, put: PutPixels) -> Any:
     Raises ValueError or TypeError for values without such a form.
     """
 
-    def other(part: Any) -> Any:
+    def convert_other(part: Any) -> Any:
         if isinstance(part, np.ndarray):
             return {PIXELS: put(part)}
         if isinstance(part, np.generic):
             return part.item()
         raise TypeError(f"{type(part).__name__} has no plain form")
 
-    return to_jsonable_python(value, fallback=other)
+    return to_jsonable_python(value, fallback=convert_other)
 
 
 def as_recorded(kind: Any, value: Any, get: GetPixels) -> Any:

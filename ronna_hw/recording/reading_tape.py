@@ -18,11 +18,18 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Any, NamedTuple, cast
 
-from ronna_hw.devices.lifecycle import Device, Lifecycle, activated
+from ronna_hw.devices.lifecycle import Device, Lifecycle, hold_active
 from ronna_hw.devices.readings import StereoReading
 from ronna_hw.errors import RonnaError
 from ronna_hw.logs import logger
-from ronna_hw.recording.reading_coding import LOOKS, PROPERTIES, TELLING, answers_of, as_plain, pack_pixels
+from ronna_hw.recording.reading_coding import (
+    IDENTIFYING_CALLS,
+    PROPERTIES,
+    RECORDED_PROPERTIES,
+    as_plain,
+    list_recorded_calls,
+    pack_pixels,
+)
 
 READINGS_FOLDER = "readings"
 READINGS_FILE, PIXELS_FILE = "readings.jsonl", "pixels.bin"
@@ -99,7 +106,7 @@ class ReadingTape:
             self._beside -= 1
 
     @property
-    def listening(self) -> bool:
+    def is_listening(self) -> bool:
         """Whether an answer to this thread should be kept."""
         return self._section != NO_SECTION and not self._beside and threading.get_ident() == self._thread
 
@@ -169,11 +176,11 @@ class ReadingTape:
             self._full = True
 
     def _write(self, answer: RecordedCall) -> None:
-        kept = ("section", "device", "call", "state", "theatre_time_s")
-        line: dict[str, Any] = {name: getattr(answer, name) for name in kept}
+        kept_fields = ("section", "device", "call", "state", "theatre_time_s")
+        line: dict[str, Any] = {name: getattr(answer, name) for name in kept_fields}
         if (error := answer.error) is not None:
-            said = {name: getattr(error, name) for name in ("what", "expected", "limit", "got")}
-            line["error"] = {"code": error.code, "class": type(error).__qualname__, **said}
+            error_fields = {name: getattr(error, name) for name in ("what", "expected", "limit", "got")}
+            line["error"] = {"code": error.code, "class": type(error).__qualname__, **error_fields}
         else:
             line["answer"] = as_plain(answer.value, self._put_pixels)
         if answer.properties:
@@ -198,15 +205,15 @@ def _pixel_bytes(value: object) -> int:
     return sum(side.pixels.nbytes for side in (value.left, value.right) if side is not None)
 
 
-def taped(device: Device, tape: ReadingTape) -> Device:
+def tape_device(device: Device, tape: ReadingTape) -> Device:
     """Wrap a device so that its answers are taped; the wrapper has exactly the public names of the device."""
     names = [name for name in dir(device) if not name.startswith("_") and name != "active"]
-    calls = answers_of(device)
-    members = {name: _member(name, calls) for name in names}
-    return cast("Device", type("Taped", (_Taped,), members)(device, tape))
+    calls = list_recorded_calls(device)
+    members = {name: _make_member(name, calls) for name in names}
+    return cast("Device", type("Taped", (_TapedDevice,), members)(device, tape))
 
 
-class _Taped:
+class _TapedDevice:
     """Wrapper with the members of the wrapped device."""
 
     def __init__(self, device: Device, tape: ReadingTape) -> None:
@@ -214,34 +221,38 @@ class _Taped:
         self._tape = tape
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Any]:
-        return activated(cast("Device", self), timeout_s)
+        return hold_active(cast("Device", self), timeout_s)
 
 
-def _member(name: str, calls: Collection[str]) -> Any:
+def _make_member(name: str, calls: Collection[str]) -> Any:
     if name in calls:
-        return _taped_call(name)
-    if name in LOOKS:
-        return property(lambda self: _ask_and_keep(self, name, lambda: getattr(self._device, name)))
+        return _make_taped_call(name)
+    if name in RECORDED_PROPERTIES:
+        return property(lambda self: _call_and_keep(self, name, lambda: getattr(self._device, name)))
     return property(lambda self: getattr(self._device, name))
 
 
-def _taped_call(name: str) -> Callable[..., Any]:
-    def call(self: _Taped, *arguments: Any, **more: Any) -> Any:
-        return _ask_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
+def _make_taped_call(name: str) -> Callable[..., Any]:
+    def call(self: _TapedDevice, *arguments: Any, **more: Any) -> Any:
+        return _call_and_keep(self, name, lambda: getattr(self._device, name)(*arguments, **more))
 
     return call
 
 
-def _ask_and_keep(self: _Taped, name: str, ask: Callable[[], Any]) -> Any:
+def _call_and_keep(self: _TapedDevice, name: str, call_device: Callable[[], Any]) -> Any:
     device, tape = self._device, self._tape
-    if not tape.listening:
-        return ask()
+    if not tape.is_listening:
+        return call_device()
     try:
-        value = ask()
+        value = call_device()
     except RonnaError as error:
         tape.keep(device.name, name, device.observe().state, None, error)
         raise
-    kept = PROPERTIES if name in TELLING else ()
-    properties = {each: getattr(device, each) for each in kept if hasattr(device, each)}
+    kept_fields = PROPERTIES if name in IDENTIFYING_CALLS else ()
+    properties = {
+        property_name: getattr(device, property_name)
+        for property_name in kept_fields
+        if hasattr(device, property_name)
+    }
     tape.keep(device.name, name, device.observe().state, value, properties=properties)
     return value

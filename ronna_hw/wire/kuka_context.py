@@ -183,7 +183,7 @@ class RsiContext(_Table):
                 raise ValueError(f"send: {element.tag}: a tag is INTERNAL if and only if it begins with DEF_")
         return self
 
-    def wired_tag(self, object_name: str, input_name: str) -> str | None:
+    def find_wired_tag(self, object_name: str, input_name: str) -> str | None:
         """Tag of the received element that feeds an object input, or None if nothing does."""
         for wire in self.wiring:
             if (wire.object, wire.input) == (object_name, input_name):
@@ -218,9 +218,9 @@ def context_hash(context: RsiContext) -> str:
     Canonical is JSON with sorted keys and no blanks, defaults written out, except for an unwired feedback:
     two files with the same meaning have the same hash.
     """
-    meaning = context.model_dump(mode="json", by_alias=True)
-    del meaning["ethernet"]["pc_ip"], meaning["ethernet"]["pc_port"]
+    plain_model = context.model_dump(mode="json", by_alias=True)
+    del plain_model["ethernet"]["pc_ip"], plain_model["ethernet"]["pc_port"]
     if not context.feedback:
-        del meaning["feedback"]
-    canonical = json.dumps(meaning, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
+        del plain_model["feedback"]
+    canonical = json.dumps(plain_model, sort_keys=True, separators=(",", ":"), ensure_ascii=True)
     return hashlib.sha256(canonical.encode("ascii")).hexdigest()[:HASH_DIGITS]

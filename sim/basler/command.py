@@ -29,7 +29,7 @@ def basler(
     from ipaddress import IPv4Address
 
     from sim.basler.server import CameraPair
-    from sim.world.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
     addresses = address or []
     if len(addresses) not in (0, CAMERAS):
@@ -45,7 +45,7 @@ def basler(
             ) from error
     keep_freed_memory()
     room = open_world(world, scene, faults, FAULTS_OF)
-    control = own_control_port(world, room, FAULTS_OF)
+    control = open_own_control_port(world, room, FAULTS_OF)
     pair = CameraPair(room, addresses)
     end_with_parent(pair.end)
     announce("basler", control=control, endpoints=pair.endpoints)

@@ -50,25 +50,25 @@ class CameraFaults:
         """Whether the script has any camera fault."""
         return not self._board.empty
 
-    def lost_packets(self, block_id: int, packets: int) -> Collection[int]:
+    def draw_lost_packets(self, block_id: int, packets: int) -> Collection[int]:
         """Draw the ids of lost packets."""
         if self._board.empty:
             return ()
-        gone: set[int] = set()
+        lost_ids: set[int] = set()
         if self.active("omit_frames"):
-            gone.update(range(packets))
+            lost_ids.update(range(packets))
         if self.active("omit_leader"):
-            gone.add(0)
+            lost_ids.add(0)
         if self.active("omit_trailer"):
-            gone.add(packets - 1)
+            lost_ids.add(packets - 1)
         shares = [float(fault.argument) for fault in self._board.active("camera_drop")]
         share = max([*shares, self.amount("lose")])
         if share:
             drawn = self._noise(block_id, LOSS_LANE).uniform(0.0, WHOLE, packets)
-            gone.update(np.flatnonzero(drawn < share).tolist())
-        return gone
+            lost_ids.update(np.flatnonzero(drawn < share).tolist())
+        return lost_ids
 
-    def packet_order(self, block_id: int, packets: int) -> Sequence[int]:
+    def draw_packet_order(self, block_id: int, packets: int) -> Sequence[int]:
         """Draw the packet ids in order of arrival, possibly with duplicates."""
         if self._board.empty:
             return range(packets)
@@ -106,15 +106,15 @@ class CameraFaults:
         """Return by how much the time stamp counter runs too fast."""
         return sum(float(fault.arguments[1]) for fault in self._own_faults("drift"))
 
-    def answer_lost(self) -> bool:
+    def draw_answer_loss(self) -> bool:
         """Draw whether the next answer to a command is lost."""
-        return self._lost("lose_answers", ANSWER_LANE)
+        return self._draw_loss("lose_answers", ANSWER_LANE)
 
-    def message_lost(self) -> bool:
+    def draw_message_loss(self) -> bool:
         """Draw whether the next event message is lost."""
-        return self._lost("lose_events", MESSAGE_LANE)
+        return self._draw_loss("lose_events", MESSAGE_LANE)
 
-    def _lost(self, kind: str, lane: int) -> bool:
+    def _draw_loss(self, kind: str, lane: int) -> bool:
         share = self.amount(kind)
         if not share:
             return False
@@ -135,14 +135,14 @@ class CameraFaults:
                 case "defocus":
                     light = np.asarray(blur(light, amount), dtype=np.float32)
                 case "dust":
-                    light = self._dusted(light, int(amount), left_px, top_px)
+                    light = self._apply_dust(light, int(amount), left_px, top_px)
                 case "darken":
                     light = np.zeros_like(light)
                 case "saturate":
                     light = (light + np.float32(1.0)) * FLOOD
         return light
 
-    def _dusted(self, light: Light, spots: int, left_px: int, top_px: int) -> Light:
+    def _apply_dust(self, light: Light, spots: int, left_px: int, top_px: int) -> Light:
         columns, rows = self._camera.sensor_px
         places = noise(self._world.scene.seed, f"dust of camera {self._camera.serial}", 0).uniform(
             (0.0, 0.0), (columns, rows), (spots, 2)

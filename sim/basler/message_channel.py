@@ -44,14 +44,14 @@ class Event:
     stamp_ticks: int
     data: bytes = b""
 
-    def encoded(self) -> bytes:
+    def encode_item(self) -> bytes:
         """Encode the event as an item of a message."""
         head = struct.pack(EVENT_ITEM, 0, self.kind, STREAM_CHANNEL, self.block_id, self.stamp_ticks)
         return head + self.data
 
 
 @dataclass
-class _Pending:
+class _PendingMessage:
     """A message sent but not yet acknowledged."""
 
     request_id: int
@@ -78,7 +78,7 @@ class MessageChannel(UdpChannel):
         self._now_s = now_s
         self._lock = threading.Lock()
         self._waiting: deque[Event] = deque()
-        self._pending: _Pending | None = None
+        self._pending: _PendingMessage | None = None
         self._request_id = 0
         self._port = 0
         self.timeout_ms = DEFAULT_TIMEOUT_MS
@@ -124,7 +124,7 @@ class MessageChannel(UdpChannel):
                 datagram, (host, _) = self.socket.recvfrom(DATAGRAM_BYTES)
                 receiver = self.receiver
                 if receiver is not None and host == receiver[0]:
-                    self._acknowledged(datagram)
+                    self._handle_acknowledge(datagram)
 
     def repeat_overdue(self) -> None:
         """Repeat the pending message when its acknowledge is late; give up after the last retry."""
@@ -145,14 +145,14 @@ class MessageChannel(UdpChannel):
         """Close the channel; queued events are dropped."""
         self.port = 0
 
-    def _acknowledged(self, datagram: bytes) -> None:
+    def _handle_acknowledge(self, datagram: bytes) -> None:
         if len(datagram) < GVCP_HEADER_BYTES:
             return
         _, code, _, request_id = struct.unpack_from(GVCP_ACK_HEADER, datagram)
         with self._lock:
             pending = self._pending
-            wanted = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
-            if pending is not None and code in wanted and request_id == pending.request_id:
+            accepted_codes = (GvcpCommand.EVENT_ACK, GvcpCommand.EVENTDATA_ACK)
+            if pending is not None and code in accepted_codes and request_id == pending.request_id:
                 self._pending = None
                 self._send_next()
 
@@ -172,17 +172,19 @@ class MessageChannel(UdpChannel):
     def _send(self, events: list[Event]) -> None:
         self._request_id = self._request_id % REQUEST_ID_LAST + REQUEST_ID_FIRST
         command = GvcpCommand.EVENTDATA if events[0].data else GvcpCommand.EVENT
-        payload = b"".join(event.encoded() for event in events)
+        payload = b"".join(event.encode_item() for event in events)
         flags = GvcpFlag.ACK_REQUIRED if self.timeout_ms else GvcpFlag(0)
         head = struct.pack(GVCP_COMMAND_HEADER, GVCP_KEY, flags, command, len(payload), self._request_id)
         if self.timeout_ms:
             due_s = self._now_s() + self.timeout_ms / 1e3
-            self._pending = _Pending(self._request_id, head + payload, self.retries, due_s)
+            self._pending = _PendingMessage(self._request_id, head + payload, self.retries, due_s)
         self._transmit(head + payload)
 
     def _transmit(self, datagram: bytes) -> None:
         receiver = self.receiver
-        lost = self._faults.message_lost() or not self._faults.passes(len(datagram) + IP_UDP_HEADER_BYTES)
+        lost = self._faults.draw_message_loss() or not self._faults.passes(
+            len(datagram) + IP_UDP_HEADER_BYTES
+        )
         if receiver is not None and not lost:
             with contextlib.suppress(OSError):  # a receiver that is gone
                 self.socket.sendto(datagram, receiver)

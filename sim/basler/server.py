@@ -170,7 +170,7 @@ class ControlServer:
         """Serve until `end`."""
         while not self._ended:
             self._receive_all(self._wait_s())
-            self._send_late()
+            self._send_delayed()
             for camera, _ in self._cameras:
                 camera.apply_faults()
                 camera.messages.repeat_overdue()
@@ -209,7 +209,7 @@ class ControlServer:
             else:
                 self._receive(key.fileobj, key.data)  # type: ignore[arg-type]
 
-    def _send_late(self) -> None:
+    def _send_delayed(self) -> None:
         while self._late and self._late[0][0] <= time.monotonic():
             _, _, own, answer, peer = heapq.heappop(self._late)
             with contextlib.suppress(OSError):
@@ -222,7 +222,7 @@ class ControlServer:
             except OSError:  # nothing more, or an error because an earlier receiver is gone
                 return
             for camera, own in cameras:
-                if _same_network(camera.identity.address, peer[0]):
+                if _is_same_network(camera.identity.address, peer[0]):
                     self._answer(camera, own, datagram, peer)
 
     def _answer(self, camera: Camera, own: socket.socket, datagram: bytes, peer: tuple[str, int]) -> None:
@@ -235,18 +235,18 @@ class ControlServer:
             return
         if answer is None:
             return
-        for delay_s, part in _delivered(camera, answer):
+        for delay_s, part in _delay_answer(camera, answer):
             heapq.heappush(self._late, (time.monotonic() + delay_s, next(self._numbers), own, part, peer))
-        self._send_late()
+        self._send_delayed()
 
 
-def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
+def _delay_answer(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
     """Yield the answer as altered by the active faults: delay in host time, and datagram."""
     faults = camera.faults
     if not faults.scripted:
         yield 0.0, answer
         return
-    if faults.answer_lost():
+    if faults.draw_answer_loss():
         return
     pending_ms = faults.amount("pend_answers")
     if pending_ms:
@@ -259,6 +259,6 @@ def _delivered(camera: Camera, answer: bytes) -> Iterator[tuple[float, bytes]]:
     yield max(pending_ms, faults.amount("delay_answers")) / 1e3, answer
 
 
-def _same_network(own: str, other: str) -> bool:
+def _is_same_network(own: str, other: str) -> bool:
     """Return False for a broadcast from outside to a camera on the loopback network, or the reverse."""
     return IPv4Address(own).is_loopback == IPv4Address(other).is_loopback

@@ -220,7 +220,7 @@ class TriggerMoments:
             None  # camera, host time, theatre time of the first trigger of a pair
         )
 
-    def of(self, camera: str) -> int:
+    def stamp_trigger(self, camera: str) -> int:
         """Return the theatre time in ns of a trigger that this camera is receiving now."""
         now = self._clock.now_ns()
         if self._clock.paced:
@@ -249,23 +249,23 @@ class Ticks:
 
     def stamp(self, moment_ns: int) -> int:
         """Return the ticks of a frame; they never repeat, even for frames at the same theatre time."""
-        self._last_stamp = max(self._at(moment_ns), self._last_stamp + 1)
+        self._last_stamp = max(self._ticks_at(moment_ns), self._last_stamp + 1)
         return self._last_stamp
 
     def count(self, moment_ns: int) -> int:
         """Return the ticks at a theatre time, for anything but frames."""
-        return self._at(moment_ns)
+        return self._ticks_at(moment_ns)
 
     def latch(self) -> None:
         """Latch the present value for reading."""
-        self.latched = self._at(self._clock.now_ns())
+        self.latched = self._ticks_at(self._clock.now_ns())
 
     def reset(self) -> None:
         """Restart the counter from zero."""
         self._zero_ns = self._clock.now_ns()
         self._last_stamp = 0
 
-    def _at(self, moment_ns: int) -> int:
+    def _ticks_at(self, moment_ns: int) -> int:
         if self._faults.happened("reset_clock"):
             self.reset()
         drift_ppm = self._faults.drift_ppm()

@@ -73,14 +73,14 @@ class Block:
     ) -> tuple[bytes, bytes | memoryview]:
         """Return header and content of a packet, 0 to `trailer_id`."""
         if packet_id == LEADER_PACKET_ID:
-            return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._leader()
+            return header(status, self.block_id, GvspFormat.LEADER, packet_id), self._encode_leader()
         if packet_id == self.trailer_id:
-            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), self._trailer()
+            return header(status, self.block_id, GvspFormat.TRAILER, packet_id), self._encode_trailer()
         start = (packet_id - 1) * self._share
         content = self._image[start : start + self._share]
         return header(status, self.block_id, GvspFormat.PAYLOAD, packet_id), content
 
-    def _leader(self) -> bytes:
+    def _encode_leader(self) -> bytes:
         settings = self._frame.settings
         area = settings.area
         geometry = (area.width, area.height, area.x, area.y)
@@ -88,7 +88,7 @@ class Block:
             GVSP_LEADER, 0, PayloadType.IMAGE, self._frame.stamp_ticks, settings.pixel_format, *geometry, 0, 0
         )
 
-    def _trailer(self) -> bytes:
+    def _encode_trailer(self) -> bytes:
         return struct.pack(GVSP_TRAILER, 0, PayloadType.IMAGE, self._frame.settings.area.height)
 
 
@@ -147,9 +147,9 @@ class StreamChannel(UdpChannel):
         return self._do_not_fragment
 
     @do_not_fragment.setter
-    def do_not_fragment(self, wanted: bool) -> None:
-        self._do_not_fragment = wanted
-        self.socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if wanted else PMTU_DONT)
+    def do_not_fragment(self, enabled: bool) -> None:
+        self._do_not_fragment = enabled
+        self.socket.setsockopt(socket.IPPROTO_IP, IP_MTU_DISCOVER, PMTU_DO if enabled else PMTU_DONT)
 
     def begin(self) -> None:
         """Restart block numbers from 1; nothing older can be resent."""
@@ -171,12 +171,12 @@ class StreamChannel(UdpChannel):
         if receiver is None:
             return
         packets = block.trailer_id + 1
-        lost = self._faults.lost_packets(block.block_id, packets)
+        lost = self._faults.draw_lost_packets(block.block_id, packets)
         pause_s = self.packet_size / WIRE_BYTES_PER_S + self.delay_ticks / TICK_FREQUENCY_HZ
         pause_s = max(pause_s, duration_s / packets)
         burst = max(1, BURST_BYTES // self.packet_size)
         due_s = time.monotonic()
-        for position, packet_id in enumerate(self._faults.packet_order(block.block_id, packets)):
+        for position, packet_id in enumerate(self._faults.draw_packet_order(block.block_id, packets)):
             if position % burst == 0:
                 now_s = time.monotonic()
                 if due_s - now_s > SHORTEST_SLEEP_S:
@@ -215,8 +215,8 @@ class StreamChannel(UdpChannel):
             frame = replace(frame, image=frame.image[: len(frame.image) // 2])
         if self._faults.active("shift_area"):
             area = frame.settings.area
-            beside = Area(area.x + WRONG_AREA_PX, area.y, area.width, area.height)
-            frame = replace(frame, settings=replace(frame.settings, area=beside))
+            wrong_area = Area(area.x + WRONG_AREA_PX, area.y, area.width, area.height)
+            frame = replace(frame, settings=replace(frame.settings, area=wrong_area))
         return frame
 
     def _send_packet(

@@ -12,10 +12,10 @@ class Autostart:
     It also acknowledges the message of a fault or a released emergency stop: the only other way is EKI.
     """
 
-    def __init__(self, controller: Controller, *, wanted: bool) -> None:
+    def __init__(self, controller: Controller, *, is_requested: bool) -> None:
         self._controller = controller
-        self._wanted = wanted
-        self._armed = wanted
+        self._wanted = is_requested
+        self._armed = is_requested
         self._ended_s: float | None = None
 
     def begin(self) -> None:

@@ -81,7 +81,7 @@ def kuka(
     from sim.kuka.rsi.link import resolve
     from sim.kuka.rsi.telegrams import TelegramWriter
     from sim.named_parameters import rows
-    from sim.world.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
     if list_parameters:
         for name, value, meaning in rows(ControllerParameters):
@@ -105,15 +105,15 @@ def kuka(
     project_server = EkiServer(project_address, SUBMIT_CYCLE_S if room.clock.paced else 0.0)
     sdk_server = EkiServer(eki_address, SUBMIT_CYCLE_S)
     cycle_loop = CycleLoop(
-        controller, room, address, project_server, sdk_server, Autostart(controller, wanted=autostart)
+        controller, room, address, project_server, sdk_server, Autostart(controller, is_requested=autostart)
     )
-    control = own_control_port(world, room, FAULTS_OF)
+    control = open_own_control_port(world, room, FAULTS_OF)
     end_with_parent(cycle_loop.end)
     announce(
         "kuka",
         control=control,
         endpoints={"rsi": str(client), "eki": sdk_server.endpoint, "eki_project": project_server.endpoint},
-        **_link_facts(context, inferred=rsi_config is not None and rsi_context is None),
+        **_describe_link(context, inferred=rsi_config is not None and rsi_context is None),
     )
     cycle_loop.run()
 
@@ -141,7 +141,7 @@ def _read_context(
     return context.model_copy(update={"program": context.program.model_copy(update=changes)})
 
 
-def _link_facts(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
+def _describe_link(context: RsiContext, *, inferred: bool) -> dict[str, Any]:
     """Return facts about the link for the READY line, and whether the wiring was inferred from tags."""
     return {
         "wiring": "inferred" if inferred else "context",

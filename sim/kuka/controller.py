@@ -299,7 +299,7 @@ class Controller:
         elif self._overloaded:
             self.arm.settle()
         else:
-            self._follow(run.command_deg, heard=reply is not None)
+            self._follow(run.command_deg, has_reply=reply is not None)
 
     def settle(self) -> None:
         """Run one cycle without RSI: the next point of a motion, or settling."""
@@ -309,7 +309,7 @@ class Controller:
             return
         command_deg = motion.next_point()
         if command_deg is not None:
-            self._follow(command_deg, heard=True)
+            self._follow(command_deg, has_reply=True)
             return
         if motion.message is not None:
             self._fail(motion.message)
@@ -320,13 +320,13 @@ class Controller:
             self.program_state = ProState.END
             motion.report(DONE)
 
-    def _follow(self, command_deg: list[float], *, heard: bool) -> None:
+    def _follow(self, command_deg: list[float], *, has_reply: bool) -> None:
         """Advance the arm; stop it when the tool exceeds the speed of T1, which is monitored, not limited."""
         if self.interlocks.mode is not OperationMode.T1:
-            self.arm.follow(command_deg, heard=heard)
+            self.arm.follow(command_deg, has_reply=has_reply)
             return
         before = self.arm.frame
-        self.arm.follow(command_deg, heard=heard)
+        self.arm.follow(command_deg, has_reply=has_reply)
         speed_mm_s = dist(before[:3], self.arm.frame[:3]) / (self.cycle_ms / 1000.0)
         limit_mm_s = self.parameters.T1_tool_speed_mm_s
         self._fast_cycles = self._fast_cycles + 1 if speed_mm_s > limit_mm_s else 0

@@ -12,7 +12,7 @@ from typing import Annotated, Literal
 
 from ronna_hw.wire.kuka_eki import FIRST_REQUEST_LIMIT_MS
 from sim.kuka.errors import UnknownParameter
-from sim.named_parameters import Most, changed
+from sim.named_parameters import MaximumValue, apply_assignments
 
 
 @dataclass(frozen=True)
@@ -64,10 +64,10 @@ class ControllerParameters:
     ] = 0.05
 
     # RSI: telegrams and replies
-    ipoc_start: Annotated[int, "Time stamp from which those of the runs are derived.", Most(2**64 - 1)] = (
-        4_208_163_632
-    )
-    ipoc_bits: Annotated[int, "Bits of the time stamp: 32 wraps after 49 days.", Most(64)] = 32
+    ipoc_start: Annotated[
+        int, "Time stamp from which those of the runs are derived.", MaximumValue(2**64 - 1)
+    ] = 4_208_163_632
+    ipoc_bits: Annotated[int, "Bits of the time stamp: 32 wraps after 49 days.", MaximumValue(64)] = 32
     delay_tells: Annotated[
         Literal["total", "in_a_row", "nothing"],
         "D: late replies since RSI_ON, consecutive late replies up to now, or always 0.",
@@ -79,7 +79,7 @@ class ControllerParameters:
     reply_window: Annotated[
         float,
         "Fraction of the cycle within which a reply is in time; lock-step mode waits for it.",
-        Most(1.0),
+        MaximumValue(1.0),
     ] = 1.0
     second_reply: Annotated[
         Literal["ignored", "taken"], "A second reply to the same telegram, in the same cycle."
@@ -125,7 +125,7 @@ class ControllerParameters:
     reports_brakes: Annotated[
         bool, "The State has $BRAKE_SIG: a bit for each axis, 1 for an open brake. Otherwise it is empty."
     ] = True
-    inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", Most(7)] = 0
+    inverted_status: Annotated[int, "Bits of S in E6POS with the opposite meaning.", MaximumValue(7)] = 0
     line_acceleration_mm_s2: Annotated[float, "Acceleration of a LIN of the EKI program."] = 1000.0
     line_turn_rad_s: Annotated[float, "Largest angular velocity of the tool on a LIN."] = 1.0
 
@@ -146,7 +146,7 @@ class ControllerParameters:
 
 def parse_parameters(assignments: Iterable[str]) -> ControllerParameters:
     """Apply `NAME=VALUE` to the default parameters; raises KRC-003 for an unknown name or invalid value."""
-    return changed(ControllerParameters(), assignments, UnknownParameter)
+    return apply_assignments(ControllerParameters(), assignments, UnknownParameter)
 
 
 IPO_FAST_S = 0.004  # cycle of #IPO_FAST, used by the drives until a program sets another

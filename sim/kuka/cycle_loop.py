@@ -92,7 +92,7 @@ class CycleLoop:
                 self._faults.poll()
                 self._update_display()
                 if self._controller.run is not None:
-                    self._cycle(self._controller.run)
+                    self._run_cycle(self._controller.run)
                 elif self._rsi is not None or self._controller.moving:
                     self._settle()
                 else:
@@ -107,7 +107,7 @@ class CycleLoop:
 
     # -- one cycle
 
-    def _cycle(self, run: RsiRun) -> None:
+    def _run_cycle(self, run: RsiRun) -> None:
         if run is not self._run:
             self._enter_run(run)
         assert self._rsi is not None
@@ -130,11 +130,11 @@ class CycleLoop:
             if self._deadline_s < began_s:
                 self._deadline_s = began_s + cycle_s
             late_s = (1.0 - controller.parameters.reply_window) * cycle_s
-            reply = self._reply_until(run, self._deadline_s - late_s)
+            reply = self._await_reply(run, self._deadline_s - late_s)
             self._wait_until(run, self._deadline_s)
         elif answerable:
             limit_s = cycle_s if self._silent else REPLY_WAIT_S
-            reply = self._reply_in_lock_step(run, began_s + limit_s)
+            reply = self._await_reply_in_lock_step(run, began_s + limit_s)
             self._silent = reply is None
         else:
             reply = self._datagram = None
@@ -254,7 +254,7 @@ class CycleLoop:
 
     # -- waiting
 
-    def _reply_until(self, run: RsiRun, limit_s: float) -> Reply | None:
+    def _await_reply(self, run: RsiRun, limit_s: float) -> Reply | None:
         """Wait for the reply of this cycle; None if it has not arrived by `limit_s` (host time)."""
         assert self._rsi is not None
         budget = STALE_LIMIT
@@ -276,7 +276,7 @@ class CycleLoop:
             if now_s >= limit_s or not budget or self._ending or self._controller.run is not run:
                 return found
 
-    def _reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
+    def _await_reply_in_lock_step(self, run: RsiRun, limit_s: float) -> Reply | None:
         """Wait for the reply on the RSI socket only, serving the channels at times; None after `limit_s`."""
         assert self._rsi is not None
         budget = STALE_LIMIT
@@ -314,17 +314,17 @@ class CycleLoop:
         ready, _, _ = select.select(waiting, (), (), timeout_s)
         if ready and self._controller.run is None:
             self._faults.poll()  # a fault that was given before a client connected acts on it
-        heard = False
+        rsi_is_readable = False
         for one in ready:
             if one is rsi:
-                heard = True
+                rsi_is_readable = True
                 continue
             for server in self._servers:
                 server.serve(one)
             self._tick_s = 0.0
         self._served_s = time.monotonic()
         self._serve_timers(self._served_s)
-        return heard
+        return rsi_is_readable
 
     def _serve_timers(self, now_s: float) -> None:
         if now_s < self._tick_s:

@@ -60,12 +60,12 @@ class Drives:
         self._filtered_deg = self.command_deg
         self._pending = deque([self.command_deg] * self._parameters.dead_time_cycles)
 
-    def step(self, command_deg: list[float], *, heard: bool = True) -> None:
-        """Advance one cycle. `heard` is false when the command is only held, because no reply arrived."""
+    def step(self, command_deg: list[float], *, has_reply: bool = True) -> None:
+        """Advance one cycle. `has_reply` is false when the command is only held, because no reply arrived."""
         if command_deg is self.command_deg:
             if self.at_rest:
                 return
-            if heard:
+            if has_reply:
                 self._in_motion = False
         else:
             self._count_motion(command_deg)
@@ -219,7 +219,7 @@ class Supervision:
         self._window = window
         self._past: deque[list[float]] = deque(maxlen=2 * window)  # commands, oldest first
 
-    def within_range(self, command_deg: list[float]) -> list[float]:
+    def clip_to_range(self, command_deg: list[float]) -> list[float]:
         """Clip the command at the software end switches; the same object if nothing is beyond them."""
         cut = [
             min(max(angle, joint.lower_deg), joint.upper_deg)
@@ -227,16 +227,16 @@ class Supervision:
         ]
         return command_deg if cut == command_deg else cut
 
-    def judge(self, command_deg: list[float], before_deg: list[float], *, heard: bool) -> Message | None:
+    def judge(self, command_deg: list[float], before_deg: list[float], *, has_reply: bool) -> Message | None:
         """Return the message of a stop, or None when the arm can follow.
 
-        Values held for missing replies (`heard` is false) do not count as acceleration; after a few of them
-        the next command starts from rest.
+        Values held for missing replies (`has_reply` is false) do not count as acceleration; after a few of
+        them the next command starts from rest.
         """
         past, window = self._past, self._window
         if command_deg is before_deg:
             self._fast_cycles = 0
-            if not heard:
+            if not has_reply:
                 self._held_cycles += 1
                 if self._held_cycles > self._parameters.held_cycles:
                     past.clear()

@@ -7,7 +7,7 @@ from collections.abc import Callable, Sequence
 
 from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.controller import Controller
-from sim.kuka.eki.server import EkiServer, half, padded, with_garbage
+from sim.kuka.eki.server import EkiServer, halve, pad_with_nul, prepend_garbage
 from sim.kuka.rsi.link import LinkFaults
 from sim.kuka.rsi.program_run import RunSettings
 from sim.world.faults import Fault, FaultBoard
@@ -17,9 +17,9 @@ MOMENTARY = tuple(kind.name for kind in ROBOT_FAULTS if kind.momentary)
 EKI_FAULTS: dict[str, Callable[[EkiServer], None]] = {
     "eki_cut": EkiServer.drop,
     "eki_overflow": EkiServer.fill_buffer,
-    "eki_half": lambda server: server.corrupt_next(half),
-    "eki_garbage": lambda server: server.corrupt_next(with_garbage),
-    "eki_padding": lambda server: server.corrupt_next(padded),
+    "eki_half": lambda server: server.corrupt_next(halve),
+    "eki_garbage": lambda server: server.corrupt_next(prepend_garbage),
+    "eki_padding": lambda server: server.corrupt_next(pad_with_nul),
 }
 
 
@@ -36,11 +36,11 @@ class FaultLog:
         now = {(fault.line, fault.at_s): fault for fault in acting}
         for key, fault in now.items():
             if key not in self._acting:
-                self._write(f"{_named(fault)} begins")
+                self._write(f"{_describe_fault(fault)} begins")
         for key, fault in self._acting.items():
             if key not in now:
                 hits = self._hits.pop(fault.kind.name, 0)
-                self._write(f"{_named(fault)} ends" + (f" after {hits} telegrams" if hits else ""))
+                self._write(f"{_describe_fault(fault)} ends" + (f" after {hits} telegrams" if hits else ""))
         self._acting = now
 
     def hit(self, kind: str) -> None:
@@ -49,7 +49,7 @@ class FaultLog:
 
     def happened(self, fault: Fault) -> None:
         """Log a momentary fault."""
-        self._write(_named(fault))
+        self._write(_describe_fault(fault))
 
     def _write(self, what: str) -> None:
         time_s, ipoc = self._moment()
@@ -58,7 +58,7 @@ class FaultLog:
         sys.stderr.flush()
 
 
-def _named(fault: Fault) -> str:
+def _describe_fault(fault: Fault) -> str:
     words, arguments = [], iter(fault.arguments)
     for word in fault.kind.phrase.split():
         words.append(next(arguments) if word.isupper() else word)
@@ -97,13 +97,13 @@ class ControllerFaults:
         turned = mode is not interlocks.mode
         if turned:
             controller.turn_key(mode)
-        for wanted, present, change in (
+        for scripted, present, change in (
             ("emergency_stop" in arguments, interlocks.emergency_stop, controller.press_emergency_stop),
             ("guard" in arguments, interlocks.guard_open, controller.open_guard),
             ("enabling_switch" not in arguments, interlocks.enabling_switch, controller.hold_enabling_switch),
         ):
-            if wanted is not present:
-                change(wanted)
+            if scripted is not present:
+                change(scripted)
         key = "start_key" in arguments
         if key is not interlocks.start_key:
             controller.hold_start_key(key)

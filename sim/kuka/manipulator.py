@@ -156,9 +156,9 @@ class Manipulator:
             near_deg = joints_deg
         return near_deg
 
-    def follow(self, command_deg: list[float], *, heard: bool) -> None:
+    def follow(self, command_deg: list[float], *, has_reply: bool) -> None:
         """Advance one cycle towards a command."""
-        self.drives.step(command_deg, heard=heard)
+        self.drives.step(command_deg, has_reply=has_reply)
         self.publish()
 
     def settle(self) -> None:

@@ -82,19 +82,21 @@ def point_to_point(
 
     `fastest_1_s` limits the speed, in whole paths per second.
     """
-    ways = [goal - start for goal, start in zip(goal_deg, start_deg, strict=True)]
+    travels_deg = [goal - start for goal, start in zip(goal_deg, start_deg, strict=True)]
     speeds, accelerations = [], []
-    for way, joint in zip(ways, arm.joints, strict=True):
-        if way:
-            speeds.append(joint.full_speed_deg_s * speed_share / abs(way))
-            accelerations.append(joint.acceleration_deg_s2 * acceleration_share / abs(way))
+    for travel_deg, joint in zip(travels_deg, arm.joints, strict=True):
+        if travel_deg:
+            speeds.append(joint.full_speed_deg_s * speed_share / abs(travel_deg))
+            accelerations.append(joint.acceleration_deg_s2 * acceleration_share / abs(travel_deg))
     if not speeds:
         return
     for share in path_parameters(min(fastest_1_s, *speeds), min(accelerations), cycle_s):
         if share == 1.0:
             yield list(goal_deg)
         else:
-            yield [start + share * way for start, way in zip(start_deg, ways, strict=True)]
+            yield [
+                start + share * travel_deg for start, travel_deg in zip(start_deg, travels_deg, strict=True)
+            ]
 
 
 def pose_on_line(start: Matrix, goal: Matrix, turn: Matrix, share: float) -> Matrix:

@@ -12,12 +12,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.phantom.head.obstacles import FREE, XFRAME
 from sim.phantom.postoperative_scan import Instrument, PostoperativeScan
 from sim.phantom.scan import Planes, Scan, plain_scan
-from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, stored_values
+from sim.phantom.scanner.dicom_series import PATIENT_POSITION, DicomSeries, to_stored_values
 from sim.phantom.scanner.grid import CtGrid
 from sim.world.rigid import apply
 from sim.world.scene.model import Scene
@@ -67,17 +67,17 @@ def write_case(
     steps = planes.steps + grid.slices
     with ThreadPoolExecutor(WORKERS) as pool:
         planes.paint_patches(pool, lambda done: progress(done / steps))
-        for number in _written(
-            series, grid, pool, lambda number: stored_values(planes.paint(number), planes.largest_stored)
+        for number in _write_slices(
+            series, grid, pool, lambda number: to_stored_values(planes.paint(number), planes.largest_stored)
         ):
             progress((planes.steps + number) / steps)
     plan, truth = folder / PLAN_FILE, folder / TRUTH_FILE
-    write_whole(truth, json.dumps(_case_truth(scan, series, planes), indent=1).encode())
-    write_whole(plan, plan_toml(scan, series.series_instance_uid).encode())
+    write_atomically(truth, json.dumps(_collect_case_truth(scan, series, planes), indent=1).encode())
+    write_atomically(plan, plan_toml(scan, series.series_instance_uid).encode())
     return PhantomCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices, plan)
 
 
-def _written(
+def _write_slices(
     series: DicomSeries, grid: CtGrid, pool: Executor, paint: Callable[[int], NDArray[np.uint16]]
 ) -> Iterator[int]:
     """Write all slices of a series; yield how many are written."""
@@ -115,7 +115,7 @@ def plan_toml(scan: Scan, series_instance_uid: str) -> str:
     return tomli_w.dumps(content)
 
 
-def _case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
+def _collect_case_truth(scan: Scan, series: DicomSeries, planes: Planes) -> dict[str, Any]:
     scene, grid = scan.scene, scan.grid
     return (
         scan.truth
@@ -167,11 +167,11 @@ def write_postoperative(
     )
     series.prepare()
     with ThreadPoolExecutor(WORKERS) as pool:
-        for number in _written(series, grid, pool, lambda number: stored_values(scan.paint(number))):
+        for number in _write_slices(series, grid, pool, lambda number: to_stored_values(scan.paint(number))):
             progress(number / grid.slices)
     truth = folder / TRUTH_FILE
     content = postoperative_truth(scan, instruments, series.series_instance_uid)
-    write_whole(truth, json.dumps(content, indent=1).encode())
+    write_atomically(truth, json.dumps(content, indent=1).encode())
     return PostoperativeCase(folder / SERIES_FOLDER, truth, series.series_instance_uid, grid.slices)
 
 

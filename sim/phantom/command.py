@@ -13,7 +13,7 @@ import typer
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.command_line.terminal import JsonOption, print_json, progress_bar
 from ronna_hw.errors import EXIT_INTERRUPTED
-from ronna_hw.text import counted, without_controls
+from ronna_hw.text import escape_controls, format_count
 from sim.world.options import Carrier, InstrumentKind
 
 SCANNER = "What the scanner does"
@@ -29,7 +29,7 @@ class Fiducials(StrEnum):
     XFRAME_CLOSE = "xframe-close"
 
 
-def _scanner(about: str, *names: str, **limits: Any) -> Any:
+def _scanner_option(about: str, *names: str, **limits: Any) -> Any:
     return typer.Option(*names, help=about, rich_help_panel=SCANNER, **limits)
 
 
@@ -52,24 +52,28 @@ def phantom(
             "studies; with a family, --markers beyond four are on screws."
         ),
     ] = Fiducials.FREE,
-    tilt_deg: Annotated[float, _scanner("Gantry tilt.")] = 0.0,
-    tilt_hidden: Annotated[bool, _scanner("Headers of upright slices.", "--tilt-hidden")] = False,
-    table_scale: Annotated[float, _scanner("Relative error of the table feed.", min=-0.1, max=0.1)] = 0.0,
+    tilt_deg: Annotated[float, _scanner_option("Gantry tilt.")] = 0.0,
+    tilt_hidden: Annotated[bool, _scanner_option("Headers of upright slices.", "--tilt-hidden")] = False,
+    table_scale: Annotated[
+        float, _scanner_option("Relative error of the table feed.", min=-0.1, max=0.1)
+    ] = 0.0,
     thickness_mm: Annotated[
         float | None,
-        _scanner(
+        _scanner_option(
             "Slice thickness; above the slice spacing, slices overlap. [default: the spacing]",
             min=0.1,
             max=20.0,
         ),
     ] = None,
-    beam_hardening: Annotated[float, _scanner("Strength; 1 is typical.", min=0.0, max=10.0)] = 0.0,
-    motion_mm: Annotated[float, _scanner("Distance of a single patient movement.", min=0.0, max=20.0)] = 0.0,
-    slide_mm: Annotated[
-        float, _scanner("Distance along the table of a single patient movement.", min=-20.0, max=20.0)
+    beam_hardening: Annotated[float, _scanner_option("Strength; 1 is typical.", min=0.0, max=10.0)] = 0.0,
+    motion_mm: Annotated[
+        float, _scanner_option("Distance of a single patient movement.", min=0.0, max=20.0)
     ] = 0.0,
-    kernel: Annotated[str, _scanner("standard, smooth or sharp.")] = "standard",
-    extended_range: Annotated[bool, _scanner("Store metal above 3071 HU.")] = False,
+    slide_mm: Annotated[
+        float, _scanner_option("Distance along the table of a single patient movement.", min=-20.0, max=20.0)
+    ] = 0.0,
+    kernel: Annotated[str, _scanner_option("standard, smooth or sharp.")] = "standard",
+    extended_range: Annotated[bool, _scanner_option("Store metal above 3071 HU.")] = False,
     postoperative: Annotated[
         Path | None,
         typer.Option(
@@ -109,7 +113,7 @@ def phantom(
             raise BadScene(
                 "the run defines head and trajectories; omit --scene, --family and similar options"
             )
-        _scan_after(postoperative, instrument, out, seed, protocol, as_json)
+        _write_postoperative(postoperative, instrument, out, seed, protocol, as_json)
         return
     shifts_mm = (motion_mm, slide_mm)
     faults = ScannerFaults(
@@ -150,14 +154,14 @@ def phantom(
         )
         return
     typer.echo(
-        without_controls(
+        escape_controls(
             f"{case.series}: {case.slices} slices, {len(truth.head.fiducials)} spheres, "
-            f"{counted(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
+            f"{format_count(len(truth.head.targets), 'trajectory', 'trajectories')} in {case.plan}"
         )
     )
 
 
-def _scan_after(
+def _write_postoperative(
     run: Path, instrument: InstrumentKind, out: Path, seed: int, protocol: str | None, as_json: bool
 ) -> None:
     """Write the postoperative CT of a run's head."""
@@ -180,5 +184,5 @@ def _scan_after(
             }
         )
         return
-    inside = counted(len(instruments), instrument.value)
-    typer.echo(without_controls(f"{case.series}: {case.slices} slices, {inside}"))
+    inside = format_count(len(instruments), instrument.value)
+    typer.echo(escape_controls(f"{case.series}: {case.slices} slices, {inside}"))

@@ -20,14 +20,14 @@ from sim.phantom.head.anatomy import (
     SCREW_IN_BONE_MM,
     HeadLayers,
     draw_anatomy,
-    shifted,
+    shift_point,
     side_cable,
 )
 from sim.phantom.head.painting import Streak, add_filling_streaks, add_streak, edge_sigma_mm, paint
 from sim.phantom.head.shapes import Ball, Bounds, Rod, Shape, Values
 from sim.phantom.scan import RAMP_WIDTH, SKIN_MARGIN_MM, slice_noise
 from sim.phantom.scanner.fine_painting import middle_at, paint_rod
-from sim.phantom.scanner.grid import CtGrid, centred_grid
+from sim.phantom.scanner.grid import CtGrid, centre_grid
 from sim.world.noise import noise
 from sim.world.options import InstrumentKind
 from sim.world.rigid import (
@@ -148,7 +148,7 @@ class PostoperativeScan:
         low, high = self.head.bounds(SKIN_MARGIN_MM)
         columns, rows = (self.grid.indices(axis, low[axis], high[axis]) for axis in (0, 1))
         z = np.full((1, 1), z_mm, dtype=np.float32)
-        image[rows, columns] = self.head.at(x[None, columns], y[rows, None], z)
+        image[rows, columns] = self.head.hu_at(x[None, columns], y[rows, None], z)
 
 
 def draw_scan(
@@ -158,11 +158,11 @@ def draw_scan(
     generator = noise(seed, "postoperative pose", 0)
     protocol = protocol or scene.ct
     pose = _draw_pose(scene, generator)
-    grid = centred_grid(apply(pose.scan_from_head, scene.head.centre_ct_mm), protocol)
+    grid = centre_grid(apply(pose.scan_from_head, scene.head.centre_ct_mm), protocol)
     head = scene.head
     anatomy = draw_anatomy(scene)
     beside = set(side_cable(head))  # belongs to the scanner's room
-    screws = (_screw(marker.shapes[POST_PLACE]) for marker in anatomy.markers)
+    screws = (_remaining_screw(marker.shapes[POST_PLACE]) for marker in anatomy.markers)
     edge_mm = edge_sigma_mm(grid.pixel_mm, grid.slice_mm)
     return PostoperativeScan(
         scene=scene,
@@ -180,7 +180,8 @@ def draw_scan(
         ),
         rods=tuple(pose.rod(one.rod(head)) for one in instruments),
         streaks=tuple(
-            _streak(generator) if one.kind is not InstrumentKind.DRILL_HOLE else None for one in instruments
+            _draw_streak(generator) if one.kind is not InstrumentKind.DRILL_HOLE else None
+            for one in instruments
         ),
     )
 
@@ -193,8 +194,8 @@ class HeadPose:
 
     def to_head(self, x: Values, y: Values, z: Values) -> tuple[Values, Values, Values]:
         """Map scan coordinates, which broadcast together, to head coordinates."""
-        back = inverse(self.scan_from_head).astype(np.float32)
-        u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in back[:3])
+        head_from_scan = inverse(self.scan_from_head).astype(np.float32)
+        u, v, w = (row[0] * x + row[1] * y + row[2] * z + row[3] for row in head_from_scan[:3])
         return u, v, w
 
     def rod(self, rod: Rod) -> Rod:
@@ -238,9 +239,9 @@ class PosedLayers:
     layers: HeadLayers
     pose: HeadPose
 
-    def at(self, x: Values, y: Values, z: Values) -> Values:
+    def hu_at(self, x: Values, y: Values, z: Values) -> Values:
         """Return the HU at these points; air outside the head."""
-        return self.layers.at(*self.pose.to_head(x, y, z))
+        return self.layers.hu_at(*self.pose.to_head(x, y, z))
 
     def bounds(self, margin_mm: float) -> Bounds:
         """Return a bounding box of the head, with a margin."""
@@ -268,15 +269,15 @@ def _draw_pose(scene: Scene, generator: np.random.Generator) -> HeadPose:
     return HeadPose(matrix_from(moved - turn @ centre, turn))
 
 
-def _screw(post: Shape) -> Rod:
+def _remaining_screw(post: Shape) -> Rod:
     """Return the remaining part of a marker's post, in scalp and bone."""
     assert isinstance(post, Rod)
     remaining_mm = min(SCALP_MM + SCREW_IN_BONE_MM, post.length)
-    start = shifted(post.start, post.along, post.length - remaining_mm)
+    start = shift_point(post.start, post.along, post.length - remaining_mm)
     return Rod(post.hu, start, post.along, remaining_mm, post.radius)
 
 
-def _streak(generator: np.random.Generator) -> Streak:
+def _draw_streak(generator: np.random.Generator) -> Streak:
     return Streak(
         centre=(0.0, 0.0, 0.0),
         hu=float(generator.uniform(*STREAK_HU)),

@@ -72,7 +72,7 @@ class Planes:
             origin_mm=(*grid.origin_mm[:2], grid.origin_mm[2] - self._span * grid.slice_mm),
             slices=grid.slices + 2 * self._span,
         )
-        self.moved_from, self.moved_by_mm = _motion(scan, fed)
+        self.moved_from, self.moved_by_mm = _draw_motion(scan, fed)
         x, y, z = fed.origin_mm
         dx, dy, dz = self.moved_by_mm
         self._before = SlicePainter(scan.scene, fed, scan.anatomy, faults)
@@ -112,7 +112,7 @@ class Planes:
 
     def paint(self, number: int) -> Values:
         """Paint one slice with its noise: HU (rows, columns)."""
-        image = self._tilted(number) if self._tilt_rad else self._clean(number)
+        image = self._paint_tilted(number) if self._tilt_rad else self._paint_clean(number)
         image += self._before.noise(number)
         return image
 
@@ -120,53 +120,55 @@ class Planes:
     def _painters(self) -> tuple[SlicePainter, ...]:
         return (self._before,) if self._after is self._before else (self._before, self._after)
 
-    def _clean(self, number: int) -> Values:
+    def _paint_clean(self, number: int) -> Values:
         painter = self._before if number < self.moved_from else self._after
         image = painter.clean(number)
         if self._scan.faults.beam_hardening:
             image += hardening(image, self._grid.pixel_mm, self._scan.faults.beam_hardening)
         return image
 
-    def _tilted(self, number: int) -> Values:
+    def _paint_tilted(self, number: int) -> Values:
         """Cut a slice, tilted about its middle row, through straight ones that begin `_span` further down."""
         grid = self._grid
         image = np.empty((grid.rows, grid.columns), dtype=np.float32)
         middle = 0.5 * (grid.rows - 1)
         for row in range(grid.rows):
-            off = row - middle
-            height = number + self._span + off * grid.pixel_mm * sin(self._tilt_rad) / grid.slice_mm
-            line = middle + off * cos(self._tilt_rad)
-            image[row] = self._interpolated_row(height, line)
+            rows_off_middle = row - middle
+            height = (
+                number + self._span + rows_off_middle * grid.pixel_mm * sin(self._tilt_rad) / grid.slice_mm
+            )
+            line = middle + rows_off_middle * cos(self._tilt_rad)
+            image[row] = self._interpolate_row(height, line)
         return image
 
-    def _interpolated_row(self, height: float, line: float) -> Values:
+    def _interpolate_row(self, height: float, line: float) -> Values:
         below, first = int(height), int(line)
         up, on = np.float32(height - below), np.float32(line - first)
         rows = [
             (1 - on) * plane[first] + on * plane[min(first + 1, len(plane) - 1)]
-            for plane in (self._straight_plane(below), self._straight_plane(below + 1))
+            for plane in (self._paint_straight_plane(below), self._paint_straight_plane(below + 1))
         ]
         row: Values = (1 - up) * rows[0] + up * rows[1]
         return row
 
-    def _straight_plane(self, number: int) -> Values:
+    def _paint_straight_plane(self, number: int) -> Values:
         if not 0 <= number < self._grid.slices + 2 * self._span:
             return np.full((self._grid.rows, self._grid.columns), AIR_HU, dtype=np.float32)
         plane = self._straight.get(number)
         if plane is None:
-            plane = self._straight[number] = self._clean(number)
+            plane = self._straight[number] = self._paint_clean(number)
             while len(self._straight) > 2 * self._span + 4:
                 self._straight.popitem(last=False)
         return plane
 
 
-def _motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
+def _draw_motion(scan: Scan, grid: CtGrid) -> tuple[int, tuple[float, float, float]]:
     """Return the first slice after the patient moved, halfway up the markers, and the displacement."""
     faults = scan.faults
     if not faults.motion_mm and not faults.slide_mm:
         return 0, (0.0, 0.0, 0.0)
-    way = noise(scan.scene.seed, "patient moves", 0).standard_normal(3)
-    x, y, z = (faults.motion_mm * way / np.linalg.norm(way)).tolist()
+    direction = noise(scan.scene.seed, "patient moves", 0).standard_normal(3)
+    x, y, z = (faults.motion_mm * direction / np.linalg.norm(direction)).tolist()
     middle_mm = float(np.median([fiducial.centre_ct_mm[2] for fiducial in scan.scene.head.fiducials]))
     return int(np.searchsorted(grid.z_mm, middle_mm)), (x, y, z + faults.slide_mm)
 
@@ -247,7 +249,7 @@ class SlicePainter:
         x, y = self._x[None, columns], self._y[rows, None]
         region = image[rows, columns]
         # anything next to the head is denser than the air in the corners of this rectangle
-        np.maximum(region, self._head.at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
+        np.maximum(region, self._head.hu_at(x, y, np.full((1, 1), z_mm, dtype=np.float32)), out=region)
 
     def noise(self, number: int) -> Values:
         """Draw the noise of one slice."""

@@ -50,7 +50,7 @@ def polaris(
     from sim.polaris.unit.behaviour import UnitBehaviour, parse_behaviour
     from sim.polaris.unit.model import UNIT_MODELS
     from sim.polaris.unit.ports import plug_in
-    from sim.world.process import announce, end_with_parent, open_world, own_control_port
+    from sim.world.process import announce, end_with_parent, open_own_control_port, open_world
 
     if list_parameters:
         for name, value, meaning in rows(UnitBehaviour):
@@ -65,7 +65,7 @@ def polaris(
     room = open_world(world, scene, faults, FAULT_DEVICES)
     unit = Unit(room, kind, behaviour, tools)
     interpreter = CommandInterpreter(unit)
-    control = own_control_port(world, room, FAULT_DEVICES, unit.loaded_tools)
+    control = open_own_control_port(world, room, FAULT_DEVICES, unit.list_loaded_tools)
     end = EndSignal()
     server = Server(interpreter, end)
     end_with_parent(end.give)

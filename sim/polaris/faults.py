@@ -17,7 +17,7 @@ from ronna_hw.wire.polaris import COMMAND_TIMEOUT_S, CR, Alert
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.ports import WiredTool
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
-from sim.polaris.unit.tool_definition import built_in_definition
+from sim.polaris.unit.tool_definition import build_test_definition
 from sim.world.noise import noise
 
 LINE_NOISE = "tracker line"
@@ -124,7 +124,7 @@ def _provide_tool(unit: Unit, number: int) -> None:
     wired.count = max(wired.count, number)
     if number not in wired.tools:
         size = unit.behaviour.user_memory_bytes
-        wired.tools[number] = WiredTool.from_definition(built_in_definition(), number, size)
+        wired.tools[number] = WiredTool.from_definition(build_test_definition(), number, size)
 
 
 class LineFaults:

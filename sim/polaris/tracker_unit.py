@@ -68,7 +68,7 @@ class Unit:
         rate = min(self.behaviour.saved_illuminator_rate, max(model.illuminator_rates))
         self.user_parameters.save_value(wire.PARAMETER_ILLUMINATOR_RATE, str(rate))
 
-    def loaded_tools(self) -> list[str]:
+    def list_loaded_tools(self) -> list[str]:
         """Part numbers of the tools that the host has loaded or plugged in."""
         return [port.definition.part_number for port in self.ports if port.definition is not None]
 
@@ -198,7 +198,7 @@ class Unit:
 
     def _give_handle(self, number: int) -> None:
         tool = self.wired.tool(number)
-        if tool is not None and self.ports.of_socket(number) is None:
+        if tool is not None and self.ports.find_by_socket(number) is None:
             try:
                 self.ports.request_wired(number, tool)
             except Refusal:  # no handle left: the tool waits

@@ -105,15 +105,15 @@ def theatre(
 
     require_folder(out)
     saved_scene = out / SCENE_FILE  # a scene file may have been changed since
-    where = str(saved_scene) if continued and saved_scene.exists() else scene
-    if where == str(saved_scene):
+    scene_source = str(saved_scene) if continued and saved_scene.exists() else scene
+    if scene_source == str(saved_scene):
         _require_same_world(context, out)
     truth = load_scene(
-        where,
+        scene_source,
         seed=seed,
         markers=markers,
         targets=targets,
-        fiducials=Carrier.FREE if where == str(saved_scene) else fiducials,
+        fiducials=Carrier.FREE if scene_source == str(saved_scene) else fiducials,
         calibrated=calibrated,
         first_day=first_day,
         target_balls=target_balls,
@@ -156,12 +156,12 @@ def _require_same_world(context: typer.Context, folder: Path) -> None:
     }
     for option, own in owns.items():
         source = context.get_parameter_source(option)
-        given = context.params[option]
-        if source is not None and source.name == "COMMANDLINE" and given != own:
+        given_value = context.params[option]
+        if source is not None and source.name == "COMMANDLINE" and given_value != own:
             raise UsageMistake(
                 f"--continue: the {option} of the world left in {folder} cannot be changed",
                 expected=f"{own}",
-                got=f"{given}",
+                got=f"{given_value}",
                 action=f"Omit --{option} to continue it, or omit --continue for a new world.",
             )
 
@@ -317,7 +317,7 @@ def scene(
     from ronna_hw.marker_template import read_marker_template
     from sim.errors import BadScene
     from sim.world.process import load_scene
-    from sim.world.scene.named_scenes import SCENES, named_scene
+    from sim.world.scene.named_scenes import SCENES, draw_scene
 
     if template is None:
         truth = load_scene(scene, seed=seed, markers=markers, targets=targets, fiducials=fiducials)
@@ -325,5 +325,5 @@ def scene(
         if scene not in SCENES or markers is not None or fiducials is not Carrier.FREE:
             raise BadScene("a template belongs to a named scene and fixes the number of markers")
         implanted = read_marker_template(template)
-        truth = named_scene(scene, seed=seed, targets=targets, template=implanted)
+        truth = draw_scene(scene, seed=seed, targets=targets, template=implanted)
     typer.echo(tomli_w.dumps(truth.model_dump(mode="json", by_alias=True, exclude_none=True)), nl=False)

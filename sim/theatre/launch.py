@@ -14,14 +14,14 @@ from uuid import uuid4
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.host.child_process import IDLE_TIMEOUT_S, READY_TIMEOUT_S, ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 from sim.errors import BadCalibrationFile, BadDeviceParameter
 from sim.kuka.controller_parameters import parse_parameters
 from sim.kuka.pendant import PENDANT_PREFIX
 from sim.polaris.unit.behaviour import parse_behaviour
 from sim.polaris.unit.tool_definition import write_definition
 from sim.theatre.records import refer_to_tip
-from sim.theatre.theatre_file import calibrated_at, identity_of, theatre_content, write_theatre_file
+from sim.theatre.theatre_file import identity_of, read_calibration_time, theatre_content, write_theatre_file
 from sim.world.control_port import ControlPort, Room
 from sim.world.saved_world import SavedWorld, save_world
 from sim.world.scene.model import Scene
@@ -72,9 +72,9 @@ class Theatre:
         self.file = folder / THEATRE_FILE
         self.world = World.create(scene, paced=paced) if saved is None else saved.restore(scene, paced=paced)
         if faults:
-            _, standing = self.world.fault_script()
-            self.world.set_fault_script(f"{standing}\n{faults}" if standing else faults)
-        write_whole(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
+            _, standing_script = self.world.fault_script()
+            self.world.set_fault_script(f"{standing_script}\n{faults}" if standing_script else faults)
+        write_atomically(folder / SCENE_FILE, scene.model_dump_json(by_alias=True, indent=1).encode())
         self._control = ControlPort(Room(self.world, folder))
         self._children: list[ChildProcess] = []
         try:
@@ -87,7 +87,7 @@ class Theatre:
                 self._write_tools(),
                 limit_s,
                 cycle_ms,
-                calibrated_at(self.file) if saved is not None else None,
+                read_calibration_time(self.file) if saved is not None else None,
             )
             content["calibration"] |= records
             refer_to_tip(content)
@@ -163,7 +163,7 @@ class Theatre:
         files = {}
         for tool in self.world.scene.tracker.tools:
             path = self.folder / f"{tool.name}.rom"
-            write_whole(path, write_definition(tool))
+            write_atomically(path, write_definition(tool))
             files[tool.name] = str(path.resolve())
         return files
 

@@ -34,7 +34,7 @@ GAUGE_BASE_MM = 60.0
 def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Generator) -> dict[str, Any]:
     """Return the deviations of an arm's record, named as in `ronna_hw.calibration.ArmCalibration`."""
 
-    def off(values: Any, sigma: float) -> Array:
+    def deviate(values: Any, sigma: float) -> Array:
         exact = np.asarray(values, dtype=float)
         return exact + generator.normal(0.0, sigma, exact.shape)
 
@@ -46,9 +46,9 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
     amplitudes = np.stack([truth.harmonic_1_rad, truth.harmonic_2_rad], axis=1)
     phases = np.stack([truth.harmonic_1_phase_rad, truth.harmonic_2_phase_rad], axis=1)
     values = {
-        "link_translation_mm": off(translations, residual.link_mm),
-        "link_rotation_rad": off(rotations, residual.angle_rad),
-        "joint_offset_rad": off(truth.joint_offset_rad, residual.angle_rad),
+        "link_translation_mm": deviate(translations, residual.link_mm),
+        "link_rotation_rad": deviate(rotations, residual.angle_rad),
+        "joint_offset_rad": deviate(truth.joint_offset_rad, residual.angle_rad),
         "sine_rad": amplitudes * np.vectorize(cos)(phases),
         "cosine_rad": amplitudes * np.vectorize(sin)(phases),
         "sag_rad": np.array([0.0, *truth.sag_rad, 0.0, 0.0, 0.0]),
@@ -57,36 +57,36 @@ def arm_values(truth: ArmTruth, residual: ArmResidual, generator: np.random.Gene
     return {name: array.tolist() for name, array in values.items()}
 
 
-def measured_mount(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
+def draw_mount_record(mount: Mount, residual: ArmResidual, generator: np.random.Generator) -> PoseRecord:
     """Return FLANGE <- TOOL of the head as a calibration finds it, instead of the nominal pose."""
     beside = matrix_from(generator.normal(0.0, residual.tool_mm, 3), np.eye(3))
     return pose_of(matrix_of(mount.flange_from_tool_true) @ beside)
 
 
 def tool_records(
-    scene: Scene, dated: Callable[[str], dict[str, Any]], flange: str
+    scene: Scene, record_header: Callable[[str], dict[str, Any]], flange: str
 ) -> dict[str, dict[str, Any]]:
-    """Return the tool records by name; `dated` makes the fields common to all dated records."""
+    """Return the tool records by name; `record_header` makes the fields common to all dated records."""
     mount = scene.mount
     guide = mount.guide
     A1, *others = scene.arm.home_deg
     common = {"flange": flange, "centre_of_gravity_mm": list(CENTRE_OF_GRAVITY_MM)}
     return {
         "stereo_head": {
-            **dated("tool-stereo-head"),
+            **record_header("tool-stereo-head"),
             **common,
             "purpose": "stereo_head",
             "number": mount.tool_number_stereo,
             "mass_kg": STEREO_HEAD_KG,
         },
         "guide": {
-            **dated("tool-guide"),
+            **record_header("tool-guide"),
             **common,
             "purpose": "needle_guide",
             "number": mount.tool_number_guide,
             "mass_kg": guide.mass_kg,
             "bore": {"reach_mm": guide.reach_mm, "length_mm": guide.bore_mm, "play_mm": guide.play_mm},
-            **_frame(mount),
+            **_guide_frame_pose(mount),
             "gauge": {
                 "joints_deg": [A1 + GAUGE_TURN_DEG, *others],
                 "base_mm": GAUGE_BASE_MM,
@@ -116,15 +116,15 @@ def refer_to_tip(content: dict[str, Any]) -> None:
     """Make the guide's record refer to the calibration of its tip in the same theatre file."""
     guide, records = content["tools"]["guide"], content["calibration"]
     guide["tip"] = records["tool_tip"]["identifier"]
-    head, tip = (_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
+    head, tip = (_as_pose(records[name]["flange_from_tool"]) for name in ("stereo_head", "tool_tip"))
     guide["tip_in_head"] = TipInHead.of(head, tip).model_dump(mode="json")
 
 
-def _pose(plain: dict[str, Any]) -> PoseRecord:
+def _as_pose(plain: dict[str, Any]) -> PoseRecord:
     return PoseRecord.model_validate({key: tuple(value) for key, value in plain.items()})
 
 
-def _frame(mount: Mount) -> dict[str, Any]:
+def _guide_frame_pose(mount: Mount) -> dict[str, Any]:
     """Return the pose of the guide's tracker frame on the mount, if it has one."""
     if mount.guide.tip_from_frame is None:
         return {}

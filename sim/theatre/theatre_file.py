@@ -16,10 +16,10 @@ import numpy as np
 
 from ronna_hw.bounded_input import InputRefused, read_bounded, read_toml
 from ronna_hw.plausible import FINEST_ON_ARM_MM
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 from ronna_hw.wire.polaris_rom import ROM_FILE_LIMIT_BYTES
 from sim.theatre.records import ARM_ERROR_MM as CALIBRATED_ARM_ERROR_MM
-from sim.theatre.records import STATED_ERROR_MM, arm_values, measured_mount, refer_to_tip, tool_records
+from sim.theatre.records import STATED_ERROR_MM, arm_values, draw_mount_record, refer_to_tip, tool_records
 from sim.world.noise import noise
 from sim.world.rigid import Matrix, matrix_from, matrix_of, pose_of, rotation_from_vector
 from sim.world.scene.as_built import TOOL_ERROR_MM, WORKING_DISTANCE_MM
@@ -62,7 +62,7 @@ def theatre_content(
         "tracker": {
             "driver": "ndi_polaris",
             "endpoint": endpoints["polaris"],
-            "options": {"tools": [_tool(name, Path(rom)) for name, rom in tool_files.items()]},
+            "options": {"tools": [_tool_entry(name, Path(rom)) for name, rom in tool_files.items()]},
         },
         "robot": {
             "master": {
@@ -80,9 +80,9 @@ def theatre_content(
             "endpoints": endpoints["basler"],
             "options": {"left_serial": scene.left.serial, "right_serial": scene.right.serial},
         },
-        "calibration": _calibrations(scene, made),
+        "calibration": _make_calibrations(scene, made),
         "flange": FLANGE,
-        "tools": tool_records(scene, lambda name: _dated(scene, name, made), FLANGE),
+        "tools": tool_records(scene, lambda name: _record_header(scene, name, made), FLANGE),
         "procedure": {
             "servo_area_px": list(scene.servo_area_px),
             "stand_mm": [float(round(value)) for value in scene.stand.ball_mm],
@@ -95,7 +95,7 @@ def theatre_content(
     return content
 
 
-def _tool(name: str, rom: Path) -> dict[str, str]:
+def _tool_entry(name: str, rom: Path) -> dict[str, str]:
     """Return a tool with its definition file, pinned by its hash if it exists."""
     option = {"name": name, "rom": str(rom)}
     if not rom.is_file():
@@ -108,7 +108,7 @@ def write_theatre_file(content: dict[str, Any], path: Path) -> None:
     """Write the theatre file atomically."""
     import tomli_w
 
-    write_whole(path, tomli_w.dumps(content).encode())
+    write_atomically(path, tomli_w.dumps(content).encode())
 
 
 def identity_of(theatre_file: Path) -> str | None:
@@ -120,7 +120,7 @@ def identity_of(theatre_file: Path) -> str | None:
     return identity
 
 
-def calibrated_at(theatre_file: Path) -> datetime | None:
+def read_calibration_time(theatre_file: Path) -> datetime | None:
     """Return when the calibration records of a theatre file were made; None without such a file."""
     try:
         content = read_toml(theatre_file, InputRefused)
@@ -130,7 +130,7 @@ def calibrated_at(theatre_file: Path) -> datetime | None:
     return made
 
 
-def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
+def _make_calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     error = scene.calibration_error
     if error.first_day:
         as_drawn = {
@@ -141,7 +141,9 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
         }
         error = error.model_copy(update=as_drawn)
     generator = noise(scene.seed, "calibration", 0)
-    measured = error.arm and measured_mount(scene.mount, error.arm, noise(scene.seed, "arm calibration", 0))
+    measured = error.arm and draw_mount_record(
+        scene.mount, error.arm, noise(scene.seed, "arm calibration", 0)
+    )
     head = matrix_of(measured or scene.mount.flange_from_tool_nominal)
     tip = head @ matrix_of(scene.mount.tool_from_tip_true)
     tilt = noise(scene.seed, "guide direction", 0).normal(0.0, error.tip_direction_rad, 2)
@@ -152,9 +154,13 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
     )
 
     def record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
-        return {**_dated(scene, name, created), "stated_error_mm": _credible_mm(stated_error_mm), **more}
+        return {
+            **_record_header(scene, name, created),
+            "stated_error_mm": _credible_mm(stated_error_mm),
+            **more,
+        }
 
-    def mounted(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
+    def mounted_part_record(name: str, stated_error_mm: float, **more: Any) -> dict[str, Any]:
         """Make the record of a part on the mount; on the first day its drawing, which is no calibration."""
         made = record(name, stated_error_mm, **more)
         if not error.first_day:
@@ -170,24 +176,24 @@ def _calibrations(scene: Scene, created: datetime) -> dict[str, Any]:
                     3**0.5 * error.camera_translation_mm, WORKING_DISTANCE_MM * error.camera_rotation_rad
                 )
             ),
-            flange_from_tool=_pose(head),
-            left=_camera(scene.left, error, generator),
-            right=_camera(scene.right, error, generator),
+            flange_from_tool=_pose_document(head),
+            left=_camera_record(scene.left, error, generator),
+            right=_camera_record(scene.right, error, generator),
         ),
-        "tool_tip": mounted(
+        "tool_tip": mounted_part_record(
             "tool-tip",
             3**0.5 * error.tip_mm,
             tool_number=scene.mount.tool_number_guide,
-            flange_from_tool=_pose(tip),
+            flange_from_tool=_pose_document(tip),
             stated_direction_error_rad=2**0.5 * error.tip_direction_rad,
         ),
-        "tracker_frame": mounted(
+        "tracker_frame": mounted_part_record(
             "tracker-frame",
             3**0.5 * error.marker_translation_mm,
             tool=scene.tracker.tools[0].name,
-            tool_from_marker=_pose(marker),
+            tool_from_marker=_pose_document(marker),
         ),
-        **_arm(scene, record),
+        **_arm_record(scene, record),
     }
 
 
@@ -196,7 +202,7 @@ def _credible_mm(error_mm: float) -> float:
     return max(error_mm, FINEST_ON_ARM_MM)
 
 
-def _dated(scene: Scene, name: str, created: datetime) -> dict[str, Any]:
+def _record_header(scene: Scene, name: str, created: datetime) -> dict[str, Any]:
     return {
         "identifier": f"{name}-{scene.name}-{scene.seed}",
         "created": created,
@@ -205,7 +211,7 @@ def _dated(scene: Scene, name: str, created: datetime) -> dict[str, Any]:
     }
 
 
-def _arm(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
+def _arm_record(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
     residual, arm = scene.calibration_error.arm, scene.arm
     if residual is None:
         return {}
@@ -215,7 +221,9 @@ def _arm(scene: Scene, record: Callable[..., dict[str, Any]]) -> dict[str, Any]:
     return {"arm": record("arm", STATED_ERROR_MM, arm=arm.variant, scatter_mm=scatter_mm, **values)}
 
 
-def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.Generator) -> dict[str, Any]:
+def _camera_record(
+    camera: CameraTruth, error: CalibrationError, generator: np.random.Generator
+) -> dict[str, Any]:
     twist = matrix_from(
         generator.normal(0.0, error.camera_translation_mm, 3),
         rotation_from_vector(generator.normal(0.0, error.camera_rotation_rad, 3)),
@@ -229,9 +237,9 @@ def _camera(camera: CameraTruth, error: CalibrationError, generator: np.random.G
         "principal_point_px": list(camera.principal_point_px),
         "distortion": list(camera.distortion),
         "sensor_px": list(camera.sensor_px),
-        "camera_from_tool": _pose(seen),
+        "camera_from_tool": _pose_document(seen),
     }
 
 
-def _pose(matrix: Matrix) -> dict[str, Any]:
+def _pose_document(matrix: Matrix) -> dict[str, Any]:
     return pose_of(matrix).model_dump(mode="json")

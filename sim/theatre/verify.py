@@ -12,10 +12,10 @@ from typing import Any
 import numpy as np
 
 from ronna_hw.bounded_input import read_json_bytes
-from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, theatre_time_s
 from ronna_hw.records import Record
-from ronna_hw.text import counted, some_of
+from ronna_hw.text import format_count, format_names
 from sim.errors import NothingToVerify
 from sim.world.rigid import apply, matrix_of
 from sim.world.scene.model import Scene, parse_scene_json, read_scene
@@ -54,20 +54,23 @@ def verify_run(run: Path, theatre: Path | None = None) -> dict[str, Any]:
             expected=f"a folder with {SCENE_FILE}",
             action=WHERE_IT_WAS_MADE,
         )
-    found = inspected(run).require_unchanged()
+    found = inspect_run(run).require_unchanged()
     if theatre is None:
-        scene, taken = _contained_truth(found, place)
+        scene, tip_samples = _read_contained_truth(found, place)
     else:
-        scene, taken = read_scene(place / SCENE_FILE), _samples_during(found, read_samples(place))
-    samples = {sample.target: sample for sample in taken}  # the last sample of each target
-    localization = _valid_record(found, "fiducial_localization")
+        scene, tip_samples = (
+            read_scene(place / SCENE_FILE),
+            _select_samples_during(found, read_samples(place)),
+        )
+    samples = {sample.target: sample for sample in tip_samples}  # the last sample of each target
+    localization = _find_valid_record(found, "fiducial_localization")
     if localization is None and not samples:
         raise NothingToVerify(f"{run} located no sphere and reached no target")
     try:
         ct = _verify_ct(scene, localization)
         targets = [
             _verify_target(scene, trajectory, samples.pop(trajectory["id"]))
-            for trajectory in _planned_trajectories(found)
+            for trajectory in _read_planned_trajectories(found)
             if trajectory["id"] in samples
         ]
     except (LookupError, TypeError, ValueError, ArithmeticError) as error:
@@ -87,7 +90,7 @@ def _require_single_run(folder: Path) -> None:
     runs = sorted(one.name for one in folder.iterdir() if (one / JOURNAL_FILE).exists())
     if runs:
         raise NothingToVerify(
-            f"{folder} is not a run; it holds {counted(len(runs), 'run')}: {some_of(runs)}",
+            f"{folder} is not a run; it holds {format_count(len(runs), 'run')}: {format_names(runs)}",
             action=f"Give one of them: {folder / runs[-1]}.",
         )
 
@@ -105,19 +108,19 @@ def require_targets(run: Path, outcome: dict[str, Any]) -> None:
     )
 
 
-def _contained_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
+def _read_contained_truth(found: Inspection, place: Path) -> tuple[Scene, Sequence[TipSample]]:
     """Read the truth that a run contains, from the very bytes that are compared with its journal."""
 
-    def checked(name: str, content: bytes) -> bytes:
+    def read_checked(name: str, content: bytes) -> bytes:
         return found.require_content(f"{THEATRE_FOLDER}/{name}", content)
 
     truth = place / TRUTH_FILE
-    scene = checked(SCENE_FILE, read_json_bytes(place / SCENE_FILE))
-    samples = checked(TRUTH_FILE, truth_bytes(truth)) if truth.exists() else b""
+    scene = read_checked(SCENE_FILE, read_json_bytes(place / SCENE_FILE))
+    samples = read_checked(TRUTH_FILE, truth_bytes(truth)) if truth.exists() else b""
     return parse_scene_json(scene, SCENE_FILE), parse_samples(samples)
 
 
-def _samples_during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
+def _select_samples_during(found: Inspection, samples: Sequence[TipSample]) -> Sequence[TipSample]:
     """Return the samples taken during the run, by the clock that theatre and run share."""
     if not found.chain.lines:
         return ()
@@ -125,13 +128,13 @@ def _samples_during(found: Inspection, samples: Sequence[TipSample]) -> Sequence
     return [one for one in samples if began_s <= one.theatre_time_s <= ended_s]
 
 
-def _planned_trajectories(found: Inspection) -> list[dict[str, Any]]:
+def _read_planned_trajectories(found: Inspection) -> list[dict[str, Any]]:
     """Return the trajectories of the plan that the run followed; the scene may use other names."""
-    plan = _valid_record(found, "plan_check")
+    plan = _find_valid_record(found, "plan_check")
     return list(plan.payload["plan"]["trajectories"]) if plan is not None else []
 
 
-def _valid_record(found: Inspection, kind: str) -> Record | None:
+def _find_valid_record(found: Inspection, kind: str) -> Record | None:
     valid = (one for one in reversed(found.records) if one.identifier not in found.superseded)
     return next((one for one in valid if one.kind == kind), None)
 

@@ -74,8 +74,8 @@ class ControlPort:
     @property
     def endpoint(self) -> str:
         """Address including the token: a secret."""
-        where = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
-        return ControlAddress(where, self._server.token).text()
+        address = Endpoint("tcp", "127.0.0.1", self._server.server_address[1])
+        return ControlAddress(address, self._server.token).text()
 
     def close(self) -> None:
         """Stop serving."""
@@ -117,14 +117,14 @@ class _Conversation(socketserver.BaseRequestHandler):
         self._received = b""
         with contextlib.suppress(OSError, _HangUp):  # the client disconnected abruptly
             first_line_limit_s, idle_limit_s = self.server.limits_s
-            token = self._next(first_line_limit_s).get(TOKEN_KEY)
+            token = self._receive_next(first_line_limit_s).get(TOKEN_KEY)
             if not hmac.compare_digest(str(token).encode(errors="replace"), self.server.token.encode()):
                 self._answer(NO_TOKEN)
                 return
             self._trust()
             self._answer({"ok": True})
             while True:
-                self._answer(self.server.room.answer(self._next(idle_limit_s)))
+                self._answer(self.server.room.answer(self._receive_next(idle_limit_s)))
 
     def finish(self) -> None:
         with self.server.changing:
@@ -139,7 +139,7 @@ class _Conversation(socketserver.BaseRequestHandler):
             self.server.untrusted.remove(self.request)
             self.server.trusted.append(self.request)
 
-    def _next(self, limit_s: float) -> dict[str, Any]:
+    def _receive_next(self, limit_s: float) -> dict[str, Any]:
         """Receive the next JSON object; hangs up on anything else, or if it is late."""
         deadline = time.monotonic() + limit_s
         while b"\n" not in self._received:
@@ -205,7 +205,7 @@ class Room:
             with self._one_at_a_time:
                 more = action(request) or {}
         except TaskRefused as error:
-            return _refused(error, error.advice)
+            return _refusal(error, error.advice)
         except RonnaError as error:
             return {
                 "ok": False,
@@ -216,7 +216,7 @@ class Room:
             return {"ok": False, "reason": f"bad request: {error!r}"[:LONGEST_REASON]}
         except Exception as error:  # a defect of ours: an answer says more than a closed connection
             traceback.print_exc()
-            return _refused(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
+            return _refusal(f"the simulator failed: {error!r}", "Report this with the output of the theatre.")
         return {"ok": True, "theatre_time_s": self._world.clock.now_s(), **more}
 
     def _step(self, request: dict[str, Any]) -> None:
@@ -228,12 +228,12 @@ class Room:
         self._world.enter_step(name)
 
     def _work(self, request: dict[str, Any]) -> dict[str, Any]:
-        numbers = [_number(value) for value in request.get("numbers", ())]
+        numbers = [_require_number(value) for value in request.get("numbers", ())]
         readings = self._staff.work(str(request["task"]), str(request.get("trajectory", "")), numbers)
         return {"readings": list(readings)}
 
     def _mount(self, request: dict[str, Any]) -> None:
-        number = _number(request["number"])
+        number = _require_number(request["number"])
         if number not in (known := tool_numbers(self._world.scene)):
             raise TaskRefused(
                 f"no tool {number:g}: 0 removes the tool, {known[1]} is the stereo"
@@ -265,11 +265,11 @@ class Room:
         self._world.set_fault_script("" if line is None else without_fault(text, str(line)))
 
 
-def _refused(reason: object, advice: str) -> dict[str, Any]:
+def _refusal(reason: object, advice: str) -> dict[str, Any]:
     return {"ok": False, "reason": str(reason)[:LONGEST_REASON], "advice": advice}
 
 
-def _number(value: object) -> float:
+def _require_number(value: object) -> float:
     """Require a JSON number: neither text nor a truth value; raises TypeError."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise TypeError(f"expected a number, got {value!r}")

@@ -50,7 +50,7 @@ class RoomShift:
     guide_rad: Point = STILL  # about the tracked frame
     spheres_mm: tuple[tuple[int, Point], ...] = ()
 
-    def moved_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
+    def displace_spheres_mm(self, places_mm: Array, numbers: Sequence[int]) -> Array:
         """Displace spheres (n, 3), given with their numbers in the scene; robot frame."""
         alone = dict(self.spheres_mm)
         loose = np.array([alone.get(one, STILL) for one in numbers], dtype=float).reshape(-1, 3)
@@ -77,21 +77,24 @@ class ShiftedRoom:
             return NOTHING_MOVED
         shifts, turns = self._board.active(SHIFT.name), self._board.active(TURN.name)
         pushes, loose = self._board.active(PUSH.name), self._board.active(LOOSEN.name)
-        cart_mm = _total([_sum(shifts, CART), *rolled_mm(self._board, self._world.clock.now_s())])
-        push_N = _total([[float(each) for each in push.arguments] for push in pushes])
+        cart_mm = _add_up(
+            [_sum_arguments(shifts, CART), *list_cart_rolls_mm(self._board, self._world.clock.now_s())]
+        )
+        push_N = _add_up([[float(each) for each in push.arguments] for push in pushes])
         # Relative to a turned cart, all else turns back.
-        back = rotation_from_vector(np.radians(_sum(turns, CART))).T
-        head_turn = rotation_from_vector(np.radians(_sum(turns, HEAD)))
+        back = rotation_from_vector(np.radians(_sum_arguments(turns, CART))).T
+        head_turn = rotation_from_vector(np.radians(_sum_arguments(turns, HEAD)))
         swing_mm = self._head_centre_mm - head_turn @ self._head_centre_mm
         return RoomShift(
-            head_mm=as_point(back @ (np.subtract(_sum(shifts, HEAD), cart_mm) + swing_mm)),
-            tracker_mm=as_point(back @ np.subtract(_sum(shifts, TRACKER), cart_mm)),
+            head_mm=as_point(back @ (np.subtract(_sum_arguments(shifts, HEAD), cart_mm) + swing_mm)),
+            tracker_mm=as_point(back @ np.subtract(_sum_arguments(shifts, TRACKER), cart_mm)),
             head_rad=as_point(vector_from_rotation(back @ head_turn)),
             tracker_rad=as_point(vector_from_rotation(back)),
             guide_mm=as_point(np.divide(push_N, self._stiffness_N_mm)),
-            guide_rad=as_point(np.radians(_sum(turns, GUIDE))),
+            guide_rad=as_point(np.radians(_sum_arguments(turns, GUIDE))),
             spheres_mm=tuple(
-                (int(number), _sum(loose, number)) for number in sorted({one.argument for one in loose})
+                (int(number), _sum_arguments(loose, number))
+                for number in sorted({one.argument for one in loose})
             ),
         )
 
@@ -113,10 +116,10 @@ def yielding_flange(flange: Matrix, flange_from_marker: Matrix, room: RoomShift)
     return held
 
 
-def rolled_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
+def list_cart_rolls_mm(board: FaultBoard, now_s: float) -> tuple[Point, ...]:
     """Way that the cart has rolled since its brakes were released, per fault."""
     return tuple(
-        _total([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
+        _add_up([[float(rate) * (now_s - onset_s) / SECONDS_PER_MINUTE for rate in fault.arguments]])
         for fault, onset_s in board.acting_since()
         if fault.kind is UNLOCKED
     )
@@ -139,12 +142,12 @@ def _refit(sphere: Fiducial, scene: Scene) -> Fiducial:
     return sphere.model_copy(update={"centre_ct_mm": (x, y, z), **worn})
 
 
-def _sum(faults: tuple[Fault, ...], what: str) -> Point:
-    return _total(
+def _sum_arguments(faults: tuple[Fault, ...], what: str) -> Point:
+    return _add_up(
         [[float(number) for number in fault.arguments[1:]] for fault in faults if fault.argument == what]
     )
 
 
-def _total(ways: Sequence[Sequence[float]]) -> Point:
+def _add_up(ways: Sequence[Sequence[float]]) -> Point:
     x, y, z = (sum(column) for column in zip(*ways, strict=True)) if ways else STILL
     return (x, y, z)

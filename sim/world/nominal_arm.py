@@ -65,7 +65,7 @@ def description(variant: Variant) -> RobotDescription:
 _ACCELERATION = tuple(degrees(value) for value in (21.67, 6.89, 31.42, 133.1, 135.6, 268.4))
 
 
-def _arm(
+def _build_joints(
     elbow_mm: float, flange_mm: float, wrist_speeds_deg_s: tuple[float, float, float]
 ) -> tuple[Joint, ...]:
     fourth, fifth, sixth = wrist_speeds_deg_s
@@ -82,10 +82,10 @@ def _arm(
 
 _DESCRIPTIONS: dict[Variant, RobotDescription] = {
     "kr6_r900_sixx": RobotDescription(
-        "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _arm(35.0, 80.0, (381.0, 388.0, 615.0))
+        "kr6_r900_sixx", "#KR6R900_C4SR_FLR", _build_joints(35.0, 80.0, (381.0, 388.0, 615.0))
     ),
     "kr6_r900_2": RobotDescription(
-        "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _arm(25.0, 90.0, (450.0, 450.0, 540.0))
+        "kr6_r900_2", "#KR6R900_2_C4SR_FLR", _build_joints(25.0, 90.0, (450.0, 450.0, 540.0))
     ),
 }
 
@@ -180,11 +180,11 @@ def axes_of_status(
     A2 = atan2(down_mm, out_mm) - atan2(fore_mm * sin(bend), upper_mm + fore_mm * cos(bend))
     wrist = rotation_from_vector((0.0, 0.0, -A1)).T @ rotation
     wrist = rotation_from_vector((0.0, -(A2 + A3), 0.0)) @ wrist
-    A4, A5, A6 = _wrist(wrist, bool(status & WRIST_NOT_POSITIVE), near_A4)
+    A4, A5, A6 = _solve_wrist(wrist, bool(status & WRIST_NOT_POSITIVE), near_A4)
     return A1, A2, A3, A4, A5, A6
 
 
-def _wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, float, float]:
+def _solve_wrist(wrist: Matrix, not_positive: bool, near_A4: float) -> tuple[float, float, float]:
     """A4, A5, A6 (rad) of a rotation Rx(-A4) Ry(A5) Rx(-A6)."""
     sine = hypot(wrist[1, 0], wrist[2, 0])
     if sine < STRAIGHT_WRIST:

@@ -16,13 +16,13 @@ from types import FrameType
 
 from ronna_hw.errors import EXIT_FAILED
 from ronna_hw.host.child_process import descendants_of, kill_all
-from ronna_hw.host.process import PARENT, end_start
+from ronna_hw.host.process import PARENT, resume_garbage_collection
 from sim.errors import BadScene
 from sim.world.control_port import ControlPort, Room
 from sim.world.faults import DEVICES, read_faults
 from sim.world.options import Carrier
 from sim.world.scene.model import ArmResidual, Scene, read_scene
-from sim.world.scene.named_scenes import SCENES, named_scene
+from sim.world.scene.named_scenes import SCENES, draw_scene
 from sim.world.world import World
 
 PARENT_GONE = "stopping: the parent process has ended\n"
@@ -32,7 +32,7 @@ PARENT_CHECK_S = 0.25  # a device process must end within 2 s of its parent's de
 
 def announce(device: str, endpoint: str | None = None, control: str | None = None, **more: object) -> None:
     """Print the line `READY {json}`: clients may connect."""
-    end_start()
+    resume_garbage_collection()
     content: dict[str, object] = {"device": device}
     if endpoint is not None:
         content["endpoint"] = endpoint
@@ -62,7 +62,7 @@ def end_with_parent(end: Callable[[], None]) -> None:
         leave()
 
     def watch() -> None:
-        while not PARENT.gone:
+        while not PARENT.is_gone:
             time.sleep(PARENT_CHECK_S)
         with contextlib.suppress(OSError):  # there may be no reader left
             sys.stderr.write(PARENT_GONE)
@@ -100,7 +100,7 @@ def open_world(
     return own
 
 
-def own_control_port(
+def open_own_control_port(
     world: str | None, own: World, devices: Sequence[str], loaded: Callable[[], Sequence[str]] | None = None
 ) -> str | None:
     """Open the control port of a simulator started alone; None in a theatre, which has its own."""
@@ -125,7 +125,7 @@ def load_scene(
     """
     if scene in SCENES:
         on_frame = fiducials is Carrier.XFRAME
-        drawn = named_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
+        drawn = draw_scene(scene, seed=seed, markers=markers, targets=targets, x_frame=on_frame)
     elif fiducials is not Carrier.FREE:
         raise BadScene("a scene file defines how its spheres are fixed: omit --fiducials")
     else:

@@ -22,7 +22,7 @@ def as_point(values: Iterable[float]) -> Point:
     return x, y, z
 
 
-def rounded_point(values: Iterable[float]) -> Point:
+def as_rounded_point(values: Iterable[float]) -> Point:
     """Convert an array (3,) to plain numbers of six decimals."""
     x, y, z = (round(float(value), 6) for value in values)
     return x, y, z

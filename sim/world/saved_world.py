@@ -21,11 +21,11 @@ from pydantic import Field, ValidationError
 from ronna_hw.bounded_input import read_json_bytes
 from ronna_hw.calibration import Strict
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 from sim.errors import BadSavedWorld, TheatreRunning
-from sim.world.displacements import rolled_mm
+from sim.world.displacements import list_cart_rolls_mm
 from sim.world.faults import parse_faults
-from sim.world.faults.board import FaultBoard, at_moment
+from sim.world.faults.board import FaultBoard, format_beginning
 from sim.world.faults.camera import TWIST
 from sim.world.faults.room import CART, PUSH, ROOM_FAULTS
 from sim.world.faults.room import DEVICE as ROOM
@@ -61,7 +61,7 @@ class SavedWorld(Strict):
     )
 
     @classmethod
-    def of(cls, world: World) -> SavedWorld:
+    def from_world(cls, world: World) -> SavedWorld:
         """Read the present state of a world."""
         arm = world.arm() if world.has_arm else None
         return cls(
@@ -94,7 +94,7 @@ class SavedWorld(Strict):
 
 def save_world(world: World, folder: Path) -> None:
     """Save the state of a world, completely or not at all."""
-    write_whole(folder / WORLD_FILE, SavedWorld.of(world).model_dump_json(indent=1).encode())
+    write_atomically(folder / WORLD_FILE, SavedWorld.from_world(world).model_dump_json(indent=1).encode())
 
 
 def read_saved_world(folder: Path) -> SavedWorld | None:
@@ -117,16 +117,15 @@ def standing_faults(world: World) -> str:
     """Script that reproduces the displacements and bends by faults, each until its own end."""
     now_s = world.clock.now_s()
     lines = []
-    for way in rolled_mm(FaultBoard(world, ROOM), now_s):
-        lines.append(
-            f"{at_moment(now_s)}: {ROOM} shift {CART} {' '.join(f'{value:.6f}' for value in way)} mm"
-        )
+    for roll_mm in list_cart_rolls_mm(FaultBoard(world, ROOM), now_s):
+        roll = " ".join(f"{value:.6f}" for value in roll_mm)
+        lines.append(f"{format_beginning(now_s)}: {ROOM} shift {CART} {roll} mm")
     for device in sorted({kind.device for kind in STANDING}):
         for fault, onset_s in FaultBoard(world, device).acting_since():
             if fault.kind in STANDING:
                 remaining_s = onset_s + fault.duration_s - now_s
                 end = "" if math.isinf(remaining_s) else f" for {remaining_s:.6f} s"
-                lines.append(f"{at_moment(now_s)}: {fault.phrase}{end}")
+                lines.append(f"{format_beginning(now_s)}: {fault.phrase}{end}")
     return "\n".join(lines)
 
 

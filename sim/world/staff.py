@@ -38,7 +38,7 @@ from sim.world.faults.room import CART, DEVICE, UNLOCKED, WRONG_STOP
 from sim.world.noise import noise
 from sim.world.options import OnStand
 from sim.world.rigid import Matrix, apply, inverse, matrix_of, rotation_from_vector
-from sim.world.truth import TrueGuide, append_sample, calibrated_tip, sample_instrument
+from sim.world.truth import TrueGuide, append_sample, sample_instrument, tip_at_calibration
 from sim.world.world import World
 
 Readings = tuple[float, ...]
@@ -101,7 +101,7 @@ class Staff:
         drawn = noise(scene.seed, f"{STOP} {trajectory}", again).normal(0.0, scene.mount.guide.depth_stop_mm)
         off_mm = sum(float(one.argument) for one in self._board.active(WRONG_STOP.name))
         self._stop_mm = setting_mm + float(drawn) + off_mm
-        return (_on_scale(self._stop_mm, SCALE_MM),)
+        return (_round_to_scale(self._stop_mm, SCALE_MM),)
 
     def _insert(self, trajectory: str) -> Readings:
         if self._stop_mm is None:
@@ -115,9 +115,9 @@ class Staff:
     def _push_cart(self) -> Readings:
         """Push the cart: an unlocked one rolls for good, a locked one stays."""
         for fault in self._board.active(UNLOCKED.name):
-            way = " ".join(fault.arguments)
+            displacement = " ".join(fault.arguments)
             _, text = self._world.fault_script()
-            rolled = begin_now(f"{DEVICE} shift {CART} {way} mm", self._world.clock.now_s())
+            rolled = begin_now(f"{DEVICE} shift {CART} {displacement} mm", self._world.clock.now_s())
             self._world.set_fault_script(f"{text}\n{rolled}")
         return ()
 
@@ -134,7 +134,7 @@ class Staff:
         read = there + noise(scene.seed, DIAL, self._done[f"{GAUGE} "]).normal(
             0.0, scene.hands.gauge_mm, len(there)
         )
-        return tuple(_on_scale(float(value), DIAL_MM) for value in read)
+        return tuple(_round_to_scale(float(value), DIAL_MM) for value in read)
 
     def _touch(self, direction: Sequence[float]) -> Readings:
         """Position of a pointer that touches the patient's head on that side, robot frame."""
@@ -142,7 +142,7 @@ class Staff:
         skin_ct = np.array(head.centre_ct_mm) + np.array(head.semi_axes_mm) * direction
         place = apply(matrix_of(head.robot_from_ct), skin_ct) + ShiftedRoom(self._world).now().head_mm
         place += noise(seed, TOUCH, self._done[f"{TOUCH} "]).normal(0.0, POINTER_MM, 3)
-        return tuple(_on_scale(float(value), 1.0) for value in place)
+        return tuple(_round_to_scale(float(value), 1.0) for value in place)
 
     def _place_of_gauge(self, joints_deg: Sequence[float]) -> Matrix:
         """Pose of the calibrated mandrel's end, with the arm there, when the gauge was zeroed."""
@@ -150,7 +150,7 @@ class Staff:
 
         arm = TrueArm(self._world.scene.arm, self._world.scene.seed)
         flange = arm.moving([radians(angle) for angle in joints_deg], (1.0,) * len(joints_deg))
-        return flange @ calibrated_tip(self._world)
+        return flange @ tip_at_calibration(self._world)
 
 
 def read_dials(world: World) -> tuple[float, float, float]:
@@ -193,5 +193,5 @@ def _check_task(task: str, trajectory: str, numbers: Sequence[float], known: Ite
         )
 
 
-def _on_scale(value: float, step: float) -> float:
+def _round_to_scale(value: float, step: float) -> float:
     return round(round(value / step) * step, 6)

@@ -105,7 +105,7 @@ class JointChain:
     """
 
     def __init__(self, arm: RobotDescription, links: Sequence[LinkError] | None = None) -> None:
-        self._model, self._flange = _model_of(arm, None if links is None else tuple(links))
+        self._model, self._flange = _build_model(arm, None if links is None else tuple(links))
         self._data = self._model.createData()
         self._q = np.zeros(AXES)
 
@@ -140,22 +140,22 @@ class JointChain:
 
 
 @lru_cache(maxsize=8)  # shared: chains only read it and compute in their own data
-def _model_of(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
+def _build_model(arm: RobotDescription, links: tuple[LinkError, ...] | None) -> tuple[pin.Model, int]:
     """Build the model; return it and the index of the flange's frame."""
     model, parent = pin.Model(), 0
     for number, joint in enumerate(arm.joints):
         place = pin.SE3(np.eye(3), np.array(joint.origin_mm))
         if links is not None and number > 0:
-            place = place * _error(links[number - 1])
+            place = place * _placement_error(links[number - 1])
         axis = pin.JointModelRevoluteUnaligned(np.array(joint.axis))
         parent = model.addJoint(parent, axis, place, joint.name)
     end = pin.SE3(rotation_from_vector((0.0, radians(FLANGE_PITCH_DEG), 0.0)), np.zeros(3))
     if links is not None:
-        end = end * _error(links[AXES - 1])
+        end = end * _placement_error(links[AXES - 1])
     return model, model.addFrame(pin.Frame("flange", parent, 0, end, pin.FrameType.OP_FRAME))
 
 
-def _error(link: LinkError) -> pin.SE3:
+def _placement_error(link: LinkError) -> pin.SE3:
     return pin.SE3(rotation_from_vector(link.rotation_rad), np.array(link.translation_mm))
 
 

@@ -126,7 +126,7 @@ class TrueGuide:
 
         `flange` is its pose without a push, by default the present one.
         """
-        return self.bore_frame(flange) @ self._bent()
+        return self.bore_frame(flange) @ self._bend()
 
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
         """Pose without the bend, for parts above the bore."""
@@ -134,38 +134,40 @@ class TrueGuide:
         mount = self._scene.mount
         marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
         pose = yielding_flange(flange, marker, self._room.now()).copy()
-        pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(float(one.argument) for one in self._active(WRONG_LOAD))
-        return pose @ calibrated_tip(self._world) @ self._seated()
+        pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
+            float(one.argument) for one in self._active_faults(WRONG_LOAD)
+        )
+        return pose @ tip_at_calibration(self._world) @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Pose at the end of the mandrel in use."""
-        longer_mm = sum(float(one.argument) for one in self._active(WRONG_MANDREL))
+        longer_mm = sum(float(one.argument) for one in self._active_faults(WRONG_MANDREL))
         return self.tip_frame() @ matrix_from((0.0, 0.0, longer_mm), np.eye(3))
 
     def instrument_tip_mm(self, stop_mm: float, target: str, draw: int) -> Vector:
         """Tip (3,) of an instrument inserted up to its depth stop, drawn within the bore's play."""
         guide = self._scene.mount.guide
         beyond_mm = stop_mm - guide.bore_mm
-        upper, lower = _in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
-        aside = lower + (lower - upper) * beyond_mm / guide.bore_mm
-        point = np.array([*aside, beyond_mm - guide.reach_mm, 1.0])
+        upper, lower = _draw_in_disc(noise(self._scene.seed, f"{PLAY} {target}", draw), guide.play_mm / 2.0)
+        offset_mm = lower + (lower - upper) * beyond_mm / guide.bore_mm
+        point = np.array([*offset_mm, beyond_mm - guide.reach_mm, 1.0])
         return np.asarray((self.tip_frame() @ point)[:3])
 
-    def _seated(self) -> Matrix:
+    def _seat_pose(self) -> Matrix:
         mount = self._scene.mount
         again = max(0, self._world.mountings() - 1)
-        off = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
+        seat_offset_mm = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
         tilt_rad = 0.0
-        for fault in self._active(BAD_SEAT):
-            off[2] -= float(fault.argument)
+        for fault in self._active_faults(BAD_SEAT):
+            seat_offset_mm[2] -= float(fault.argument)
             tilt_rad += radians(float(fault.arguments[1]))
-        return matrix_from(off, rotation_from_vector((tilt_rad, 0.0, 0.0)))
+        return matrix_from(seat_offset_mm, rotation_from_vector((tilt_rad, 0.0, 0.0)))
 
-    def _bent(self) -> Matrix:
+    def _bend(self) -> Matrix:
         """Bend about the upper end of the bore."""
         guide = self._scene.mount.guide
         away = np.array(guide.bent_mm)
-        for fault in self._active(BENT_TIP):
+        for fault in self._active_faults(BENT_TIP):
             away += [float(number) for number in fault.arguments]
         height_mm = guide.bore_mm + guide.reach_mm
         tilt = (-away[1] / height_mm, away[0] / height_mm, 0.0)
@@ -174,18 +176,18 @@ class TrueGuide:
         bent: Matrix = pivot @ matrix_from((0.0, 0.0, away[2]), whole) @ back
         return bent
 
-    def _active(self, kind: FaultKind) -> tuple[Fault, ...]:
+    def _active_faults(self, kind: FaultKind) -> tuple[Fault, ...]:
         return () if self._board.empty else self._board.active(kind.name)
 
 
-def calibrated_tip(world: World) -> Matrix:
+def tip_at_calibration(world: World) -> Matrix:
     """FLANGE <- tip (4, 4), true at the time of the calibration records."""
     mount = world.scene.mount
     pose: Matrix = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_tip_true)
     return pose
 
 
-def _in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
+def _draw_in_disc(generator: np.random.Generator, radius_mm: float) -> tuple[Vector, Vector]:
     """Draw two points (2,) in a disc."""
     radii = radius_mm * np.sqrt(generator.uniform(size=2))
     angles = generator.uniform(0.0, 2.0 * np.pi, 2)

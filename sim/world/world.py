@@ -112,10 +112,10 @@ class World:
         Others can open it as long as this object exists.
         """
         content = scene.model_dump_json(by_alias=True).encode()
-        clock_file, clock_path, clock_memory = _block("ronna-clock", CLOCK.size_bytes)
+        clock_file, clock_path, clock_memory = _create_block("ronna-clock", CLOCK.size_bytes)
         with clock_memory:
             SharedClock.initialise(clock_memory, paced=paced, begins_ns=begins_ns)
-        file, path, memory = _block("ronna-world", _SCENE_OFFSET + len(content))
+        file, path, memory = _create_block("ronna-world", _SCENE_OFFSET + len(content))
         with memory:
             _CLOCK.write(memory, ClockRow(clock_path))
             _SCENE_LENGTH.write(memory, len(content))
@@ -239,7 +239,7 @@ class World:
         return _STAND.read(self._memory) < len(OnStand)
 
 
-def _block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
+def _create_block(name: str, size: int) -> tuple[int, str, mmap.mmap]:
     """Create an anonymous block: its file, its path for others while that is open, and its memory."""
     file = os.memfd_create(name, os.MFD_CLOEXEC)
     os.ftruncate(file, size)

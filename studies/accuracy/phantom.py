@@ -77,11 +77,11 @@ def spheres_mm(markers: Markers) -> Array:
         level, up = math.cos(ABOVE_RAD), np.full(FREE_SPHERES, math.sin(ABOVE_RAD))
         directions = np.stack([level * np.cos(around), level * np.sin(around), up], axis=1)
         sites = np.array([_skin_along(np.zeros(3), direction) for direction in directions])
-        return np.asarray(sites + STANDOFF_MM * _outward(sites))
+        return np.asarray(sites + STANDOFF_MM * _outward_normals(sites))
     turn = Rotation.from_rotvec([FRAME_TILT_RAD, 0.0, 0.0])
     outward = turn.apply([0.0, 0.0, 1.0])
     foot = _skin_along(np.zeros(3), outward)
-    return np.asarray(turn.apply(SPHERE_CENTRES_MM) + foot + FRAME_STANDOFF_MM * _outward(foot))
+    return np.asarray(turn.apply(SPHERE_CENTRES_MM) + foot + FRAME_STANDOFF_MM * _outward_normals(foot))
 
 
 def draw_phantom(
@@ -110,7 +110,7 @@ def draw_phantom(
         if np.linalg.norm(target / half) < inner_share:
             entry = _skin_along(target, outward)
             if depths_mm[0] <= np.linalg.norm(entry - target) <= depths_mm[1]:
-                drawn.append(Trajectory(f"T{len(drawn) + 1}", _point(entry), _point(target)))
+                drawn.append(Trajectory(f"T{len(drawn) + 1}", _as_point(entry), _as_point(target)))
         if len(drawn) == targets:
             break
     return Phantom(spheres_mm(markers), tuple(drawn))
@@ -124,7 +124,7 @@ def phantom_pose(number: int) -> Transform:
     return Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(shift, turn))
 
 
-def _outward(points_mm: Array) -> Array:
+def _outward_normals(points_mm: Array) -> Array:
     normal = points_mm / np.square(HALF_AXES_MM[PATIENT])
     return np.asarray(normal / np.linalg.norm(normal, axis=-1, keepdims=True))
 
@@ -138,6 +138,6 @@ def _skin_along(start_mm: Array, direction: Array) -> Array:
     return np.asarray(start_mm + length * direction)
 
 
-def _point(vector: Array) -> tuple[float, float, float]:
+def _as_point(vector: Array) -> tuple[float, float, float]:
     x, y, z = (round(float(value), 6) for value in vector)
     return x, y, z

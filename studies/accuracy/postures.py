@@ -53,9 +53,12 @@ def plan_postures(
     """Plan all poses of a strategy; raises STU-010 when the arm does not reach them."""
     arm = ArmInBranch(ARM, TOOL, TOOL, ARM.branch_of(ARM.home_rad), ARM.home_rad, sizes)
     localized = strategy.localized_along(phantom.trajectories, phantom.spheres_mm, robot_from_ct)
-    served = strategy.localizes_per_trajectory
-    turned = [_best_turn(strategy, one, phantom, robot_from_ct, arm, with_target=served) for one in localized]
-    if served:
+    is_per_trajectory = strategy.localizes_per_trajectory
+    turned = [
+        _best_turn(strategy, one, phantom, robot_from_ct, arm, with_target=is_per_trajectory)
+        for one in localized
+    ]
+    if is_per_trajectory:
         targets = turned
     else:  # with the free angle of the localizations, as closely as the arm allows
         targets = [
@@ -83,8 +86,10 @@ def plan_postures(
 
 def _approach_joints(poses: list[Transform], arm: ArmInBranch) -> tuple[Array, Array]:
     """Joints (p, 6) at poses approached along the tool axis, and the side of backlash on which each rests."""
-    joints = [arm.guide_at(pose) for pose in poses]
-    signs = [arrival_signs(ARM, pose, at, TOOL) for pose, at in zip(poses, joints, strict=True)]
+    joints = [arm.guide_joints(pose) for pose in poses]
+    signs = [
+        arrival_signs(ARM, pose, joint_vector, TOOL) for pose, joint_vector in zip(poses, joints, strict=True)
+    ]
     return np.array(joints), np.array(signs, dtype=float)
 
 
@@ -102,9 +107,9 @@ def _best_turn(
         turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
         try:
             poses = strategy.localization_poses(turned, phantom.spheres_mm, robot_from_ct, arm)
-            joints = [arm.guide_at(pose) for pose in poses]
+            joints = [arm.guide_joints(pose) for pose in poses]
             if with_target:
-                joints.append(arm.guide_at(target_pose(turned, robot_from_ct)))
+                joints.append(arm.guide_joints(target_pose(turned, robot_from_ct)))
         except (LimitError, NoNearbyJoints):
             continue
         if all(ARM.wrist_bend_rad(one) >= LEAST_BEND_RAD for one in joints):
@@ -119,7 +124,7 @@ def _nearest_turn(
     for turn in OUTWARDS_RAD:
         turned = replace(trajectory, free_angle_rad=free_angle_rad + turn)
         try:
-            joints = arm.guide_at(target_pose(turned, robot_from_ct))
+            joints = arm.guide_joints(target_pose(turned, robot_from_ct))
         except LimitError:
             continue
         if ARM.wrist_bend_rad(joints) >= LEAST_BEND_RAD:

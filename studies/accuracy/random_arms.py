@@ -103,27 +103,27 @@ class RandomArms:
 
         Encoder angles (a, p, 6); `flanks` (a, p, 6) give the side of its backlash on which each joint rests.
         """
-        angles = self._acting(joints_rad, flanks)
+        angles = self._effective_angles_rad(joints_rad, flanks)
         shape = joints_rad.shape[:-1]
         tool = self.tool_error_mm + np.array(TOOL_IN_FLANGE_MM)
         x, y, z = (np.broadcast_to(part[:, None], shape) for part in tool.T)
         point: Components = (x, y, z)
         last = len(self.chain.joints) - 1
-        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._displaced(last, point))
+        point = multiply(np.reshape(self.chain.flange_rotation, (3, 3)), self._displace_point(last, point))
         for number in reversed(range(last + 1)):
             joint = self.chain.joints[number]
             if number < last:
-                point = self._displaced(number, point)
+                point = self._displace_point(number, point)
             point = rotate_about_joint(joint, angles[..., number], translate(point, joint.to_next_mm))
         return np.stack(translate(point, self.chain.base_mm), axis=-1)
 
-    def _displaced(self, link: int, point: Components) -> Components:
+    def _displace_point(self, link: int, point: Components) -> Components:
         """A point beyond a link's end, displaced by the link's error, in the frame before the link."""
         return translate(
             multiply(self.link_rotation[:, None, link], point), self.link_translation_mm[:, None, link]
         )
 
-    def _acting(self, encoders_rad: Array, flanks: Array) -> Array:
+    def _effective_angles_rad(self, encoders_rad: Array, flanks: Array) -> Array:
         angles = encoders_rad + self.joint_offset_rad[:, None]
         for place, order in enumerate((1, 2)):
             size, phase = self.harmonics_rad[:, None, place], self.phases_rad[:, None, place]
@@ -265,8 +265,8 @@ def multiply(matrix: Array, point: Components) -> Components:
     return first, second, third
 
 
-def translate(point: Components, by: ArrayLike) -> Components:
+def translate(point: Components, offset: ArrayLike) -> Components:
     """Points plus vectors (..., 3) that broadcast against them."""
-    vector = np.asarray(by, dtype=float)
+    vector = np.asarray(offset, dtype=float)
     x, y, z = (part + vector[..., axis] for axis, part in enumerate(point))
     return x, y, z

@@ -20,7 +20,7 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration.arm_sources import SERVO_MM, ArmPoses, arm_sources, ct_errors
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.registration.target_prediction import TargetPrediction, predict_target_error
-from procedures.strategies.catalogue import CANDIDATES, strategy_named
+from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from procedures.strategies.strategy import Strategy
 from ronna_hw.calibrated_arm.error_budget import UNCALIBRATED, ErrorSizes
 from ronna_hw.frames import Transform
@@ -173,7 +173,7 @@ class Outcome:
     """Error vectors (arms, targets, sphere counts, 3) in mm, and a prediction per target and sphere count."""
 
     errors_mm: Array
-    predicted: list[list[TargetPrediction]]
+    predictions: list[list[TargetPrediction]]
 
 
 @dataclass(frozen=True)
@@ -202,19 +202,19 @@ class Scene:
     def planned(self, strategy: str, sizes: ErrorSizes = UNCALIBRATED) -> Postures:
         """The poses of a strategy here, for arms with these remaining errors. Raises STU-010."""
         own = {one.name: one for one in self.own}
-        chosen = own.get(strategy) or strategy_named(strategy)
+        chosen = own.get(strategy) or find_strategy(strategy)
         return plan_postures(chosen, self.phantom, self.robot_from_ct, sizes)
 
-    def predicted(
+    def predictions(
         self, planned: Postures, sizes: ErrorSizes = UNCALIBRATED, ct_mm: float = CT_FLE_MM
     ) -> list[list[TargetPrediction]]:
         """Predict the errors by number of spheres, then by target; the fit is unweighted."""
         return [
-            [self._predicted(planned, number, count, sizes, ct_mm) for number in range(self.targets)]
+            [self._predict_target(planned, number, count, sizes, ct_mm) for number in range(self.targets)]
             for count in self.counts
         ]
 
-    def _predicted(
+    def _predict_target(
         self, planned: Postures, target: int, count: int, sizes: ErrorSizes, ct_mm: float
     ) -> TargetPrediction:
         spheres = self.robot_from_ct.apply(self.phantom.spheres_mm)
@@ -245,7 +245,7 @@ class Scene:
         spheres; without it, the line of approach to a sphere decides, or a strategy that controls it.
         """
         targets_ct = np.array([one.target_mm for one in self.phantom.trajectories])
-        recorded = self._localized(arms, planned, chance, sizes, any_side)
+        recorded = self._localize_spheres(arms, planned, chance, sizes, any_side)
         image = self.phantom.spheres_mm + sizes.ct_mm / np.sqrt(AXES) * chance.ct
         serving = [planned.set_of(target) for target in range(self.targets)]
         flanks = np.broadcast_to(planned.target_arrival, (len(arms), *planned.target_arrival.shape))
@@ -259,7 +259,7 @@ class Scene:
             found.append(tips - true_targets)
         return np.stack(found, axis=2)
 
-    def _localized(
+    def _localize_spheres(
         self, arms: RandomArms, planned: Postures, chance: Chance, sizes: Sizes, any_side: bool
     ) -> Array:
         """Believed positions of the spheres, (a, s, n, 3) mm."""
@@ -291,10 +291,10 @@ class Scene:
             planned, remaining = self.planned(one, errors), scenario.scale(arms, one)
             found[one] = Outcome(
                 self.errors_mm(remaining, planned, chance, Sizes(scenario.ct_mm), any_side=any_side),
-                self.predicted(planned, errors, scenario.ct_mm),
+                self.predictions(planned, errors, scenario.ct_mm),
             )
         if BEST in strategies:
-            found[BEST] = _best([found[one] for one in FROM])
+            found[BEST] = _choose_best([found[one] for one in FROM])
         return {one: found[one] for one in strategies}
 
     def trials(
@@ -318,11 +318,11 @@ class Scene:
         return found
 
 
-def _best(candidates: Sequence[Outcome]) -> Outcome:
-    predicted = [one.predicted for one in candidates]
-    chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predicted]).argmin(axis=0)
+def _choose_best(candidates: Sequence[Outcome]) -> Outcome:
+    predictions = [one.predictions for one in candidates]
+    chosen = np.array([[[each.rms_mm for each in row] for row in one] for one in predictions]).argmin(axis=0)
     errors_mm = np.stack([one.errors_mm for one in candidates])
     return Outcome(
         np.take_along_axis(errors_mm, chosen.T[None, None, :, :, None], axis=0)[0],
-        [[predicted[k][count][target] for target, k in enumerate(row)] for count, row in enumerate(chosen)],
+        [[predictions[k][count][target] for target, k in enumerate(row)] for count, row in enumerate(chosen)],
     )

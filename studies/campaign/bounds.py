@@ -72,13 +72,13 @@ def number(count: float) -> Bounded:
 
 def mean(values: ArrayLike) -> Bounded:
     """Mean of independent values, by Student's distribution; without bounds for a single one."""
-    given = np.asarray(values, dtype=float)
-    value = float(given.mean())
-    if len(given) < 2:
+    array = np.asarray(values, dtype=float)
+    value = float(array.mean())
+    if len(array) < 2:
         return Bounded(value, None, None)
     from scipy.stats import t
 
-    half = float(t.ppf(ON_BOTH_SIDES, len(given) - 1) * given.std(ddof=1) / np.sqrt(len(given)))
+    half = float(t.ppf(ON_BOTH_SIDES, len(array) - 1) * array.std(ddof=1) / np.sqrt(len(array)))
     return Bounded(value, value - half, value + half)
 
 

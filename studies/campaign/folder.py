@@ -16,7 +16,7 @@ from typing import Any, TypeGuard
 
 import studies
 from ronna_hw.bounded_input import parse_json, read_json_lines
-from ronna_hw.records import canonical_json, write_whole
+from ronna_hw.records import canonical_json, write_atomically
 from studies.campaign.study import Study, Sums, Table, Unit
 from studies.errors import LedgerUnreadable, OtherStudy
 
@@ -95,7 +95,7 @@ class Ledger:
         try:
             there = parse_json(first)
             if there["fingerprint"] != head["fingerprint"]:
-                raise OtherStudy(f"{self._path.parent} contains {_difference(there, head)}")
+                raise OtherStudy(f"{self._path.parent} contains {_describe_difference(there, head)}")
             if (made_by := there.get("code", "unknown")) != head["code"]:
                 raise OtherStudy(
                     f"{self._path.parent} contains results of other code: {made_by}, now {code()}"
@@ -104,7 +104,7 @@ class Ledger:
             raise LedgerUnreadable(f"{self._path}: line 1 does not identify the study: {error}") from error
         kept = [first]
         for line in lines:
-            if (finished := _finished(line)) is not None:
+            if (finished := _parse_finished(line)) is not None:
                 kept.append(line)
                 if finished[0] in self._units:
                     self.finished[finished[0]] = finished[1]
@@ -113,7 +113,7 @@ class Ledger:
             if self.damaged > MOST_DAMAGED_LINES:
                 raise LedgerUnreadable(f"{self._path}: more than {MOST_DAMAGED_LINES} lines are damaged")
         if self.damaged:
-            write_whole(self._path, b"".join(kept))
+            write_atomically(self._path, b"".join(kept))
 
     def _append(self, line: Mapping[str, object]) -> None:
         with self._path.open("a", encoding="utf-8") as file:
@@ -124,7 +124,7 @@ def _hash(key: str, sums: Sums) -> str:
     return hashlib.sha256(json.dumps([key, sums], sort_keys=True).encode()).hexdigest()
 
 
-def _finished(line: bytes) -> tuple[str, Sums] | None:
+def _parse_finished(line: bytes) -> tuple[str, Sums] | None:
     """The unit of a line and its sums; None for a line that is damaged or does not match its hash."""
     try:
         content = parse_json(line)
@@ -139,7 +139,7 @@ def _are_sums(found: Any) -> TypeGuard[Sums]:
     return isinstance(found, dict) and all(isinstance(value, int | float) for value in found.values())
 
 
-def _difference(there: Any, head: Mapping[str, Any]) -> str:
+def _describe_difference(there: Any, head: Mapping[str, Any]) -> str:
     if there["study"] != head["study"]:
         return f"the study {there['study']}, not {head['study']}"
     # as in the file: a list for a tuple, a name for an enum member
@@ -167,11 +167,11 @@ def publish(
         "tables": [table.document() for table in tables],
         "plots": sorted(plots),
     }
-    write_whole(folder / RESULTS, json.dumps(document, indent=1, allow_nan=False).encode())
+    write_atomically(folder / RESULTS, json.dumps(document, indent=1, allow_nan=False).encode())
     for table in tables:
-        write_whole(folder / f"{_file_name(table.title)}.csv", table.csv().encode())
+        write_atomically(folder / f"{_file_name(table.title)}.csv", table.csv().encode())
     for name, png in plots.items():
-        write_whole(folder / name, png)
+        write_atomically(folder / name, png)
     pictures = "".join(f"![{name}]({name})\n\n" for name in sorted(plots))
     listed = ", ".join(f"{key} {json.dumps(value)}" for key, value in settings.items())
     text = (
@@ -179,7 +179,7 @@ def publish(
         + "\n".join(table.markdown() for table in tables)
         + f"\n{pictures}"
     )
-    write_whole(folder / REPORT, text.encode())
+    write_atomically(folder / REPORT, text.encode())
     return folder / REPORT
 
 

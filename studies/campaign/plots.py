@@ -30,14 +30,22 @@ def curves(
     bands: Mapping[str, tuple[float, float]] | None = None,
 ) -> bytes:
     """Named curves over a common axis, with named ranges of it; bounds are drawn as a band."""
-    figure, axes = _figure(title, x_label, y_label)
+    figure, axes = _make_figure(title, x_label, y_label)
     for name, points in lines.items():
-        places, values = [x for x, _ in points], _values(points)
+        places, values = [x for x, _ in points], _list_bounded(points)
         (line,) = axes.plot(places, [one.value for one in values], marker=".", label=name)
         axes.fill_between(
-            places, *zip(*map(_ends, values), strict=True), color=line.get_color(), alpha=BAND_ALPHA, lw=0
+            places,
+            *zip(*map(_bounds_or_value, values), strict=True),
+            color=line.get_color(),
+            alpha=BAND_ALPHA,
+            lw=0,
         )
-    if any(_ends(one)[0] < _ends(one)[1] for points in lines.values() for one in _values(points)):
+    if any(
+        _bounds_or_value(one)[0] < _bounds_or_value(one)[1]
+        for points in lines.values()
+        for one in _list_bounded(points)
+    ):
         axes.fill_between([], [], [], color="grey", alpha=BAND_ALPHA, lw=0, label=LEGEND)
     for shade, (name, (left, right)) in enumerate((bands or {}).items(), start=1):
         axes.axvspan(left, right, color="grey", alpha=0.12 * shade, label=name)
@@ -58,17 +66,17 @@ def bars(
 
     A zero count has no bar: a downward triangle marks its upper bound.
     """
-    figure, axes = _figure(title, x_label, y_label)
+    figure, axes = _make_figure(title, x_label, y_label)
     names = list(dict.fromkeys(name for group in groups.values() for name in group))
     width = 0.8 / max(1, len(names))
     none_counted = whiskers = False
     for place, name in enumerate(names):
         middles = [k + (place - len(names) / 2 + 0.5) * width for k in range(len(groups))]
-        values = [_bounded(group.get(name, 0.0)) for group in groups.values()]
+        values = [_as_bounded(group.get(name, 0.0)) for group in groups.values()]
         drawn = axes.bar(middles, [one.value for one in values], width, label=name)
         colour = drawn.patches[0].get_facecolor()
         for middle, one in zip(middles, values, strict=True):
-            low, high = _ends(one)
+            low, high = _bounds_or_value(one)
             if one.low is None and one.high is not None:
                 none_counted = True
                 axes.plot([middle], [high], marker="v", markersize=4, color=colour)
@@ -95,7 +103,7 @@ def bars(
 
 def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     """A box per group: quartiles, median, mean as a cross, whiskers to 1.5 boxes; no outliers."""
-    figure, axes = _figure(title, "", y_label, fontsize=9)
+    figure, axes = _make_figure(title, "", y_label, fontsize=9)
     axes.boxplot(
         [np.asarray(values) for values in groups.values()],
         tick_labels=list(groups),
@@ -110,20 +118,20 @@ def boxes(title: str, y_label: str, groups: Mapping[str, ArrayLike]) -> bytes:
     return _png(figure)
 
 
-def _values(points: Curve) -> list[Bounded]:
-    return [_bounded(y) for _, y in points]
+def _list_bounded(points: Curve) -> list[Bounded]:
+    return [_as_bounded(y) for _, y in points]
 
 
-def _bounded(value: float | Bounded) -> Bounded:
+def _as_bounded(value: float | Bounded) -> Bounded:
     return value if isinstance(value, Bounded) else Bounded(value, None, None)
 
 
-def _ends(one: Bounded) -> tuple[float, float]:
+def _bounds_or_value(one: Bounded) -> tuple[float, float]:
     """Return the bounds, with the value in place of an unknown one."""
     return one.value if one.low is None else one.low, one.value if one.high is None else one.high
 
 
-def _figure(title: str, x_label: str, y_label: str, **of_title: Any) -> tuple[Any, Any]:
+def _make_figure(title: str, x_label: str, y_label: str, **of_title: Any) -> tuple[Any, Any]:
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
 

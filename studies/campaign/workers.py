@@ -17,8 +17,8 @@ from typing import Any
 from urllib.parse import urlsplit
 
 from ronna_hw.errors import RonnaError
-from ronna_hw.host.process import processes_single_threaded
-from ronna_hw.host.worker_processes import fresh_processes
+from ronna_hw.host.process import limit_children_to_one_thread
+from ronna_hw.host.worker_processes import start_workers
 from studies.campaign.folder import Ledger
 from studies.campaign.study import Study, Sums, Unit
 from studies.errors import (
@@ -93,21 +93,21 @@ def _runner(
 ) -> Iterator[Finished]:
     if scheduler is not None:
         with _dask_client(scheduler) as client:
-            for file in dict.fromkeys(one.source for one in _plugins_of(study)):
+            for file in dict.fromkeys(one.source for one in _list_plugins(study)):
                 if file is not None:
                     client.upload_file(str(file))
             yield _on_dask(client, study, units)
-    elif workers == 1 and not _plugins_of(study):
-        yield ((unit, _result(unit, partial(study.run, unit))) for unit in units)
+    elif workers == 1 and not _list_plugins(study):
+        yield ((unit, _take_result(unit, partial(study.run, unit))) for unit in units)
     else:
         count = workers or len(os.sched_getaffinity(0))
-        with processes_single_threaded(), fresh_processes(count) as pool:
+        with limit_children_to_one_thread(), start_workers(count) as pool:
             yield _on_pool(
-                pool, study, units, count, SilenceWatch([one.name for one in _plugins_of(study)], tell)
+                pool, study, units, count, SilenceWatch([one.name for one in _list_plugins(study)], tell)
             )
 
 
-def _plugins_of(study: Study) -> tuple[PluginMethod, ...]:
+def _list_plugins(study: Study) -> tuple[PluginMethod, ...]:
     """The user methods in a study, if it accepts any."""
     return getattr(study, "own", ())
 
@@ -124,15 +124,15 @@ def _on_pool(
             if isinstance(future.exception(), BrokenProcessPool):  # so do all others that have not finished
                 lost.add(unit.key)
             else:
-                yield unit, _result(unit, future.result)
+                yield unit, _take_result(unit, future.result)
     if lost:
-        raise _worker_lost(study, [unit.key for unit in units if unit.key in lost][:count])
+        raise _lost_worker_error(study, [unit.key for unit in units if unit.key in lost][:count])
 
 
-def _worker_lost(study: Study, keys: list[str]) -> RonnaError:
+def _lost_worker_error(study: Study, keys: list[str]) -> RonnaError:
     """Build the error of a lost worker. Units start in order, so it ran one of the first lost ones."""
     among = f", in {' or '.join(keys)}"
-    if own := _plugins_of(study):
+    if own := _list_plugins(study):
         return MethodFailed(f"{' or '.join(one.name for one in own)} {PROCESS_ENDED}{among}")
     return UnitFailed(f"a worker process was killed, or ran out of memory{among}")
 
@@ -173,14 +173,16 @@ def _on_dask(client: Any, study: Study, units: list[Unit]) -> Finished:
     waiting = {client.submit(study.run, unit, pure=False): unit for unit in units}
     futures: Iterable[Any] = dask_as_completed(waiting, loop=client.loop)
     for future in futures:
-        yield waiting[future], _result(waiting[future], future.result)
+        yield waiting[future], _take_result(waiting[future], future.result)
 
 
-def _result(unit: Unit, result: Callable[[], Sums]) -> Sums:
+def _take_result(unit: Unit, result: Callable[[], Sums]) -> Sums:
     try:
         return result()
     except (MethodAnswerWrong, MethodFailed, MethodRefused) as error:  # the user's own, reported as such
-        where = f"{error.what}, in unit {unit.key}"
-        raise type(error)(where, expected=error.expected, got=error.got, action=error.advice) from error
+        unit_of_error = f"{error.what}, in unit {unit.key}"
+        raise type(error)(
+            unit_of_error, expected=error.expected, got=error.got, action=error.advice
+        ) from error
     except Exception as error:
         raise UnitFailed(f"{unit.key}: {error}") from error

@@ -33,15 +33,15 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.control_port import ControlPortClient
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.sensors import OpticalTracker, new_frames
-from ronna_hw.host.child_process import ChildProcess, command, finished_command
-from ronna_hw.records import write_whole
+from ronna_hw.host.child_process import ChildProcess, command, run_command
+from ronna_hw.records import write_atomically
 from ronna_hw.registry import make_device
 from studies.campaign import bounds
 from studies.campaign.plots import curves
 from studies.campaign.study import Cell, Sums, Table, Unit, generator
 from studies.correspondence.study import LOST, SUCCESS, Method, Pairs, outcome_key, pair_points, verdict
 from studies.errors import LedgerUnreadable, OtherStudy, TrackerNotSimulated
-from studies.heads import NoiseReading, stated_variance_mm2
+from studies.heads import NoiseReading, variance_from_thesis_mm2
 from studies.localization.phantom_scans import phantom_scan
 from studies.localization.study import SEED_BOUND
 from studies.localization.study import Method as Localizer
@@ -108,39 +108,39 @@ class ClinicalStudy:
             found = localize_scan(scan)
         (scale,) = draw_scale(random, 1)
         image = {method: one.frame_mm(scale) for method, one in found.items()}
-        sums = self._ours(image[Localizer.OURS], random) + self._by_thesis(
+        sums = self._count_our_outcomes(image[Localizer.OURS], random) + self._count_thesis_outcomes(
             image[Localizer.THESIS_SPHERE], random
         )
         return {key: float(value) for key, value in sums.items()}
 
-    def _ours(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
+    def _count_our_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
         if image_mm is None:
             return Counter({outcome_key(Method.COUNT, None, LOST): len(self.readings_mm)})
-        physical_mm, rights = self._shuffled(random)
+        physical_mm, rights = self._shuffle_readings(random)
         sums: Counter[str] = Counter()
         for seen_mm, right in zip(physical_mm, rights, strict=True):
             one = pair_points(image_mm, seen_mm, NOISE, expected=len(image_mm))
             sums[outcome_key(Method.COUNT, None, verdict(one.status, one.pairs, right))] += 1
         return sums
 
-    def _by_thesis(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
+    def _count_thesis_outcomes(self, image_mm: Array | None, random: np.random.Generator) -> Counter[str]:
         sums: Counter[str] = Counter()
         many = len(self.readings_mm)
         for tolerance_mm in THESIS_TOLERANCES_MM:
             if image_mm is None:
                 sums[outcome_key(Method.VALIDATED, tolerance_mm, LOST)] += many
                 continue
-            physical_mm, rights = self._shuffled(random)
+            physical_mm, rights = self._shuffle_readings(random)
             image = np.broadcast_to(image_mm, physical_mm.shape)
             found = match_many_by_similarity(image, physical_mm, np.full(many, tolerance_mm))
             for right, one in zip(
-                rights, validate_many(image, physical_mm, found, stated_variance_mm2(NOISE)), strict=True
+                rights, validate_many(image, physical_mm, found, variance_from_thesis_mm2(NOISE)), strict=True
             ):
                 outcome = verdict(one.status, one.pairs, right)
                 sums[outcome_key(Method.VALIDATED, tolerance_mm, outcome)] += 1
         return sums
 
-    def _shuffled(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
+    def _shuffle_readings(self, random: np.random.Generator) -> tuple[Array, list[Pairs]]:
         """The readings in random order, and the correct pairs."""
         many, spheres = self.readings_mm.shape[:2]
         order = random.permuted(np.tile(np.arange(spheres), (many, 1)), axis=1)
@@ -155,7 +155,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         against = success_against_tolerance(sums, kind)
         if not against:
             continue
-        runs, ours = _success(sums, kind, Method.COUNT, "")
+        runs, ours = _success_share(sums, kind, Method.COUNT, "")
         perfect = [e for e, share in against if share == 1.0]
         within = [share for e, share in against if low <= e <= high]
         rows.append(
@@ -198,11 +198,11 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 
 def success_against_tolerance(sums: Mapping[str, Sums], kind: str) -> list[tuple[float, float]]:
     """Share of readings that the thesis' method, validated, pairs in scans of one kind, for every e in mm."""
-    found = [(e, *_success(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
+    found = [(e, *_success_share(sums, kind, Method.VALIDATED, f"{e}")) for e in THESIS_TOLERANCES_MM]
     return [(e, share) for e, runs, share in found if runs]
 
 
-def _success(sums: Mapping[str, Sums], kind: str, method: Method, tolerance: str) -> tuple[int, float]:
+def _success_share(sums: Mapping[str, Sums], kind: str, method: Method, tolerance: str) -> tuple[int, float]:
     runs, success = 0.0, 0.0
     for condition, content in sums.items():
         for key, number in content.items():
@@ -221,10 +221,10 @@ def load_or_take_readings(
     """
     path = folder / READINGS_FILE
     if not path.exists():
-        taken = take_readings(count, seed, progress)
+        new_readings_mm = take_readings(count, seed, progress)
         folder.mkdir(parents=True, exist_ok=True)
-        write_whole(path, json.dumps({"seed": seed, "readings_mm": taken.tolist()}).encode())
-        return taken
+        write_atomically(path, json.dumps({"seed": seed, "readings_mm": new_readings_mm.tolist()}).encode())
+        return new_readings_mm
     try:
         content = parse_json(read_json_bytes(path, most_values=MOST_VALUES))
         readings = np.atleast_1d(np.array(content["readings_mm"], dtype=float))
@@ -241,19 +241,21 @@ def take_readings(count: int, seed: int, progress: Callable[[float], None] = lam
     readings: list[Array] = []
     shares = np.diff(np.linspace(0, count, min(ORIENTATIONS, count) + 1).astype(int))
     for share in shares.tolist():
-        orientation = _orientation(random)
-        with _room(orientation, int(random.integers(SEED_BOUND))) as read_at:
+        orientation = _draw_orientation(random)
+        with _open_room(orientation, int(random.integers(SEED_BOUND))) as read_frame_at:
             for _ in range(share):
-                readings.append(_whole_reading(read_at, orientation.apply(FRAME_MM), random))
+                readings.append(_take_whole_reading(read_frame_at, orientation.apply(FRAME_MM), random))
                 progress(len(readings) / count)
     return np.array(readings)
 
 
-def _whole_reading(read_at: Callable[[Array], Array], frame_mm: Array, random: np.random.Generator) -> Array:
+def _take_whole_reading(
+    read_frame_at: Callable[[Array], Array], frame_mm: Array, random: np.random.Generator
+) -> Array:
     """A reading with all four spheres; positions that do not show them are skipped, as a person would."""
     for _ in range(ATTEMPTS):
-        place_mm = _place(random)
-        seen_mm = read_at(place_mm)
+        place_mm = _draw_place(random)
+        seen_mm = read_frame_at(place_mm)
         if len(seen_mm) == SPHERES:
             # Pairing must find the order; here it is known from the frame's position.
             away_mm = np.linalg.norm(seen_mm[:, None] - (frame_mm + place_mm)[None], axis=2)
@@ -261,7 +263,7 @@ def _whole_reading(read_at: Callable[[Array], Array], frame_mm: Array, random: n
     raise TrackerNotSimulated(f"the tracker did not see {SPHERES} spheres at {ATTEMPTS} positions")
 
 
-def _place(random: np.random.Generator) -> Array:
+def _draw_place(random: np.random.Generator) -> Array:
     """Uniform in the volume: its cross-section grows with the square of the distance."""
     near, far = DEPTH_MM
     depth = random.uniform(near**3, far**3) ** (1.0 / 3.0)
@@ -269,7 +271,7 @@ def _place(random: np.random.Generator) -> Array:
     return np.array([*across, -depth])
 
 
-def _orientation(random: np.random.Generator) -> Rotation:
+def _draw_orientation(random: np.random.Generator) -> Rotation:
     """Orientation facing the tracker, turned about the frame's normal and tilted."""
     turn = Rotation.from_rotvec([0.0, 0.0, random.uniform(0.0, 2.0 * np.pi)])
     about = random.uniform(0.0, 2.0 * np.pi)
@@ -278,11 +280,11 @@ def _orientation(random: np.random.Generator) -> Rotation:
 
 
 @contextmanager
-def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
+def _open_room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]]:
     """A unit and its driver; yields a function that reads the spheres with the frame at a position (3,)."""
     with tempfile.TemporaryDirectory() as folder, ExitStack() as stack:
         scene = Path(folder) / "frame.json"
-        scene.write_text(json.dumps(_scene(orientation, seed)), encoding="utf-8")
+        scene.write_text(json.dumps(_bench_scene(orientation, seed)), encoding="utf-8")
         arguments = command("sim.cli", "polaris", "--endpoint", "tcp://127.0.0.1:0", "--scene", str(scene))
         unit = stack.enter_context(ChildProcess("ronna-sim polaris", arguments))
         control = stack.enter_context(ControlPortClient(unit.ready["control"]))
@@ -291,7 +293,7 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
         stack.callback(tracker.close)
         stack.enter_context(tracker.active(LIMIT_S))
 
-        def read_at(place_mm: Array) -> Array:
+        def read_frame_at(place_mm: Array) -> Array:
             control.ask("clear_faults")
             x, y, z = (f"{value:.4f}" for value in place_mm)
             control.ask("fault", line=f"now: room shift head {x} {y} {z} mm")
@@ -300,13 +302,13 @@ def _room(orientation: Rotation, seed: int) -> Iterator[Callable[[Array], Array]
                 return np.empty((0, 3))
             return np.array([stray.position_mm for stray in frame.strays]).reshape(-1, 3)
 
-        yield read_at
+        yield read_frame_at
 
 
-def _scene(orientation: Rotation, seed: int) -> dict[str, Any]:
+def _bench_scene(orientation: Rotation, seed: int) -> dict[str, Any]:
     """The bench with only the frame in it, at the origin; robot and tracker frame coincide."""
     words = command("sim.cli", "scene", "--scene", "bench", "--seed", str(seed))
-    done = finished_command("ronna-sim scene", words, LIMIT_S)
+    done = run_command("ronna-sim scene", words, LIMIT_S)
     if done.returncode != 0:
         raise TrackerNotSimulated("ronna-sim scene", got=" ".join(done.stderr.split()))
     scene = parse_toml(done.stdout)

@@ -37,8 +37,8 @@ from studies.heads import (
     draw_readings,
     per_axis_mm,
     sites_mm,
-    stated_variance_mm2,
     uniform_in_ball,
+    variance_from_thesis_mm2,
 )
 from studies.plugins.answers import PluginPairing
 from studies.plugins.method import PluginMethod
@@ -123,12 +123,14 @@ class CorrespondenceStudy:
                         found = solve(prior=Prior(priors[run]))
                     sums[outcome_key(method, None, verdict(found.status, found.pairs, right))] += 1
         if any(method in OF_THE_THESIS for method in self.methods):
-            sums += self._by_thesis(seen, rights, reading)
+            sums += self._count_thesis_outcomes(seen, rights, reading)
         for own in self.own:
-            sums += _plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
+            sums += _count_plugin_outcomes(PluginPairing.of(own), seen, rights, reading)
         return {key: float(value) for key, value in sums.items()}
 
-    def _by_thesis(self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading) -> Counter[str]:
+    def _count_thesis_outcomes(
+        self, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
+    ) -> Counter[str]:
         """Outcomes of the thesis' pairing for every e: as found, and after its validation."""
         sums: Counter[str] = Counter()
         for tolerance_mm in self.tolerances_mm:
@@ -138,7 +140,11 @@ class CorrespondenceStudy:
             answers = {Method.THESIS: found}
             if Method.VALIDATED in self.methods:
                 answers[Method.VALIDATED] = validate_many(
-                    seen.image_mm, seen.physical_mm, found, stated_variance_mm2(noise), self.refused_share
+                    seen.image_mm,
+                    seen.physical_mm,
+                    found,
+                    variance_from_thesis_mm2(noise),
+                    self.refused_share,
                 )
             for method in answers.keys() & set(self.methods):
                 for right, one in zip(rights, answers[method], strict=True):
@@ -146,7 +152,7 @@ class CorrespondenceStudy:
         return sums
 
 
-def _plugin_outcomes(
+def _count_plugin_outcomes(
     pairing: PluginPairing, seen: Readings, rights: Sequence[Pairs], noise: NoiseReading
 ) -> Counter[str]:
     sums: Counter[str] = Counter()

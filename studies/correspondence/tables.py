@@ -43,7 +43,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                 "thesis %",
                 "a part %",
             ),
-            [_row(series, one) for series, one in found.items() if series.noise is noise],
+            [_make_row(series, one) for series, one in found.items() if series.noise is noise],
             (
                 "Pooled over 3 heads. Only part of the true pairs counts as unsuccessful, as in the "
                 "thesis; our goals count it as false. The thesis' heads are not published, and it does not "
@@ -53,8 +53,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
         )
         for noise in dict.fromkeys(series.noise for series in found)
     ]
-    of_the_thesis = [_reproducing_tolerances(found)] if any(series.tolerance for series in found) else []
-    return [*made, _pooled(found), *of_the_thesis]
+    of_the_thesis = (
+        [_tabulate_reproducing_tolerances(found)] if any(series.tolerance for series in found) else []
+    )
+    return [*made, _pool_fiducials(found), *of_the_thesis]
 
 
 @dataclass(frozen=True)
@@ -91,7 +93,7 @@ class Shares:
         """No answer at all."""
         return self.unsuccessful - self.part
 
-    def bounded(self, share: float) -> Bounded:
+    def bound_share(self, share: float) -> Bounded:
         """A share of the runs, per cent, with its bounds."""
         return percent(share / 100.0 * self.runs, self.runs)
 
@@ -107,10 +109,10 @@ def outcome_shares(sums: Mapping[str, Sums]) -> dict[Series, Shares]:
             into = conditions.setdefault(outliers, {})
             into[outcome] = into.get(outcome, 0.0) + number
     ordered = sorted(counted.items(), key=lambda item: (item[0].method, item[0].tolerance, item[0].fiducials))
-    return {series: _shares(list(conditions.values())) for series, conditions in ordered}
+    return {series: _compute_shares(list(conditions.values())) for series, conditions in ordered}
 
 
-def _shares(conditions: list[dict[str, float]]) -> Shares:
+def _compute_shares(conditions: list[dict[str, float]]) -> Shares:
     def share(outcomes: Iterable[str], of: Iterable[Mapping[str, float]]) -> float:
         of, outcomes = list(of), set(outcomes)
         runs = sum(sum(condition.values()) for condition in of)
@@ -132,29 +134,29 @@ def _shares(conditions: list[dict[str, float]]) -> Shares:
     )
 
 
-def _row(series: Series, one: Shares) -> list[Cell]:
+def _make_row(series: Series, one: Shares) -> list[Cell]:
     return [
         series.method,
         series.tolerance_mm,
         series.fiducials,
         one.runs,
         one.unsuccessful,
-        one.bounded(one.unsuccessful).text,
-        _range_text(one.unsuccessful_range),
-        _range_text(THESIS_UNSUCCESSFUL[series.fiducials]),
+        one.bound_share(one.unsuccessful).text,
+        _format_range(one.unsuccessful_range),
+        _format_range(THESIS_UNSUCCESSFUL[series.fiducials]),
         one.false,
-        one.bounded(one.false).text,
-        _range_text(one.false_range),
-        _range_text(THESIS_FALSE[series.fiducials]),
+        one.bound_share(one.false).text,
+        _format_range(one.false_range),
+        _format_range(THESIS_FALSE[series.fiducials]),
         one.part,
     ]
 
 
-def _range_text(ends: Range) -> str:
+def _format_range(ends: Range) -> str:
     return f"{ends[0]:.3g}-{ends[1]:.3g}"
 
 
-def _pooled(found: Mapping[Series, Shares]) -> Table:
+def _pool_fiducials(found: Mapping[Series, Shares]) -> Table:
     """Counts over 5 to 8 fiducials: single cells are too small to judge."""
     rows: list[dict[str, Cell]] = []
     for noise, method, tolerance in dict.fromkeys((one.noise, one.method, one.tolerance) for one in found):
@@ -189,7 +191,7 @@ def _pooled(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
+def _tabulate_reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
     """Tabulate the e for which the thesis' method reproduces the thesis' figures."""
     rows: list[list[Cell]] = []
     for noise, method in dict.fromkeys((one.noise, one.method) for one in found if one.tolerance):
@@ -206,8 +208,8 @@ def _reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
                     noise.value,
                     method,
                     f"{group[0]}" if len(group) == 1 else f"{group[0]} to {group[-1]}",
-                    _tolerance_spans(members, tried, _unsuccessful_within),
-                    _tolerance_spans(members, tried, _false_within),
+                    _format_tolerance_spans(members, tried, _is_unsuccessful_within),
+                    _format_tolerance_spans(members, tried, _is_false_within),
                 ]
             )
     return Table(
@@ -220,7 +222,7 @@ def _reproducing_tolerances(found: Mapping[Series, Shares]) -> Table:
     )
 
 
-def _tolerance_spans(
+def _format_tolerance_spans(
     members: list[tuple[Series, Shares]], tried: list[float], holds: Callable[[Series, Shares], bool]
 ) -> str:
     """The values of e at which all members hold, neighbouring ones as a range."""
@@ -237,12 +239,12 @@ def _tolerance_spans(
     )
 
 
-def _unsuccessful_within(series: Series, one: Shares) -> bool:
+def _is_unsuccessful_within(series: Series, one: Shares) -> bool:
     least, most = THESIS_UNSUCCESSFUL[series.fiducials]
     return least <= one.unsuccessful_range[0] and one.unsuccessful_range[1] <= most
 
 
-def _false_within(series: Series, one: Shares) -> bool:
+def _is_false_within(series: Series, one: Shares) -> bool:
     return one.false_range[1] <= THESIS_FALSE[series.fiducials][1]
 
 
@@ -255,7 +257,7 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for series, one in found.items():
             e_mm = series.tolerance_mm
             if series.noise is noise and series.method == Method.VALIDATED.value and e_mm is not None:
-                success = one.bounded(100.0 - one.unsuccessful - one.false)
+                success = one.bound_share(100.0 - one.unsuccessful - one.false)
                 lines.setdefault(f"{series.fiducials} fiducials", []).append((e_mm, success))
         name = f"success-against-e-{noise.value.replace(' ', '-')}.png"
         pictures[name] = curves(
@@ -273,7 +275,9 @@ def bars_beside_thesis(sums: Mapping[str, Sums]) -> dict[str, bytes]:
         for series, one in found.items():
             if series.noise is noise:
                 who = f"{series.method}, e {series.tolerance} mm" if series.tolerance else series.method
-                groups.setdefault(str(series.fiducials), {})[who] = one.bounded(one.unsuccessful + one.false)
+                groups.setdefault(str(series.fiducials), {})[who] = one.bound_share(
+                    one.unsuccessful + one.false
+                )
         for number, group in groups.items():
             group["the thesis reports, at most"] = THESIS_UNSUCCESSFUL[int(number)][1]
         ordered = dict(sorted(groups.items()))

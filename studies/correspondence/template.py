@@ -87,7 +87,7 @@ class TemplateStudy:
         sums: Counter[str] = Counter()
         for run, (pairs, prior) in enumerate(zip(seen.pairs.tolist(), tilts * seen.rotations, strict=True)):
             right = frozenset((i, j) for i, j in pairs)
-            for method, found in _solved(
+            for method, found in _solve_by_each(
                 template_mm, seen.image_mm[run], seen.physical_mm[run], noise, Prior(prior)
             ).items():
                 sums[f"{method}|{verdict(found.status, found.pairs, right)}"] += 1
@@ -101,10 +101,10 @@ def sites_mm(patient: int, count: int, margin_mm: float) -> Array:
     return np.array(propose_template(head, count, margin_mm).centres_mm)
 
 
-def _solved(
+def _solve_by_each(
     template_mm: Array, image_mm: Array, physical_mm: Array, noise: NoiseReading, prior: Prior
 ) -> dict[str, Match]:
-    def by_template(known: Prior | None) -> Match:
+    def solve_with_template(known: Prior | None) -> Match:
         return match_by_template(
             template_mm,
             image_mm,
@@ -118,8 +118,8 @@ def _solved(
     return {
         PLAIN: pair_points(image_mm, physical_mm, noise),
         COUNTED: pair_points(image_mm, physical_mm, noise, expected=len(template_mm)),
-        TEMPLATE: by_template(None),
-        ORIENTED: by_template(prior),
+        TEMPLATE: solve_with_template(None),
+        ORIENTED: solve_with_template(prior),
     }
 
 
@@ -134,9 +134,9 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
             of_method.setdefault(outliers, Counter())[outcome] += round(number)
     rows: list[dict[str, Cell]] = []
     for (noise, markers, method), conditions in counted.items():
-        lost = {outliers: _percent(one, LOST, PART) for outliers, one in conditions.items()}
+        lost = {outliers: _share_percent(one, LOST, PART) for outliers, one in conditions.items()}
         pooled = sum(conditions.values(), Counter())
-        false = _percent(pooled, FALSE)
+        false = _share_percent(pooled, FALSE)
         rows.append(
             {
                 "noise": noise.value,
@@ -150,7 +150,7 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     max(lost.values()) <= THESIS_UNSUCCESSFUL[5][1] and false <= THESIS_FALSE[5][1]
                 ),
                 "as 5 to 8 here": yes_or_no(
-                    _percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE
+                    _share_percent(pooled, LOST, PART) <= GOAL_UNSUCCESSFUL and false <= GOAL_FALSE
                 ),
             }
         )
@@ -166,5 +166,5 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
     ]
 
 
-def _percent(outcomes: Counter[str], *which: str) -> float:
+def _share_percent(outcomes: Counter[str], *which: str) -> float:
     return 100.0 * sum(outcomes[one] for one in which) / outcomes.total()

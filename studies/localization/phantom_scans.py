@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from procedures.imaging import Volume, read_series
-from ronna_hw.host.child_process import command, finished_command
+from ronna_hw.host.child_process import command, run_command
 from studies.errors import PhantomFailed
 
 Array = NDArray[np.float64]
@@ -65,11 +65,11 @@ def scan_phantom(
     arguments = ["--family", family, "--protocol", protocol, "--fiducials", fiducials]
     arguments += [] if markers is None else ["--markers", str(markers)]
     words = command("sim.cli", "phantom", "--out", str(folder), "--seed", str(seed), "--json", *arguments)
-    done = finished_command("ronna-sim phantom", words, PHANTOM_LIMIT_S)
+    done = run_command("ronna-sim phantom", words, PHANTOM_LIMIT_S)
     if done.returncode != 0:
         raise PhantomFailed(f"{family}, {protocol}, seed {seed}", got=" ".join(done.stderr.split()))
-    said = json.loads(done.stdout)
-    return Path(said["series"]), json.loads(Path(said["truth"]).read_text(encoding="utf-8"))
+    announcement = json.loads(done.stdout)
+    return Path(announcement["series"]), json.loads(Path(announcement["truth"]).read_text(encoding="utf-8"))
 
 
 def bound_mm(truth: dict[str, Any]) -> float:

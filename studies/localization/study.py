@@ -93,16 +93,16 @@ class LocalizationStudy:
         sums: Counter[str] = Counter()
         own = tuple(PluginLocalizer.of(one) for one in self.own)
         if family == FRAMES:
-            sums.update(_frame_set(random, own))
+            sums.update(_localize_frame_set(random, own))
         else:
             with phantom_scan(family, protocol, int(random.integers(SEED_BOUND))) as scan:
                 if family in JUDGING and scan.purpose != "judging":
                     raise NotForJudging(f"family {family} is for {scan.purpose}")
                 sums.update({"volumes": 1.0, "objects": scan.objects, "bound2": scan.bound_mm**2})
                 for method in AUTOMATIC:
-                    sums.update(_localization_sums(method, scan))
+                    sums.update(_count_localization(method, scan))
                 for localizer in own:
-                    sums.update(_outcome_sums(localizer.name, localizer(scan.volume), (), scan))
+                    sums.update(_count_outcomes(localizer.name, localizer(scan.volume), (), scan))
         return {key: float(value) for key, value in sums.items()}
 
 
@@ -116,14 +116,14 @@ def localize_by(method: Method, volume: Volume) -> Localization | None:
         return None
 
 
-def _localization_sums(method: Method, scan: PhantomScan) -> dict[str, float]:
+def _count_localization(method: Method, scan: PhantomScan) -> dict[str, float]:
     result = localize_by(method, scan.volume)
-    return _outcome_sums(
+    return _count_outcomes(
         method, None if result is None else result.centres_mm, result.markers if result else (), scan
     )
 
 
-def _outcome_sums(
+def _count_outcomes(
     who: str, found_mm: Array | None, markers: Sequence[Marker], scan: PhantomScan
 ) -> dict[str, float]:
     """Count hits, misses and errors in a volume, with covariances if there are markers.
@@ -161,7 +161,7 @@ def _outcome_sums(
     return {f"{who}|{key}": float(value) for key, value in sums.items()}
 
 
-def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
+def _localize_frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ()) -> dict[str, float]:
     """Five scans of the frame: FRE to its coordinates and of the ten pairs, for every method and person."""
     points: dict[str, list[Array]] = {}
     for family in FRAME_FAMILIES:
@@ -169,18 +169,18 @@ def _frame_set(random: np.random.Generator, own: Sequence[PluginLocalizer] = ())
         with phantom_scan(family, FRAME_PROTOCOL, seed, "xframe") as scan:
             for method in AUTOMATIC:
                 result = localize_by(method, scan.volume)
-                ordered = None if result is None else _in_order(result.centres_mm, scan.centres_mm)
+                ordered = None if result is None else _match_in_order(result.centres_mm, scan.centres_mm)
                 if ordered is not None:
                     points.setdefault(method.value, []).append(ordered)
             for localizer in own:
-                ordered = _in_order(localizer(scan.volume), scan.centres_mm)
+                ordered = _match_in_order(localizer(scan.volume), scan.centres_mm)
                 if ordered is not None:
                     points.setdefault(localizer.name, []).append(ordered)
             picks: list[Array] = []
             for number, fle_mm in enumerate(OPERATORS_FLE_MM, start=1):
                 picks.append(scan.centres_mm + random.normal(size=(4, 3)) * fle_mm / np.sqrt(3.0))
                 points.setdefault(f"{Method.PERSON} {number}", []).append(picks[-1])
-            ordered = _refined_picks(scan, picks[0])
+            ordered = _refine_picks(scan, picks[0])
             if ordered is not None:
                 points.setdefault(Method.REFINED.value, []).append(ordered)
     return fle_sums(points)
@@ -200,15 +200,15 @@ def fle_sums(points: Mapping[str, Sequence[Array]]) -> dict[str, float]:
     return {key: float(value) for key, value in sums.items()}
 
 
-def _refined_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
+def _refine_picks(scan: PhantomScan, picks_mm: Array) -> Array | None:
     try:
         result = localize_picks(scan.volume, picks_mm)
     except PickRefused:
         return None
-    return _in_order(result.centres_mm, scan.centres_mm)
+    return _match_in_order(result.centres_mm, scan.centres_mm)
 
 
-def _in_order(found_mm: Array, centres_mm: Array) -> Array | None:
+def _match_in_order(found_mm: Array, centres_mm: Array) -> Array | None:
     """The found points in the order of the true ones; None unless they match one to one."""
     if len(found_mm) == 0:
         return None

@@ -46,23 +46,26 @@ Condition = tuple[str, str]  # family and protocol
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Pooled, by family, and the thesis' tables 2 and 3."""
-    scans, frames = _scans(sums)
-    of_frames = [_fle_table(frames)] if frames else []
+    scans, frames = _split_scans(sums)
+    of_frames = [_tabulate_fle(frames)] if frames else []
     if not scans:
         return of_frames
     together: list[Mapping[str, Cell]] = []
-    for protocol in _protocols(scans):
+    for protocol in _list_protocols(scans):
         for words, streaked in (("without", False), ("with", True)):
-            total = _pooled(scans, protocol=protocol, streaked=streaked)
-            together += _rows(f"{words} streaks on posts", protocol, total)
-    single = [row for (family, protocol), total in scans.items() for row in _rows(family, protocol, total)]
+            total = _pool_scans(scans, protocol=protocol, streaked=streaked)
+            together += _make_rows(f"{words} streaks on posts", protocol, total)
+    single = [
+        row for (family, protocol), total in scans.items() for row in _make_rows(family, protocol, total)
+    ]
     found = [
         Table.of(
             "Localization, families together",
             together,
             "Errors are 3-D. chi² / 3n is 1 when the stated covariances are right; the thesis' methods "
             "have none, so its reported FLE is used; user methods have none. CRB: a homogeneous ball "
-            f"in white noise. {_cut(_pooled(scans))} {bounds.NOTE} Spheres of one scan count as independent. "
+            f"in white noise. {_describe_cut_spheres(_pool_scans(scans))} {bounds.NOTE} "
+            "Spheres of one scan count as independent. "
             "False ones: Poisson, in as many scans.",
         ),
         Table.of(
@@ -77,13 +80,13 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """Rms per family and method, one plot per protocol."""
     pictures = {}
-    scans, frames = _scans(sums)
-    for protocol in _protocols(scans):
+    scans, frames = _split_scans(sums)
+    for protocol in _list_protocols(scans):
         groups = {
             family: {
                 method: _rms_um(total, method)
                 for method in methods_of(total)
-                if of_method(total, method, "found")
+                if sum_of_method(total, method, "found")
             }
             for (family, of_scan), total in scans.items()
             if of_scan == protocol
@@ -92,37 +95,39 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
             f"3-D error, {protocol} protocol", "rms, µm", groups, x_label="family of scans"
         )
     if frames:
-        pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _fle_bars(frames))
+        pictures["fle.png"] = bars("FLE, four spheres of the x-shaped frame", "mm", _make_fle_bars(frames))
     return pictures
 
 
 def goals(sums: Mapping[str, Sums]) -> Table | None:
     """Ours against the goals, on families not used for tuning; None without them."""
-    scans = {condition: total for condition, total in _scans(sums)[0].items() if condition[0] in JUDGING}
+    scans = {
+        condition: total for condition, total in _split_scans(sums)[0].items() if condition[0] in JUDGING
+    }
     if not scans:
         return None
     rows: list[Sequence[Cell]] = []
-    for protocol in _protocols(scans):
+    for protocol in _list_protocols(scans):
         for streaked in (False, True):
-            total = _pooled(scans, protocol=protocol, streaked=streaked)
-            if found := of_method(total, Method.OURS, "found"):
-                rows += _accuracy(total, protocol, streaked, found)
+            total = _pool_scans(scans, protocol=protocol, streaked=streaked)
+            if found := sum_of_method(total, Method.OURS, "found"):
+                rows += _judge_accuracy(total, protocol, streaked, found)
         for (family, of_scan), total in scans.items():
             if of_scan == protocol:
-                rows += _single(total, family, protocol)
+                rows += _judge_single(total, family, protocol)
     for family in dict.fromkeys(family for family, _ in scans):
-        rows += _covariances(_pooled(scans, family=family), family)
-    everything = _pooled(scans)
-    rows.append(_tail(everything, "all families"))
+        rows += _judge_covariances(_pool_scans(scans, family=family), family)
+    everything = _pool_scans(scans)
+    rows.append(_judge_tail(everything, "all families"))
     return Table(
         "Goals",
         ("figure", "value", "goal", "met"),
-        [*rows, *_detection(everything)],
+        [*rows, *_judge_detection(everything)],
         "chi² / 3n compares the errors with the stated covariances; 1 is consistent.",
     )
 
 
-def _scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
+def _split_scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
     """Return the sums of the scans by condition, and the sums of all sets of the frame."""
     scans: dict[Condition, Sums] = {}
     frames: Counter[str] = Counter()
@@ -135,11 +140,11 @@ def _scans(sums: Mapping[str, Sums]) -> tuple[dict[Condition, Sums], Sums]:
     return scans, dict(frames)
 
 
-def _protocols(scans: Mapping[Condition, Sums]) -> list[str]:
+def _list_protocols(scans: Mapping[Condition, Sums]) -> list[str]:
     return list(dict.fromkeys(protocol for _, protocol in scans))
 
 
-def _pooled(
+def _pool_scans(
     scans: Mapping[Condition, Sums],
     *,
     family: str | None = None,
@@ -148,16 +153,16 @@ def _pooled(
 ) -> Sums:
     total: Counter[str] = Counter()
     for (of_family, of_protocol), content in scans.items():
-        wanted = family in (None, of_family) and protocol in (None, of_protocol)
-        if wanted and streaked in (None, of_family in STREAKED):
+        is_selected = family in (None, of_family) and protocol in (None, of_protocol)
+        if is_selected and streaked in (None, of_family in STREAKED):
             total.update(content)
     return dict(total)
 
 
-def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
+def _make_fle_bars(total: Sums) -> dict[str, dict[str, float]]:
     """Our figures and the thesis' side by side; empty where the thesis has none."""
     groups: dict[str, dict[str, float]] = {}
-    for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _fle_table(total).rows:
+    for who, _, truth_mm, table_2_mm, _, pair_mm, table_3_mm in _tabulate_fle(total).rows:
         named = {
             "to the truth": truth_mm,
             "thesis, table 2": table_2_mm,
@@ -169,13 +174,13 @@ def _fle_bars(total: Sums) -> dict[str, dict[str, float]]:
     return groups
 
 
-def _rows(family: str, protocol: str, total: Sums) -> list[Mapping[str, Cell]]:
+def _make_rows(family: str, protocol: str, total: Sums) -> list[Mapping[str, Cell]]:
     rows: list[Mapping[str, Cell]] = []
     for method in methods_of(total):
-        spheres, found = of_method(total, method, "spheres"), of_method(total, method, "found")
+        spheres, found = sum_of_method(total, method, "spheres"), sum_of_method(total, method, "found")
         if not spheres:
             continue
-        false = bounds.number(of_method(total, method, "false"))
+        false = bounds.number(sum_of_method(total, method, "false"))
         rms = _rms_um(total, method) if found else None
         bound_mm = sqrt(total["bound2"] / total["volumes"])
         with_covariances = found and method in AUTOMATIC
@@ -192,15 +197,17 @@ def _rows(family: str, protocol: str, total: Sums) -> list[Mapping[str, Cell]]:
                 bounds.column("rms"): None if rms is None else rms.text,
                 "95th percentile µm": percentile_um(total, method, found),
                 "rms / CRB": None if rms is None else 1e-3 * rms.value / bound_mm,
-                "chi² / 3n": of_method(total, method, "chi2") / (3.0 * found) if with_covariances else None,
+                "chi² / 3n": sum_of_method(total, method, "chi2") / (3.0 * found)
+                if with_covariances
+                else None,
             }
         )
     return rows
 
 
 def _rms_um(total: Sums, method: str) -> bounds.Bounded:
-    sums = (1e6 * of_method(total, method, "error2"), 1e12 * of_method(total, method, "error4"))
-    return bounds.root_mean_square(*sums, of_method(total, method, "found"))
+    sums = (1e6 * sum_of_method(total, method, "error2"), 1e12 * sum_of_method(total, method, "error4"))
+    return bounds.root_mean_square(*sums, sum_of_method(total, method, "found"))
 
 
 def methods_of(total: Sums) -> list[str]:
@@ -222,9 +229,9 @@ def percentile_um(total: Sums, method: str, found: float, share: float = 0.95) -
     return None
 
 
-def _cut(total: Sums) -> str:
+def _describe_cut_spheres(total: Sums) -> str:
     cut, found, large, flagged = (
-        int(of_method(total, Method.OURS, key)) for key in ("cut", "cut found", "large", "large flagged")
+        int(sum_of_method(total, Method.OURS, key)) for key in ("cut", "cut found", "large", "large flagged")
     )
     return (
         f"Of {cut} further spheres cut by the field of view, ours finds {found}. Of {large} of our errors"
@@ -232,7 +239,7 @@ def _cut(total: Sums) -> str:
     )
 
 
-def _fle_table(total: Sums) -> Table:
+def _tabulate_fle(total: Sums) -> Table:
     """FLE from FRE, by eq. 36 against the frame's coordinates and by eq. 38 between scans."""
     rows: list[dict[str, Cell]] = []
     people = [f"{Method.PERSON} {number}" for number in range(1, len(OPERATORS) + 1)]
@@ -270,63 +277,63 @@ def _fle_table(total: Sums) -> Table:
     )
 
 
-def of_method(total: Sums, method: str, key: str) -> float:
+def sum_of_method(total: Sums, method: str, key: str) -> float:
     return total.get(f"{method}|{key}", 0.0)
 
 
-def _accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
-    where = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
-    rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
+def _judge_accuracy(total: Sums, protocol: str, streaked: bool, found: float) -> list[Sequence[Cell]]:
+    condition_text = f"{protocol}, {'with' if streaked else 'without'} streaks on posts"
+    rms_um = 1e3 * sqrt(sum_of_method(total, Method.OURS, "error2") / found)
     rows: list[Sequence[Cell]] = []
     if protocol in RMS_UM:
-        rows.append(_at_most(f"rms µm, {where}", rms_um, RMS_UM[protocol][streaked]))
+        rows.append(_check_at_most(f"rms µm, {condition_text}", rms_um, RMS_UM[protocol][streaked]))
     share_um = percentile_um(total, Method.OURS, found)
     if streaked and share_um is not None and protocol in SHARE_95_UM:
-        rows.append(_at_most(f"95th percentile µm, {where}", share_um, SHARE_95_UM[protocol]))
+        rows.append(_check_at_most(f"95th percentile µm, {condition_text}", share_um, SHARE_95_UM[protocol]))
     return rows
 
 
-def _single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell]]:
+def _judge_single(total: Sums, family: str, protocol: str) -> list[Sequence[Cell]]:
     """Check a family of a protocol alone: pooled, a bad one would hide behind a good one."""
-    found = of_method(total, Method.OURS, "found")
+    found = sum_of_method(total, Method.OURS, "found")
     if not found:
         return []
     rows: list[Sequence[Cell]] = []
     if family in COVERED:
-        rms_um = 1e3 * sqrt(of_method(total, Method.OURS, "error2") / found)
-        rows.append(_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
+        rms_um = 1e3 * sqrt(sum_of_method(total, Method.OURS, "error2") / found)
+        rows.append(_check_at_most(f"rms µm, {protocol}, {family}", rms_um, COVERED_RMS_UM))
     largest_um = percentile_um(total, Method.OURS, found, 1.0)
     if largest_um is not None:
-        rows.append(_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
+        rows.append(_check_at_most(f"largest error µm, {protocol}, {family}", largest_um, LARGEST_UM))
     return rows
 
 
-def _covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
+def _judge_covariances(total: Sums, family: str) -> list[Sequence[Cell]]:
     """Whether the stated covariances of a family are right, all protocols: one alone has too few spheres."""
-    found = of_method(total, Method.OURS, "found")
+    found = sum_of_method(total, Method.OURS, "found")
     if not found:
         return []
-    (low, high), chi2 = CHI2, of_method(total, Method.OURS, "chi2") / (3.0 * found)
-    spheres = int(of_method(total, Method.OURS, "spheres"))
+    (low, high), chi2 = CHI2, sum_of_method(total, Method.OURS, "chi2") / (3.0 * found)
+    spheres = int(sum_of_method(total, Method.OURS, "spheres"))
     enough = yes_or_no(spheres >= LEAST_OF_A_FAMILY)
     return [
         (f"spheres, {family}", spheres, f"at least {LEAST_OF_A_FAMILY}", enough),
         (f"chi² / 3n, {family}", chi2, f"{low:g} to {high:g}", yes_or_no(low <= chi2 <= high)),
-        _tail(total, family),
+        _judge_tail(total, family),
     ]
 
 
-def _tail(total: Sums, where: str) -> Sequence[Cell]:
+def _judge_tail(total: Sums, condition_text: str) -> Sequence[Cell]:
     from scipy.stats import binom  # half a second
 
-    found, beyond = (of_method(total, Method.OURS, key) for key in ("found", "tail"))
+    found, in_tail = (sum_of_method(total, Method.OURS, key) for key in ("found", "tail"))
     most = float(binom.ppf(1.0 - CHANCE, int(found), TAIL))
-    return _at_most(f"errors outside 99 %, {where}", int(beyond), most)
+    return _check_at_most(f"errors outside 99 %, {condition_text}", int(in_tail), most)
 
 
-def _detection(total: Sums) -> list[Sequence[Cell]]:
+def _judge_detection(total: Sums) -> list[Sequence[Cell]]:
     spheres, missed, false, large = (
-        of_method(total, Method.OURS, key) for key in ("spheres", "missed", "false", "large")
+        sum_of_method(total, Method.OURS, key) for key in ("spheres", "missed", "false", "large")
     )
     objects, volumes = total.get("objects", 0.0), total.get("volumes", 0.0)
     rows: list[Sequence[Cell]] = [
@@ -337,11 +344,11 @@ def _detection(total: Sums) -> list[Sequence[Cell]]:
         ("false", int(false), "0", yes_or_no(false == 0)),
     ]
     if large:
-        share = 100.0 * of_method(total, Method.OURS, "large flagged") / large
+        share = 100.0 * sum_of_method(total, Method.OURS, "large flagged") / large
         goal = f"at least {FLAGGED_PERCENT:g}"
         rows.append(("errors above 0.1 mm flagged, %", share, goal, yes_or_no(share >= FLAGGED_PERCENT)))
     return rows
 
 
-def _at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
+def _check_at_most(what: str, value: float, most: float) -> tuple[Cell, ...]:
     return (what, value, f"at most {most:g}", yes_or_no(value <= most))

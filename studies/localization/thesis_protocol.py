@@ -164,10 +164,10 @@ def points_of(sums: Sums, who: str) -> Array | None:
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate detection, the errors of tables 2 and 3, gains over people, and times."""
-    return [_detection(sums), _errors(sums), _gains(sums), _times(sums)]
+    return [_tabulate_detection(sums), _tabulate_errors(sums), _tabulate_gains(sums), _tabulate_times(sums)]
 
 
-def _detection(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_detection(sums: Mapping[str, Sums]) -> Table:
     rows: list[dict[str, Cell]] = []
     for method in AUTOMATIC:
         for kind in (PHANTOM, PATIENT):
@@ -222,7 +222,7 @@ def _fre_mm(one: Array, other: Array) -> Array:
     return np.asarray(np.sqrt(np.square(residuals(fit, one, other)).sum(axis=-1).mean(axis=-1)))
 
 
-def _found(sums: Mapping[str, Sums], method: Method) -> list[Array]:
+def _collect_frames(sums: Mapping[str, Sums], method: Method) -> list[Array]:
     """The frame in every phantom scan in which the method found it."""
     every = (
         points_of(content, method.value)
@@ -232,10 +232,10 @@ def _found(sums: Mapping[str, Sums], method: Method) -> list[Array]:
     return [points for points in every if points is not None]
 
 
-def _fle(
+def _compute_fle(
     sums: Mapping[str, Sums], method: Method, largest: float = LARGEST_SCALE_ERROR
 ) -> tuple[float, float, float] | None:
-    scans = _found(sums, method)
+    scans = _collect_frames(sums, method)
     if len(scans) < 2:
         return None
     random = np.random.default_rng(len(scans))
@@ -243,12 +243,12 @@ def _fle(
     return fle_mm(scans, draws.reshape(SCALE_DRAWS, len(scans), 3))
 
 
-def _errors(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_errors(sums: Mapping[str, Sums]) -> Table:
     rows: list[dict[str, Cell]] = []
     for method in AUTOMATIC:
         column = IN_THE_THESIS.get(method)
         for largest in SCALE_ERRORS:
-            found = _fle(sums, method, largest)
+            found = _compute_fle(sums, method, largest)
             if found is None:
                 continue
             truth_mm, fre_mm, pair_mm = found
@@ -261,7 +261,7 @@ def _errors(sums: Mapping[str, Sums]) -> Table:
                     "thesis, table 2": None if column is None else TABLE_2[column].printed_mm,
                     "eq. 38, between scans": pair_mm,
                     "thesis, table 3": None if column is None else TABLE_3[column].printed_mm,
-                    f"both within {WITHIN_PERCENT:g} %": _met(column, truth_mm, pair_mm),
+                    f"both within {WITHIN_PERCENT:g} %": _word_goal(column, truth_mm, pair_mm),
                 }
             )
     return Table.of(
@@ -274,17 +274,17 @@ def _errors(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _met(column: str | None, truth_mm: float, pair_mm: float) -> str | None:
+def _word_goal(column: str | None, truth_mm: float, pair_mm: float) -> str | None:
     if column is None:
         return None
     printed = ((truth_mm, TABLE_2[column].printed_mm), (pair_mm, TABLE_3[column].printed_mm))
     return yes_or_no(all(abs(ours / theirs - 1.0) <= WITHIN_PERCENT / 100.0 for ours, theirs in printed))
 
 
-def _gains(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_gains(sums: Mapping[str, Sums]) -> Table:
     rows: list[Sequence[Cell]] = []
     for method in AUTOMATIC:
-        found = _fle(sums, method)
+        found = _compute_fle(sums, method)
         if found is None:
             continue
         column = IN_THE_THESIS.get(method)
@@ -304,7 +304,7 @@ def _gains(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _times(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_times(sums: Mapping[str, Sums]) -> Table:
     rows: list[Sequence[Cell]] = [("person, thesis", PERSON_S, None), ("program, thesis", PROGRAM_S, None)]
     for method in AUTOMATIC:
         cpu_s = [content[f"{method}|cpu_s"] for content in sums.values()]

@@ -45,19 +45,19 @@ class CheckedPlugin:
         """Load into this process. Raises STU-012."""
         return cls(method.name, method.function())
 
-    def _numbers(self, answer: object) -> Array:
+    def _as_numbers(self, answer: object) -> Array:
         """Convert an answer to an array. Raises STU-014 unless it holds real numbers."""
         try:
-            given = np.asarray(answer)
+            converted = np.asarray(answer)
         except (TypeError, ValueError, OverflowError):  # such as rows of unequal length
-            raise self._wrong(type(answer).__name__) from None
-        if given.size == 0:
-            return np.empty(given.shape)
-        if given.dtype.kind not in REAL:
-            raise self._wrong(IN_WORDS.get(given.dtype.kind, type(answer).__name__))
-        return given.astype(float)
+            raise self._wrong_answer(type(answer).__name__) from None
+        if converted.size == 0:
+            return np.empty(converted.shape)
+        if converted.dtype.kind not in REAL:
+            raise self._wrong_answer(IN_WORDS.get(converted.dtype.kind, type(answer).__name__))
+        return converted.astype(float)
 
-    def _wrong(self, got: str) -> MethodAnswerWrong:
+    def _wrong_answer(self, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name} did not return {self.result}", expected=self.form, got=got)
 
 
@@ -88,13 +88,13 @@ class PluginPairing(CheckedPlugin):
         if pairs.size == 0 and pairs.dtype != object:
             return np.empty((0, 2), dtype=np.intp)
         if pairs.dtype.kind not in "iu" or pairs.ndim != 2 or pairs.shape[1] != 2:
-            raise self._wrong(f"{type(answer).__name__} of {pairs.dtype}, shape {pairs.shape}")
+            raise self._wrong_answer(f"{type(answer).__name__} of {pairs.dtype}, shape {pairs.shape}")
         for side, points in enumerate((image_mm, physical_mm)):
             of_side = pairs[:, side]
             if of_side.min() < 0 or of_side.max() >= len(points):
-                raise self._wrong(f"index {of_side.max()} of {len(points)} points")
+                raise self._wrong_answer(f"index {of_side.max()} of {len(points)} points")
             if len(set(of_side.tolist())) < len(of_side):
-                raise self._wrong("a point in two pairs")
+                raise self._wrong_answer("a point in two pairs")
         return pairs.astype(np.intp)
 
 
@@ -110,19 +110,19 @@ class PluginLocalizer(CheckedPlugin):
             answer = call_plugin(self.name, self.function, volume, passed=(MarkerCountWrong,))
         except MarkerCountWrong:  # how our localizer says that there are none
             return np.empty((0, 3))
-        centres_mm = self._numbers(answer)
+        centres_mm = self._as_numbers(answer)
         if centres_mm.size == 0:
             return np.empty((0, 3))
         if centres_mm.ndim != 2 or centres_mm.shape[1] != 3:
-            raise self._wrong(f"shape {centres_mm.shape}")
+            raise self._wrong_answer(f"shape {centres_mm.shape}")
         if not np.isfinite(centres_mm).all():
-            raise self._wrong("numbers that are not finite")
+            raise self._wrong_answer("numbers that are not finite")
         geometry = volume.geometry
         from_middle = np.abs(geometry.to_index(centres_mm) * geometry.spacing_mm - 0.5 * volume.extent_mm)
         outside = (from_middle > 0.5 * volume.extent_mm + BESIDE_MM).any(axis=1)
         if outside.any():
             shown = ", ".join(f"{value:.1f}" for value in centres_mm[outside][0])
-            raise self._wrong(f"({shown}), which is outside the volume: voxel indices?")
+            raise self._wrong_answer(f"({shown}), which is outside the volume: voxel indices?")
         return centres_mm
 
 
@@ -137,17 +137,19 @@ class PluginRegistration(CheckedPlugin):
         answer = call_plugin(self.name, self.function, image_mm, physical_mm, covariance_mm2=covariance_mm2)
         if isinstance(answer, RigidTransform):
             answer = answer.as_matrix()
-        matrix = self._numbers(answer)
+        matrix = self._as_numbers(answer)
         if matrix.shape != (4, 4):
-            raise self._wrong(f"shape {matrix.shape}")
+            raise self._wrong_answer(f"shape {matrix.shape}")
         if not np.isfinite(matrix).all():
-            raise self._wrong("numbers that are not finite")
+            raise self._wrong_answer("numbers that are not finite")
         if (matrix[3] != (0.0, 0.0, 0.0, 1.0)).any():
-            raise self._wrong(f"a last row {matrix[3].tolist()}")
+            raise self._wrong_answer(f"a last row {matrix[3].tolist()}")
         rotation = matrix[:3, :3]
         bent = float(np.abs(rotation.T @ rotation - np.eye(3)).max())
         if bent > ROTATION_TOLERANCE or np.linalg.det(rotation) < 0.0:
-            raise self._wrong("a mirror image" if bent <= ROTATION_TOLERANCE else f"axes off by {bent:.1g}")
+            raise self._wrong_answer(
+                "a mirror image" if bent <= ROTATION_TOLERANCE else f"axes off by {bent:.1g}"
+            )
         return RigidTransform.from_matrix(matrix)
 
 
@@ -174,7 +176,7 @@ def call_plugin(
         raise
     except (Exception, SystemExit) as error:
         raise MethodFailed(
-            f"{name} raised {type(error).__name__}: {error}", got=_origin_of(function, error)
+            f"{name} raised {type(error).__name__}: {error}", got=_locate_error(function, error)
         ) from error
 
 
@@ -186,7 +188,7 @@ def _read_only(value: object) -> object:
     return copy
 
 
-def _origin_of(function: Callable[..., Any], error: BaseException) -> str:
+def _locate_error(function: Callable[..., Any], error: BaseException) -> str:
     """The last line within the method's own file, otherwise the very last one."""
     frames = traceback.extract_tb(error.__traceback__)
     own_file = getattr(sys.modules.get(function.__module__), "__file__", None)

@@ -68,20 +68,20 @@ def find_plugin(kind: MethodKind, text: str) -> PluginMethod:
     here = os.getcwd()
     if here not in sys.path:
         sys.path.append(here)
-    reference = text if ":" in text else _by_entry_point(kind, text)
+    reference = text if ":" in text else _reference_by_entry_point(kind, text)
     function, module = _import_method(reference, kind)
     _require_signature(kind, reference, function)
     return PluginMethod(kind, text, reference, hash_of(module))
 
 
-def installed_plugins() -> tuple[str, ...]:
+def list_installed_plugins() -> tuple[str, ...]:
     """Names of all installed user methods, of every kind."""
     return tuple(sorted({point.name for kind in MethodKind for point in entry_points(group=kind.group)}))
 
 
 def signature_of(kind: MethodKind) -> str:
     """Return the call signature of a kind, as shown in messages."""
-    return str(inspect.Signature([one.replace(annotation=one.empty) for one in _parameters(kind)]))
+    return str(inspect.Signature([one.replace(annotation=one.empty) for one in _required_parameters(kind)]))
 
 
 def is_in_site_packages(file: Path) -> bool:
@@ -130,7 +130,7 @@ class _LocalModuleFinder(ModuleFinder):
         return super().import_module(partname, fqname, parent)
 
 
-def _by_entry_point(kind: MethodKind, name: str) -> str:
+def _reference_by_entry_point(kind: MethodKind, name: str) -> str:
     names = sorted(point.name for point in entry_points(group=kind.group))
     for point in entry_points(group=kind.group, name=name):
         return point.value.partition(" ")[0]
@@ -143,19 +143,21 @@ def _by_entry_point(kind: MethodKind, name: str) -> str:
 
 
 def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any], ModuleType]:
-    where, _, name = reference.partition(":")
-    if not (name.isidentifier() and all(part.isidentifier() for part in where.split("."))):
+    module_name, _, name = reference.partition(":")
+    if not (name.isidentifier() and all(part.isidentifier() for part in module_name.split("."))):
         raise MethodRefused(f"{reference!r} does not name a {kind}", expected="module:function")
     try:
-        module = importlib.import_module(where)
-        if _loaded.setdefault(where, now := hash_of(module)) != now:  # edited, or sent again to this worker
+        module = importlib.import_module(module_name)
+        if (
+            _loaded.setdefault(module_name, now := hash_of(module)) != now
+        ):  # edited, or sent again to this worker
             for beside in local_modules(module):
                 sys.modules.pop(beside, None)
-            module = importlib.import_module(where)
-            _loaded[where] = now
+            module = importlib.import_module(module_name)
+            _loaded[module_name] = now
     except (Exception, SystemExit) as error:
         raise MethodRefused(
-            f"the module {where} of the {kind} cannot be imported",
+            f"the module {module_name} of the {kind} cannot be imported",
             expected=f"a module that is installed or in {os.getcwd()}",
             got=f"{type(error).__name__}: {error}",
         ) from error
@@ -174,9 +176,9 @@ def _import_method(reference: str, kind: MethodKind) -> tuple[Callable[..., Any]
 
 def _require_signature(kind: MethodKind, reference: str, function: Callable[..., Any]) -> None:
     """Check that it accepts the arguments it will be given."""
-    given = _parameters(kind)
-    places = [one.name for one in given if one.kind is not one.KEYWORD_ONLY]
-    names = {one.name: None for one in given if one.kind is one.KEYWORD_ONLY}
+    required = _required_parameters(kind)
+    places = [one.name for one in required if one.kind is not one.KEYWORD_ONLY]
+    names = {one.name: None for one in required if one.kind is one.KEYWORD_ONLY}
     try:
         signature = inspect.signature(function)
         signature.bind(*places, **names)
@@ -188,6 +190,6 @@ def _require_signature(kind: MethodKind, reference: str, function: Callable[...,
         ) from error
 
 
-def _parameters(kind: MethodKind) -> list[inspect.Parameter]:
-    _, *given = inspect.signature(CONTRACTS[kind].__call__).parameters.values()
-    return given
+def _required_parameters(kind: MethodKind) -> list[inspect.Parameter]:
+    _, *required = inspect.signature(CONTRACTS[kind].__call__).parameters.values()
+    return required

@@ -33,7 +33,7 @@ class PluginStrategy:
     """A `Strategy` that calls the user's; raises STU-012 to STU-014."""
 
     name: str
-    asked: Strategy
+    user_strategy: Strategy
 
     @classmethod
     def of(cls, method: PluginMethod) -> Self:
@@ -41,34 +41,34 @@ class PluginStrategy:
         made = call_plugin(method.name, method.function())
         for flag in FLAGS:
             if not isinstance(value := call_plugin(f"{method.name}.{flag}", getattr, made, flag, None), bool):
-                raise _missing_member(method.name, f"{flag}, True or False", f"{value!r}")
+                raise _missing_member_error(method.name, f"{flag}, True or False", f"{value!r}")
         for call in CALLS:
-            given = call_plugin(f"{method.name}.{call}", getattr, made, call, None)
-            wanted = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
+            member = call_plugin(f"{method.name}.{call}", getattr, made, call, None)
+            parameter_names = list(inspect.signature(getattr(Strategy, call)).parameters)[1:]
             try:
-                inspect.signature(given).bind(*wanted)  # None is also refused
+                inspect.signature(member).bind(*parameter_names)  # None is also refused
             except (TypeError, ValueError) as error:
-                raise _missing_member(
-                    method.name, f"{call}({', '.join(wanted)})", f"{given!r}: {error}"
+                raise _missing_member_error(
+                    method.name, f"{call}({', '.join(parameter_names)})", f"{member!r}: {error}"
                 ) from error
         return cls(method.name, made)
 
     @property
     def localizes_per_trajectory(self) -> bool:
-        return self._flag("localizes_per_trajectory")
+        return self._read_flag("localizes_per_trajectory")
 
     @property
     def controls_approach(self) -> bool:
-        return self._flag("controls_approach")
+        return self._read_flag("controls_approach")
 
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
         """Return one axis for each set of localizations."""
         axes = self._call("localized_along", trajectories, fiducials_mm, robot_from_ct)
-        wanted = len(trajectories) if self.localizes_per_trajectory else 1
-        if len(axes) != wanted or not all(isinstance(one, Trajectory) for one in axes):
-            raise self._wrong("localized_along", f"{wanted} Trajectory", _shown(axes))
+        parameter_names = len(trajectories) if self.localizes_per_trajectory else 1
+        if len(axes) != parameter_names or not all(isinstance(one, Trajectory) for one in axes):
+            raise self._wrong_answer("localized_along", f"{parameter_names} Trajectory", _format_answer(axes))
         return axes
 
     def localization_poses(
@@ -82,12 +82,14 @@ class PluginStrategy:
             for one in poses
         )
         if len(poses) != len(places) or not framed:
-            raise self._wrong("localization_poses", f"{len(places)} Transform ROBOT <- TOOL", _shown(poses))
+            raise self._wrong_answer(
+                "localization_poses", f"{len(places)} Transform ROBOT <- TOOL", _format_answer(poses)
+            )
         off_mm = max(
             float(np.linalg.norm(one.translation_mm - at)) for one, at in zip(poses, places, strict=True)
         )
         if off_mm > AT_SPHERE_MM:
-            raise self._wrong(
+            raise self._wrong_answer(
                 "localization_poses", "the tool's origin at each fiducial", f"{off_mm:.3g} mm off"
             )
         return poses
@@ -98,36 +100,36 @@ class PluginStrategy:
         """Turns about the axis, best first."""
         turns = self._call("turns_rad", along, fiducials_mm, robot_from_ct, arm)
         if not turns or not all(isinstance(one, int | float) for one in turns):
-            raise self._wrong("turns_rad", "at least one finite angle in rad", _shown(turns))
+            raise self._wrong_answer("turns_rad", "at least one finite angle in rad", _format_answer(turns))
         for turn in turns:
             if not abs(turn) <= LARGEST_TURN_RAD:  # also rejects NaN
                 shown = f"{turn:g}: degrees?" if abs(turn) < MOST_SHOWN else "a huge number"
-                raise self._wrong("turns_rad", "angles within ±2π rad", shown)
+                raise self._wrong_answer("turns_rad", "angles within ±2π rad", shown)
         return turns
 
-    def _flag(self, flag: str) -> bool:
+    def _read_flag(self, flag: str) -> bool:
         """A property may be recomputed, and differ, on each access."""
-        value = call_plugin(f"{self.name}.{flag}", getattr, self.asked, flag)
+        value = call_plugin(f"{self.name}.{flag}", getattr, self.user_strategy, flag)
         if not isinstance(value, bool):
-            raise self._wrong(flag, "True or False", f"{value!r}")
+            raise self._wrong_answer(flag, "True or False", f"{value!r}")
         return value
 
     def _call(self, call: str, *arguments: object) -> tuple[Any, ...]:
         answer = call_plugin(
-            f"{self.name}.{call}", getattr(self.asked, call), *arguments, passed=OUT_OF_REACH
+            f"{self.name}.{call}", getattr(self.user_strategy, call), *arguments, passed=OUT_OF_REACH
         )
         if not isinstance(answer, Iterable):
-            raise self._wrong(call, "a sequence", type(answer).__name__)
+            raise self._wrong_answer(call, "a sequence", type(answer).__name__)
         return tuple(call_plugin(f"{self.name}.{call}", list, answer))  # a generator runs only here
 
-    def _wrong(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
+    def _wrong_answer(self, call: str, expected: str, got: str) -> MethodAnswerWrong:
         return MethodAnswerWrong(f"{self.name}.{call} returned a wrong result", expected=expected, got=got)
 
 
-def _missing_member(name: str, expected: str, got: str) -> MethodRefused:
+def _missing_member_error(name: str, expected: str, got: str) -> MethodRefused:
     return MethodRefused(f"{name} does not make a strategy", expected=expected, got=got)
 
 
-def _shown(answer: Sequence[object]) -> str:
+def _format_answer(answer: Sequence[object]) -> str:
     kinds = ", ".join(sorted({type(one).__name__ for one in answer})) or "nothing"
     return f"{len(answer)} of {kinds}" if answer else "none"

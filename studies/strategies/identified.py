@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from procedures.calibration.arm_calibration import ArmFit, identify
 from procedures.calibration.arm_model import ArmModel, LookArrays, choose_poses
-from procedures.calibration.pose_set import centred_looks
+from procedures.calibration.pose_set import plan_centred_looks
 from procedures.registration.rigid_fit import fit_rigid
 from procedures.steps.calibration.sphere_looks import CANDIDATES, flanks_of
 from ronna_hw.arm.pose import Pose
@@ -93,27 +93,31 @@ class IdentifiedStudy:
             for scene in scenes:
                 for strategy in STRATEGIES:
                     poses = planned[scene.number, strategy]
-                    errors = identified_arm_errors(arm, believed, poses, scene, [number], Sizes(FINE_CT_MM))
-                    predicted = scene.predicted(poses, remaining, FINE_CT_MM)
+                    errors = compute_identified_errors_mm(
+                        arm, believed, poses, scene, [number], Sizes(FINE_CT_MM)
+                    )
+                    predictions = scene.predictions(poses, remaining, FINE_CT_MM)
                     for (target, count), length in np.ndenumerate(np.linalg.norm(errors, axis=-1)):
                         series = f"{strategy}|{scene.counts[count]}"
                         found[f"{series}|{number}|{scene.number}|{target + 1}"] = float(length)
-                        one = predicted[count][target]
-                        found[f"{PREDICTED}|{series}|inside"] += float(one.holds(errors[target, count]))
+                        one = predictions[count][target]
+                        found[f"{PREDICTED}|{series}|inside"] += float(
+                            one.mark_contained(errors[target, count])
+                        )
                         found[f"{PREDICTED}|{series}|rms2"] += one.rms_mm**2
         return dict(found)
 
 
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Tabulate the errors at the targets and the errors after identification."""
-    errors = _errors(sums)
-    arms, predicted = defaultdict(list), defaultdict[str, float](float)
+    errors = _collect_errors(sums)
+    arms, predictions = defaultdict(list), defaultdict[str, float](float)
     for content in sums.values():
         for key, value in content.items():
             if key.startswith(f"{OF_ARM}|"):
                 arms[key.split("|")[2]].append(value)
             elif key.startswith(f"{PREDICTED}|"):
-                predicted[key] += value
+                predictions[key] += value
     return [
         Table.of(
             "Arms as they are identified",
@@ -142,10 +146,10 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
                     "spheres": count,
                     "trials": each.size,
                     "inside 95 % region %": (
-                        100.0 * predicted[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size
+                        100.0 * predictions[f"{PREDICTED}|{strategy}|{count}|inside"] / each.size
                     ),
                     "predicted rms mm": float(
-                        np.sqrt(predicted[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)
+                        np.sqrt(predictions[f"{PREDICTED}|{strategy}|{count}|rms2"] / each.size)
                     ),
                     "actual rms mm": float(np.sqrt(np.mean(each**2))),
                 }
@@ -169,11 +173,13 @@ def tables(sums: Mapping[str, Sums]) -> list[Table]:
 
 def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
     """A box for each strategy and number of spheres."""
-    groups = {f"{strategy} {count}": each.ravel() for (strategy, count), each in _errors(sums).items()}
+    groups = {
+        f"{strategy} {count}": each.ravel() for (strategy, count), each in _collect_errors(sums).items()
+    }
     return {"strategies-identified.png": boxes("Error at the target, identified arms", "mm", groups)}
 
 
-def _errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
+def _collect_errors(sums: Mapping[str, Sums]) -> dict[tuple[str, int], NDArray[np.float64]]:
     """Errors (arms, trials) in mm."""
     found: dict[tuple[str, int], dict[str, list[float]]] = defaultdict(lambda: defaultdict(list))
     for content in sums.values():
@@ -193,7 +199,7 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
     truth, tool_error_mm = draw_numbered_arm(seed, number)
     arm, generator = TrueArm(truth, number), np.random.default_rng([seed, LOOKS_KEY, number])
     model = ArmModel(ARM, TOOL)
-    candidates = _candidates(spheres_mm)
+    candidates = _list_candidates(spheres_mm)
     chosen = np.zeros(len(candidates.joints_rad), dtype=bool)
     chosen[choose_poses(model, candidates, LOOKS)] = True
     looks = candidates.only(chosen)
@@ -205,12 +211,12 @@ def identify_arm(seed: int, number: int, spheres_mm: Array) -> ArmFit:
     return identify(model, looks)
 
 
-def _candidates(spheres_mm: Array) -> LookArrays:
+def _list_candidates(spheres_mm: Array) -> LookArrays:
     """Measurement poses that the nominal arm reaches, not yet taken."""
     reference, branch = ARM.flange_pose(ARM.home_rad).rigid.rotation, ARM.branch_of(ARM.home_rad)
     found = []
     for number, sphere in enumerate(spheres_mm):
-        for order, look in enumerate(centred_looks(reference, sphere, CANDIDATES)):
+        for order, look in enumerate(plan_centred_looks(reference, sphere, CANDIDATES)):
             try:
                 joints = ARM.solve_branch(
                     Pose.from_transform(look.pose @ TOOL.inverse()), branch, ARM.home_rad
@@ -242,7 +248,7 @@ class BelievedArm:
         return places, turned @ self.flange_from_tool.rotation_matrix
 
 
-def identified_arm_errors(
+def compute_identified_errors_mm(
     arm: RandomArms,
     believed: BelievedArm,
     planned: Postures,
@@ -273,13 +279,13 @@ def identified_arm_errors(
     for count in scene.counts:
         fit = fit_rigid(image[None, :count], recorded[:, :count])
         places = np.einsum("tij,tj->ti", fit.rotation[serving], targets_ct) + fit.translation_mm[serving]
-        joints = _at_targets(believed, planned, places)
+        joints = _solve_target_joints(believed, planned, places)
         tips = true_places(joints, planned.target_arrival) + arm.repeatability_mm * chance.target_rest[0]
         found.append(tips - robot_from_ct.apply(targets_ct))
     return np.stack(found, axis=1)
 
 
-def _at_targets(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
+def _solve_target_joints(believed: BelievedArm, planned: Postures, places_mm: Array) -> Array:
     """Joints (t, 6) that the controller commands to have its tool at these places."""
     joints, _ = solve_joints(
         planned.targets,

@@ -90,13 +90,13 @@ class StrategiesStudy:
             known = BESIDE_OWN if own else STRATEGIES
             return scene.trials(arms, (*known, *(one.name for one in own)))
         if part == SOURCES:
-            return _sources(scene, arms)
+            return _run_sources(scene, arms)
         if part == SCENARIO:
-            return _scenarios(scene, arms)
-        return _inside(scene, arms) if part == PREDICTION else _reading(scene, arms, part)
+            return _run_scenarios(scene, arms)
+        return _run_predictions(scene, arms) if part == PREDICTION else _run_reading(scene, arms, part)
 
 
-def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_sources(scene: Scene, arms: Sequence[int]) -> Sums:
     """Sum of the errors of one source alone: strategy|spheres|source; strategy|spheres| counts them."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: Sums = {}
@@ -112,23 +112,23 @@ def _sources(scene: Scene, arms: Sequence[int]) -> Sums:
     return found
 
 
-def _inside(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_predictions(scene: Scene, arms: Sequence[int]) -> Sums:
     """Predicted and actual: scenario|strategy|spheres|targets, inside, actual2, predicted2."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     sums: dict[str, float] = defaultdict(float)
     for scenario in PREDICTED:
         for strategy, outcome in scene.outcomes(STRATEGIES, drawn, chance, scenario).items():
             for (nth, count), target in product(enumerate(scene.counts), range(TARGETS)):
-                prediction, actual = outcome.predicted[nth][target], outcome.errors_mm[:, target, nth]
+                prediction, actual = outcome.predictions[nth][target], outcome.errors_mm[:, target, nth]
                 key = f"{scenario.name}|{strategy}|{count}"
                 sums[f"{key}|targets"] += len(arms)
-                sums[f"{key}|inside"] += int(prediction.holds(actual).sum())
+                sums[f"{key}|inside"] += int(prediction.mark_contained(actual).sum())
                 sums[f"{key}|actual2"] += float(np.square(actual).sum())
                 sums[f"{key}|predicted2"] += len(arms) * prediction.rms_mm**2
     return dict(sums)
 
 
-def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
+def _run_scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
     """Histogram of the errors, and the sum of each arm: scenario|strategy|spheres|bin, or `arm` number."""
     drawn, chance = RandomArms.draw(scene.seed, arms), scene.chance(arms)
     found: dict[str, float] = defaultdict(float)
@@ -145,7 +145,7 @@ def _scenarios(scene: Scene, arms: Sequence[int]) -> Sums:
     return dict(found)
 
 
-def _reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
+def _run_reading(scene: Scene, arms: Sequence[int], reading: str) -> Sums:
     """Trials under another interpretation of the protocol, keys as for `Scene.trials`."""
     return scene.trials(
         arms,

@@ -45,16 +45,16 @@ SETTLED = "as in table 4"
 def tables(sums: Mapping[str, Sums]) -> list[Table]:
     """Table 4 next to ours, its rows, the sources, the decrease with more spheres, the prediction."""
     errors = trial_errors(sums)
-    if not any(_entries(sums, PREDICTION)):  # trials only, with user strategies
-        return [_table_4(errors), _trajectories(errors)]
+    if not any(_select_entries(sums, PREDICTION)):  # trials only, with user strategies
+        return [_tabulate_table_4(errors), _tabulate_trajectories(errors)]
     return [
-        _table_4(errors),
-        _trajectories(errors),
-        _sources(sums),
-        _more_spheres(sums),
-        _scenarios(sums),
-        paired_comparison(sums),
-        _prediction(sums),
+        _tabulate_table_4(errors),
+        _tabulate_trajectories(errors),
+        _tabulate_sources(sums),
+        _tabulate_more_spheres(sums),
+        _tabulate_scenarios(sums),
+        compare_pairs(sums),
+        _tabulate_prediction(sums),
     ]
 
 
@@ -73,20 +73,20 @@ def plots(sums: Mapping[str, Sums]) -> dict[str, bytes]:
 def trial_errors(sums: Mapping[str, Sums], part: str = TRIALS) -> dict[Series, Array]:
     """Errors (arms, places, targets) mm of all trials in one part of the study."""
     found: dict[Series, dict[tuple[int, int, int], float]] = defaultdict(dict)
-    for markers, number, (strategy, count, arm, target), error_mm in _entries(sums, part):
+    for markers, number, (strategy, count, arm, target), error_mm in _select_entries(sums, part):
         found[markers, strategy, int(count)][int(arm), int(number), int(target)] = error_mm
     arrays = {}
-    for series in sorted(found, key=_order):
+    for series in sorted(found, key=_order_key):
         trials = found[series]
         shape = tuple(len({place[axis] for place in trials}) for axis in range(3))
         arrays[series] = np.array([trials[one] for one in sorted(trials)]).reshape(shape)
     return arrays
 
 
-def paired_comparison(sums: Mapping[str, Sums]) -> Table:
+def compare_pairs(sums: Mapping[str, Sums]) -> Table:
     """Differences between the arms' means, the 95 % confidence interval of their mean, and a paired test."""
     totals: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for _, _, (scenario, strategy, spheres, what), sum_mm in _entries(sums, SCENARIO):
+    for _, _, (scenario, strategy, spheres, what), sum_mm in _select_entries(sums, SCENARIO):
         if scenario in PAIRED_SCENARIOS and what.startswith(OF_ARM):
             totals[scenario, strategy, int(spheres)][what] += sum_mm / (PLACES * TARGETS)
     rows: list[list[Cell]] = []
@@ -95,7 +95,7 @@ def paired_comparison(sums: Mapping[str, Sums]) -> Table:
             for one, other in PAIRS:
                 mine, others = totals[scenario, one, count], totals[scenario, other, count]
                 apart = np.array([mine[arm] - others[arm] for arm in sorted(mine)])
-                rows.append([scenario, f"{one} - {other}", count, *_judged(apart)])
+                rows.append([scenario, f"{one} - {other}", count, *_test_difference(apart)])
     return Table(
         "Two strategies on the same arms",
         ("scenario", "pair", "spheres", "difference mm", "95 % from", "to", "arms where it is less %", "p"),
@@ -106,7 +106,7 @@ def paired_comparison(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
+def _test_difference(apart_mm: NDArray[np.float64]) -> list[Cell]:
     count, mean = len(apart_mm), float(apart_mm.mean())
     if count < 2 or not apart_mm.any():
         return [mean, mean, mean, 0.0, None]
@@ -115,32 +115,34 @@ def _judged(apart_mm: NDArray[np.float64]) -> list[Cell]:
     return [mean, bound.low, bound.high, 100.0 * float(np.mean(apart_mm < 0.0)), p]
 
 
-def _entries(sums: Mapping[str, Sums], wanted: str) -> Iterator[tuple[str, str, list[str], float]]:
+def _select_entries(
+    sums: Mapping[str, Sums], wanted_part: str
+) -> Iterator[tuple[str, str, list[str], float]]:
     """Yield markers, position, parts of the key, and value of each sum in one part of the study."""
     for condition, content in sums.items():
         part, markers, number = condition.split("|")
-        if part == wanted:
+        if part == wanted_part:
             yield from ((markers, number, key.split("|"), value) for key, value in content.items())
 
 
-def _order(series: Series) -> tuple[int, int, int]:
+def _order_key(series: Series) -> tuple[int, int, int]:
     markers, strategy, count = series
     place = STRATEGIES.index(strategy) if strategy in STRATEGIES else len(STRATEGIES)  # user strategies last
     return list(Markers).index(Markers(markers)), place, count
 
 
-def _thesis(markers: str, strategy: str, count: int) -> StrategyRow | None:
+def _find_thesis_row(markers: str, strategy: str, count: int) -> StrategyRow | None:
     return TABLE_4.get((OF_TABLE_4.get(strategy, ""), count)) if markers == Markers.FREE else None
 
 
-def _table_4(errors: Mapping[Series, Array]) -> Table:
+def _tabulate_table_4(errors: Mapping[Series, Array]) -> Table:
     rows: list[dict[str, Cell]] = []
     for series, each in errors.items():
         markers, strategy, count = series
         arms = each.reshape(len(each), -1)
         means = arms.mean(axis=1)
         low, high = np.percentile(means, [LOW_SHARE, HIGH_SHARE])
-        thesis = _thesis(*series)
+        thesis = _find_thesis_row(*series)
         mean = float(means.mean())
         rows.append(
             {
@@ -159,7 +161,8 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
                 "thesis min": None if thesis is None else thesis.least_mm,
                 "min": float(arms.min(axis=1).mean()),
                 "thesis between trajectories %": None if thesis is None else 100.0 * _share(thesis),
-                "between trajectories %": 100.0 * float(np.mean(_between(each) / arms.var(axis=1, ddof=1))),
+                "between trajectories %": 100.0
+                * float(np.mean(_variance_between(each) / arms.var(axis=1, ddof=1))),
             }
         )
     return Table.of(
@@ -173,7 +176,7 @@ def _table_4(errors: Mapping[Series, Array]) -> Table:
     )
 
 
-def _between(each: Array) -> Array:
+def _variance_between(each: Array) -> Array:
     """Variance (arms,) of the trajectories' means."""
     return np.asarray(each.mean(axis=1).var(axis=1, ddof=1))
 
@@ -182,11 +185,11 @@ def _share(row: StrategyRow) -> float:
     return float(np.var(row.trajectories_mm, ddof=1)) / row.sd_mm**2
 
 
-def _trajectories(errors: Mapping[Series, Array]) -> Table:
+def _tabulate_trajectories(errors: Mapping[Series, Array]) -> Table:
     rows: list[list[Cell]] = []
     for series, each in errors.items():
         _, strategy, count = series
-        thesis = _thesis(*series)
+        thesis = _find_thesis_row(*series)
         if thesis is not None:
             rows.append(["thesis", strategy, count, *thesis.trajectories_mm])
         if series[0] == Markers.FREE:
@@ -200,13 +203,13 @@ def _trajectories(errors: Mapping[Series, Array]) -> Table:
     )
 
 
-def _sources(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_sources(sums: Mapping[str, Sums]) -> Table:
     total: dict[Series, dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for markers, _, (strategy, count, source), value in _entries(sums, SOURCES):
+    for markers, _, (strategy, count, source), value in _select_entries(sums, SOURCES):
         total[markers, strategy, int(count)][source] += value
     rows: list[list[Cell]] = [
         [*series, *(total[series][source] / total[series][""] for source in Source)]
-        for series in sorted(total, key=_order)
+        for series in sorted(total, key=_order_key)
     ]
     return Table(
         "Each source alone",
@@ -216,7 +219,7 @@ def _sources(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _more_spheres(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_more_spheres(sums: Mapping[str, Sums]) -> Table:
     """Compare the fall of the error from 3 to 5 spheres, and the pattern of the rows, with the thesis."""
     fewest, *_, most = counts_of(Markers.FREE)
     parts = {TRIALS: SETTLED} | {reading: reading for reading in READINGS}
@@ -238,7 +241,7 @@ def _more_spheres(sums: Mapping[str, Sums]) -> Table:
                     strategy,
                     float(arms.mean()),
                     float(arms.std(axis=1, ddof=1).mean()),
-                    100.0 * float(np.mean(_between(each_many) / arms.var(axis=1, ddof=1))),
+                    100.0 * float(np.mean(_variance_between(each_many) / arms.var(axis=1, ddof=1))),
                     float(falls_mm.mean()),
                     float(falls_mm.std(ddof=1)),
                     100.0 * float(np.mean(falls_mm >= fall_mm)),
@@ -273,9 +276,9 @@ def _row_correlation(few: Array, many: Array) -> float:
     return float(np.median([np.corrcoef(one, other)[0, 1] for one, other in pairs]))
 
 
-def _scenarios(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_scenarios(sums: Mapping[str, Sums]) -> Table:
     total: dict[tuple[str, str, int], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for _, _, (scenario, strategy, count, what), value in _entries(sums, SCENARIO):
+    for _, _, (scenario, strategy, count, what), value in _select_entries(sums, SCENARIO):
         total[scenario, strategy, int(count)][what] += value
     rows: list[list[Cell]] = []
     for (scenario, strategy, spheres), one in total.items():
@@ -295,13 +298,13 @@ def _scenarios(sums: Mapping[str, Sums]) -> Table:
     )
 
 
-def _prediction(sums: Mapping[str, Sums]) -> Table:
+def _tabulate_prediction(sums: Mapping[str, Sums]) -> Table:
     total: dict[tuple[str, Series], dict[str, float]] = defaultdict(lambda: defaultdict(float))
-    for markers, _, (scenario, strategy, count, what), value in _entries(sums, PREDICTION):
+    for markers, _, (scenario, strategy, count, what), value in _select_entries(sums, PREDICTION):
         total[scenario, (markers, strategy, int(count))][what] += value
     named = [one.name for one in PREDICTED]
     rows: list[dict[str, Cell]] = []
-    for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order(key[1]))):
+    for scenario, series in sorted(total, key=lambda key: (named.index(key[0]), _order_key(key[1]))):
         one = total[scenario, series]
         actual, predicted = (float(np.sqrt(one[key] / one["targets"])) for key in ("actual2", "predicted2"))
         inside = bounds.percent(one["inside"] / TARGETS, one["targets"] / TARGETS)  # an arm counts once

@@ -10,10 +10,10 @@ from pathlib import Path
 from typing import Any
 
 from ronna_hw.errors import EXIT_REFUSED, EXIT_SAFETY_STOP
-from ronna_hw.evidence.journal_reading import JOURNAL_FILE, chain_until_broken
+from ronna_hw.evidence.journal_reading import JOURNAL_FILE, read_chain_until_break
 from ronna_hw.evidence.manifest import RECORDS_FOLDER
-from ronna_hw.host.child_process import command, finished_command
-from ronna_hw.records import read_record, write_whole
+from ronna_hw.host.child_process import command, run_command
+from ronna_hw.records import read_record, write_atomically
 from studies.campaign import bounds
 from studies.campaign.study import Cell, Sums, Table, Unit
 from studies.errors import WorldNotRun
@@ -71,10 +71,10 @@ class WorldsStudy:
     def tables(self, sums: Mapping[str, Sums]) -> list[Table]:
         """The worst cases, and the shares of each verdict."""
         judged = {int(key.split()[1]): one for key, one in sums.items()}
-        return [self._summary(judged), self._worst(judged)]
+        return [self._tabulate_summary(judged), self._tabulate_worst(judged)]
 
-    def _summary(self, judged: Mapping[int, Sums]) -> Table:
-        counts = _counts(judged.values())
+    def _tabulate_summary(self, judged: Mapping[int, Sums]) -> Table:
+        counts = _count_verdicts(judged.values())
         rows: list[list[Cell]] = []
         for verdict in Verdict:
             share = bounds.percent(counts[verdict], len(judged))
@@ -83,18 +83,18 @@ class WorldsStudy:
         note = f"{len(judged)} cases, {happened} with a change that was reached. {bounds.NOTE}"
         return Table("Verdicts", ("verdict", "cases", "%", bounds.column("%")), rows, note)
 
-    def _worst(self, judged: Mapping[int, Sums]) -> Table:
+    def _tabulate_worst(self, judged: Mapping[int, Sums]) -> Table:
         columns = (
             *("world", "verdict", "scene seed", "change", "moment", "target", "error mm", "limit mm"),
             *("said", "repeat"),
         )
         order = sorted(judged, key=lambda number: _badness(judged[number]), reverse=True)
-        rows = [self._row(number) for number in order[:WORST]]
+        rows = [self._make_row(number) for number in order[:WORST]]
         return Table(
             "Worst cases", columns, rows, f"Everything of a case is in its folder below {self.folder}."
         )
 
-    def _row(self, number: int) -> list[Cell]:
+    def _make_row(self, number: int) -> list[Cell]:
         case: dict[str, Any] = json.loads((self.place(number) / CASE_FILE).read_text())
         world = self.world(number)
         targets = [Target(**{one.name: row[one.name] for one in fields(Target)}) for row in case["targets"]]
@@ -111,9 +111,9 @@ class WorldsStudy:
             f"ronna-campaign worlds {options} --only {number}",
         ]
 
-    def missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
+    def list_missed_goals(self, sums: Mapping[str, Sums]) -> list[str]:
         """The goals that these cases miss, in words."""
-        counts = _counts(sums.values())
+        counts = _count_verdicts(sums.values())
         silent = sum(counts[one] for one in SILENT)
         missed = []
         if self.quiet:
@@ -142,26 +142,26 @@ def run_world(world: World, folder: Path) -> Judgement:
     folder.mkdir(parents=True)
     arguments = [*world.arguments, "--out", str(folder / RUN_FOLDER), "--json"]
     if world.change is not None:
-        write_whole(folder / SCRIPT_FILE, world.change.script.encode())
+        write_atomically(folder / SCRIPT_FILE, world.change.script.encode())
         arguments += ["--faults", str(folder / SCRIPT_FILE)]
     name = f"ronna-procedure run of world {world.number}"
-    ended = finished_command(name, command("procedures.cli.procedure", "run", *arguments), LIMIT_S)
+    ended = run_command(name, command("procedures.cli.procedure", "run", *arguments), LIMIT_S)
     run = next(iter(sorted(folder.glob(f"{RUN_FOLDER}/*/{JOURNAL_FILE}"))), None)
     if run is None:
         raise WorldNotRun(
             f"world {world.number} ended with exit code {ended.returncode}: {ended.stderr[-300:]}"
         )
-    chain, _ = chain_until_broken(run)
+    chain, _ = read_chain_until_break(run)
     found = judge(
         chain.lines,
-        _true_errors_mm(run.parent),
-        limits_used_mm(chain.lines, _predictions(run.parent)),
+        _read_true_errors_mm(run.parent),
+        limits_used_mm(chain.lines, _read_predictions(run.parent)),
         trajectories=[f"T{number + 1}" for number in range(world.targets)],
         change=None if world.change is None else (world.change.step, world.change.after_s),
         done=_parse_output(ended.stdout).get("outcome") in FINISHED,
-        error=_error_text(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
+        error=_read_error_text(ended.stdout) if ended.returncode in BY_THE_PROCEDURE else "",
     )
-    write_whole(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
+    write_atomically(folder / CASE_FILE, json.dumps(document(world, found), indent=1).encode())
     if RANKS[found.verdict] < KEPT:
         shutil.rmtree(folder / RUN_FOLDER)
     return found
@@ -179,17 +179,15 @@ def document(world: World, found: Judgement) -> dict[str, Any]:
     }
 
 
-def _true_errors_mm(run: Path) -> dict[str, float]:
-    ended = finished_command(
-        "ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S
-    )
+def _read_true_errors_mm(run: Path) -> dict[str, float]:
+    ended = run_command("ronna-sim verify", command("sim.cli", "verify", str(run), "--json"), VERIFY_LIMIT_S)
     if not ended.stdout and NO_TARGET not in ended.stderr:  # else no instrument reached a target
         raise WorldNotRun(f"{run.name} cannot be judged: {ended.stderr[-300:]}")
     targets = json.loads(ended.stdout)["targets"] if ended.stdout else []
     return {str(one["id"]): float(one["application_error_mm"]) for one in targets}
 
 
-def _predictions(run: Path) -> dict[str, dict[str, float]]:
+def _read_predictions(run: Path) -> dict[str, dict[str, float]]:
     found: dict[str, dict[str, float]] = {}
     for path in sorted((run / RECORDS_FOLDER).glob("*.json")):
         record = read_record(path)
@@ -206,13 +204,13 @@ def _parse_output(output: str) -> dict[str, Any]:
     return printed
 
 
-def _error_text(output: str) -> str:
+def _read_error_text(output: str) -> str:
     """Code and message of the error that ended a run, empty without one."""
     error = _parse_output(output).get("error") or {}
     return f"{error.get('code')}: {error.get('what')}" if error else ""
 
 
-def _counts(judged: Any) -> dict[Verdict, int]:
+def _count_verdicts(judged: Any) -> dict[Verdict, int]:
     verdicts = list(Verdict)
     found = [verdicts[round(one["verdict"])] for one in judged]
     return {verdict: found.count(verdict) for verdict in Verdict}

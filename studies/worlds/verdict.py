@@ -99,14 +99,14 @@ def worst_of(targets: Iterable[Target]) -> Target | None:
 
 def limits_used_mm(lines: Iterable[Line], predictions: Mapping[str, Mapping[str, float]]) -> dict[str, float]:
     """The valid limit of each target at the insertion of an instrument, by the predictions of each record."""
-    standing: dict[str, float] = {}
+    current_limits_mm: dict[str, float] = {}
     used: dict[str, float] = {}
     for line in lines:
         if line["entry"] == Entry.RESULT:
-            standing.update(predictions.get(str(line.get("record")), {}))
+            current_limits_mm.update(predictions.get(str(line.get("record")), {}))
         elif line["entry"] == Entry.WORK and line.get("task") == INSERT:
             target = str(line.get("trajectory"))
-            used[target] = standing.get(target, 0.0)
+            used[target] = current_limits_mm.get(target, 0.0)
     return used
 
 
@@ -125,10 +125,12 @@ def judge(
     `errors_mm` are the true errors of the targets reached, `error` is the reason of a case that is
     not `done`.
     """
-    since_s = _localization_time_s(lines) if change is None else _change_time_s(lines, *change)
+    since_s = _find_localization_time_s(lines) if change is None else _find_change_time_s(lines, *change)
     ended_s = theatre_time_s(lines[-1]) if lines else 0.0
     happened = change is not None and since_s <= ended_s
-    touched, said = _warnings(lines, _localization_time_s(lines) if not happened else since_s, trajectories)
+    touched, said = _collect_warnings(
+        lines, _find_localization_time_s(lines) if not happened else since_s, trajectories
+    )
     targets = tuple(
         Target(one, error_mm, limits_mm.get(one, 0.0), one in touched) for one, error_mm in errors_mm.items()
     )
@@ -140,7 +142,7 @@ def judge(
     return Judgement(max(verdicts, key=RANKS.__getitem__, default=Verdict.OK), targets, happened, said, error)
 
 
-def _warnings(
+def _collect_warnings(
     lines: Iterable[Line], since_s: float, trajectories: Sequence[str]
 ) -> tuple[frozenset[str], tuple[str, ...]]:
     """The trajectories that are warned of since then, and the warnings."""
@@ -153,13 +155,13 @@ def _warnings(
         if theatre_time_s(line) < since_s:
             continue
         is_finding = line["entry"] == Entry.FINDING and "targets" not in line
-        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_warning_text(line))):
-            named = _named_trajectories(line, trajectories)
+        if line["entry"] in WARNINGS and not (is_finding and SIGHT.search(_format_warning(line))):
+            named = _find_named_trajectories(line, trajectories)
             if not named and line["entry"] not in SUPERSEDING:
                 of_step = step.partition(":")[2]
                 named = {of_step} if of_step else set(trajectories)
             touched |= named
-            said.append(_warning_text(line))
+            said.append(_format_warning(line))
         elif line["entry"] == Entry.CONFIRMATION:
             topic = str(line.get("topic")).partition(":")[0]
             if topic in UNUSUAL_TOPICS:
@@ -167,19 +169,19 @@ def _warnings(
     return frozenset(touched), tuple(said)
 
 
-def _named_trajectories(line: Line, trajectories: Sequence[str]) -> set[str]:
+def _find_named_trajectories(line: Line, trajectories: Sequence[str]) -> set[str]:
     text = json.dumps(dict(line))
     return {
         one for one in trajectories if re.search(rf"(?<![A-Za-z0-9]){re.escape(one)}(?![A-Za-z0-9])", text)
     }
 
 
-def _warning_text(line: Line) -> str:
+def _format_warning(line: Line) -> str:
     words = line.get("text") or line.get("what") or line.get("error") or line.get("code") or ""
     return f"{line['entry']}: {words}"
 
 
-def _localization_time_s(lines: Iterable[Line]) -> float:
+def _find_localization_time_s(lines: Iterable[Line]) -> float:
     """Return the time of the last re-localization; infinite without one."""
     done = [
         theatre_time_s(line)
@@ -189,6 +191,6 @@ def _localization_time_s(lines: Iterable[Line]) -> float:
     return max(done, default=math.inf)
 
 
-def _change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
+def _find_change_time_s(lines: Iterable[Line], step: str, after_s: float) -> float:
     begun = (theatre_time_s(one) for one in lines if one["entry"] == Entry.INTENT and one.get("step") == step)
     return next(begun, math.inf) + after_s

@@ -22,7 +22,7 @@ MINI, MINI_MARKERS = "mini", 3
 SCENES = (MINI, "default")
 
 
-class What(StrEnum):
+class ChangedObject(StrEnum):
     """Object that changes."""
 
     HEAD = "head"
@@ -37,7 +37,7 @@ class What(StrEnum):
 class Change:
     """A lasting change and its concealment from the tracker; `lines` form a fault script."""
 
-    what: What
+    what: ChangedObject
     step: str
     after_s: float  # since that step first began
     lines: tuple[str, ...]
@@ -90,11 +90,11 @@ def draw_world(seed: int, number: int, scene: str = MINI, *, quiet: bool = False
 
 
 def _draw_change(generator: np.random.Generator, markers: int, targets: int) -> Change:
-    what = list(What)[int(generator.integers(len(What)))]
+    what = list(ChangedObject)[int(generator.integers(len(ChangedObject)))]
     name = list(STEPS_S)[int(generator.integers(len(STEPS_S)))]
     after_s = round(float(generator.uniform(0.0, STEPS_S[name])), 3)
     step = name if name in OF_ALL else f"{name}:T{int(generator.integers(1, targets + 1))}"
-    lines = _change_lines(generator, what)
+    lines = _draw_change_lines(generator, what)
     hidden = ""
     if generator.uniform() < HIDDEN_SHARE:
         whole = generator.uniform() < ALL_HIDDEN_SHARE
@@ -108,20 +108,20 @@ def _draw_change(generator: np.random.Generator, markers: int, targets: int) -> 
     return Change(what, step, after_s, tuple(lines), hidden)
 
 
-def _change_lines(generator: np.random.Generator, what: What) -> list[str]:
-    if what is What.TIP:
+def _draw_change_lines(generator: np.random.Generator, what: ChangedObject) -> list[str]:
+    if what is ChangedObject.TIP:
         x, y = _draw_plane_vector(generator, MOST_BENT_MM)
         return [f"room bent tip {x:+.3f} {y:+.3f} 0 mm"]
-    if what is What.SEAT:
+    if what is ChangedObject.SEAT:
         off_mm = generator.uniform(-MOST_SEAT_MM, MOST_SEAT_MM)
         tilt_deg = generator.uniform(-MOST_SEAT_DEG, MOST_SEAT_DEG)
         return [f"room bad seat {off_mm:+.3f} mm {tilt_deg:+.3f} deg"]
-    if what is What.CAMERA:
+    if what is ChangedObject.CAMERA:
         side = ("left", "right")[int(generator.integers(2))]
         return [f"camera twist {side} {generator.uniform(-MOST_CAMERA_DEG, MOST_CAMERA_DEG):+.4f} deg"]
     shift = " ".join(f"{value:+.3f}" for value in _draw_vector(generator, MOST_MM))
     lines = [f"room shift {what.value} {shift} mm"]
-    if what is not What.TRACKER:
+    if what is not ChangedObject.TRACKER:
         turn = " ".join(f"{value:+.3f}" for value in _draw_vector(generator, MOST_DEG))
         lines.append(f"room turn {what.value} {turn} deg")
     return lines
@@ -129,8 +129,10 @@ def _change_lines(generator: np.random.Generator, what: What) -> list[str]:
 
 def _draw_vector(generator: np.random.Generator, most: float) -> list[float]:
     """Draw a vector of a random length in a random direction."""
-    way = generator.standard_normal(3)
-    return [float(value) for value in way * (generator.uniform(0.0, most) / np.linalg.norm(way))]
+    normal_draw = generator.standard_normal(3)
+    return [
+        float(value) for value in normal_draw * (generator.uniform(0.0, most) / np.linalg.norm(normal_draw))
+    ]
 
 
 def _draw_plane_vector(generator: np.random.Generator, most: float) -> tuple[float, float]:

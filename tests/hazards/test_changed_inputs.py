@@ -44,7 +44,7 @@ from procedures.steps.clinical.inputs import UnchangedInputs
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.workcell import MountedTool
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 
 POSITIONING = f"positioning:{FIRST}"
 VOXELS_HU = np.arange(4 * 6 * 6, dtype=np.int16).reshape(4, 6, 6)
@@ -77,7 +77,7 @@ def engine(cell: ClinicalCell) -> Engine:
     write_series(cell.series, VOXELS_HU)
     write_plan(cell.plan, plan())
     engine = cell.begin(
-        ImportedCt.of(read_series(cell.series)),
+        ImportedCt.from_volume(read_series(cell.series)),
         made_from(ImportedCt, localized_fiducials()),
         made_from(LocalizedFiducials, checked_plan()),
         made_from(CheckedPlan, registered_robot()),
@@ -171,7 +171,7 @@ def test_a_comment_written_into_the_plan_is_a_finding_and_the_run_is_whole(
         engine.run_step(engine.order.find(POSITIONING))
     engine.close("left")
     assert [entry for entry, _ in cell.entries("voided", "finding")] == ["finding"]
-    assert inspected(engine.case.folder).changes == ()
+    assert inspect_run(engine.case.folder).changes == ()
 
 
 @pytest.mark.hazard(1)

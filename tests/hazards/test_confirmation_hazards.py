@@ -184,7 +184,7 @@ def test_an_arm_that_stops_at_a_question_is_shown_at_once_and_what_was_typed_bef
 ) -> None:
     faults: dict[str, str] = {}
     alarms = Alarms()
-    alarms.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
+    alarms.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(summaries=faults))))
     monkeypatch.setattr("sys.stderr", screen := ReadScreen(keyboard, faults, typed, b"no\n"))
     question = Question(Topic.REGISTRATION, "accept the registration", VALUE, timeout_s=5.0)
     assert TerminalOperator(alarms=alarms).ask(question).word == "no"
@@ -211,7 +211,7 @@ def test_an_arm_that_stops_in_a_pause_is_shown_at_once_and_a_resume_typed_before
 
     monkeypatch.setattr("sys.stderr", io.StringIO())
     prompt = Prompt("step> ", said.append, asking=lambda: nullcontext(at_prompt))
-    prompt.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(in_short=faults))))
+    prompt.attach(cast(Engine, SimpleNamespace(faults=SimpleNamespace(summaries=faults))))
     assert prompt.ask(Question(Topic.PAUSE, "paused", VALUE, timeout_s=None)).word == ABORT
     assert [line for line in said if "emergency stop: pressed. No motion and no step begins" in line]
 

@@ -28,7 +28,7 @@ from procedures.journal.results import StepResult
 from procedures.steps.clinical import ct_import
 from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
-from ronna_hw.evidence.manifest import hashes_at_closing, seal
+from ronna_hw.evidence.manifest import hash_files_at_closing, seal
 
 SOWN = ("Sown^Patient", "SOWN-ID", "19610203", "Sown Hospital", "Sown^Physician", "Sown Station", "SownLeft")
 WORDS = (
@@ -75,7 +75,7 @@ def run(tmp_path: Path) -> Path:
         journal.write(
             Entry.RESULT, 0.0, step=str(key), record=record.identifier, sha256=record.sha256, supersedes=[]
         )
-    files = hashes_at_closing(folder)
+    files = hash_files_at_closing(folder)
     journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
     journal.close()
     seal(folder, files)

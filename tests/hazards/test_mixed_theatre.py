@@ -14,7 +14,7 @@ from ronna_hw.config import TheatreFile, parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.theatre_kind import MixedTheatre, require_one_kind
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 THEATRE_CLOCK, HOST_CLOCK = "shm:///proc/1/fd/3", "host:"
 REAL: dict[str, Any] = {
@@ -27,7 +27,7 @@ LISTENING_ANYWHERE = {"kuka": {"rsi": "udp://0.0.0.0:59152", "eki_project": "tcp
 
 def content(clock: str, **endpoints: Any) -> dict[str, Any]:
     """A theatre file's content; devices that are not named are simulated."""
-    return theatre_content(named_scene("mini", seed=3), {**ENDPOINTS, **endpoints}, clock, {}, 1.0)
+    return theatre_content(draw_scene("mini", seed=3), {**ENDPOINTS, **endpoints}, clock, {}, 1.0)
 
 
 def theatre(clock: str, **endpoints: Any) -> TheatreFile:

@@ -24,7 +24,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.engine.engine import Engine
 from procedures.guards.errors import BaseShifted, PatientMoved, PatientUnseen
-from procedures.guards.room_reading import RoomReading, ghosts_of, read_room
+from procedures.guards.room_reading import RoomReading, find_ghosts, read_room
 from procedures.guards.room_watch import NEAR_HEAD_MM
 from procedures.journal.results import StepResult
 from procedures.registration.movement import NEAR_MM
@@ -218,7 +218,7 @@ def test_no_sphere_of_a_moved_head_is_taken_for_an_intersection_of_lines() -> No
         reading = case.reading(watch, case.home_rad)
         for _ in range(100):
             moved = watch.spheres_mm + case.direction() * generator.uniform(NEAR_MM, NEAR_HEAD_MM)
-            assert not ghosts_of(watch.spheres_mm, reading.markers_mm, moved).any()
+            assert not find_ghosts(watch.spheres_mm, reading.markers_mm, moved).any()
 
 
 def before(cell: ClinicalCell) -> tuple[StepResult, ...]:

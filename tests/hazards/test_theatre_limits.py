@@ -19,11 +19,11 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import previews_of
+from procedures.planning.motions import preview_motions
 from procedures.planning.paths import check_paths
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import MotionLimits
@@ -41,7 +41,7 @@ HOME = radians6(0.0, -75.0, 99.0, 0.0, 66.0, 170.0)
 HEAD = HeadEllipsoid(centre_mm=(3.2, -41.7, 812.4), semi_axes_mm=(78.0, 98.0, 93.0))
 FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
 TRAJECTORIES = tuple(
-    one.held(55.0 - one.depth_mm)
+    one.with_rest(55.0 - one.depth_mm)
     for one in (
         Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),
         Trajectory("T2", (30.0, -100.0, 880.0), (18.0, -62.0, 845.0)),
@@ -65,7 +65,7 @@ def _setting(limits: MotionLimits, start_rad: JointVector = HOME, head_mm: Vecto
         kinematics=ARM,
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=strategy_named("ocs"),
+        strategy=find_strategy("ocs"),
         start_rad=start_rad,
         limits=limits,
         scene=PlanningScene(CollisionConfig(), HEAD, FIDUCIALS),
@@ -83,7 +83,7 @@ def _case_is_carried_out(seed: int) -> bool:
     if not check.passed:
         assert all("[ARM-" in one.reason for one in check.unmet), check.unmet
         return False
-    previewed = previews_of(setting, setting.scene, check, TRAJECTORIES)
+    previewed = preview_motions(setting, setting.scene, check, TRAJECTORIES)
     for one in previewed:
         driver.planned(one.motion)
     for one in rng.sample(previewed, DRIVEN_OF_EACH):
@@ -135,7 +135,7 @@ def test_on_the_wire_the_arm_moves_as_previewed(robot_cell: Any, seed: int) -> N
     cell.endpoints["rsi"] = tap.endpoint
     arm = cell.active_arm(silence_limit_s=GENEROUS_S, heartbeat_limit_s=GENEROUS_S, **drawn)
     start = arm.read_state().commanded_rad
-    up = arm.kinematics.flange_pose(start).displaced((0.0, 0.0, 60.0))
+    up = arm.kinematics.flange_pose(start).displace((0.0, 0.0, 60.0))
     aside = (start[0] + math.radians(25.0), *start[1:3], start[3] + math.radians(40.0), *start[4:])
     for motion in (LineMove(up), JointMove(start), JointMove(aside), JointMove(start)):
         previewed = arm.preview(motion)

@@ -22,7 +22,7 @@ def test_the_hazards_are_numbered_without_gaps() -> None:
 
 
 def test_every_hazard_has_a_test_that_make_test_all_runs() -> None:
-    run = {test.number for test in hazard_matrix.bound_tests() if test.runs_in != "make soak"}
+    run = {test.number for test in hazard_matrix.find_bound_tests() if test.runs_in != "make soak"}
     assert {hazard.number for hazard in hazard_matrix.read_hazards()} - run == set()
 
 
@@ -61,7 +61,7 @@ def test_a_hazard_without_a_passing_test_fails_the_run(tmp_path: Path) -> None:
 
 
 def test_every_bound_test_names_a_known_hazard() -> None:
-    bound = {test.number for test in hazard_matrix.bound_tests()}
+    bound = {test.number for test in hazard_matrix.find_bound_tests()}
     assert bound - {hazard.number for hazard in hazard_matrix.read_hazards()} == set()
 
 
@@ -76,7 +76,7 @@ def test_marks_are_found_on_functions_classes_modules_and_parameters(tmp_path: P
         "@pytest.mark.hazard(5)\n@pytest.mark.xfail\ndef test_that_shows_a_gap(): ...\n"
         "@pytest.mark.hazard(6)\ndef helper(): ...\n"
     )
-    found = {(test.number, test.statement, test.runs_in) for test in hazard_matrix.bound_tests(tmp_path)}
+    found = {(test.number, test.statement, test.runs_in) for test in hazard_matrix.find_bound_tests(tmp_path)}
     assert found == {
         (1, "on a function", "make test-all"),
         (2, "on a function", "make test-all"),

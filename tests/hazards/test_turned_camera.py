@@ -20,7 +20,7 @@ from procedures.workcell.centring import CentredSphere
 from ronna_hw.config import parse_theatre
 from ronna_hw.errors import EXIT_REFUSED
 from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 SEEDS = range(20)
 TURNED = (
@@ -64,7 +64,7 @@ def test_lines_of_sight_with_a_larger_gap_than_the_record_states_are_refused() -
 def test_a_turn_of_a_fifth_of_a_degree_is_detected_on_every_head_and_an_intact_head_passes(
     seed: int, tmp_path: Path
 ) -> None:
-    scene = named_scene("default", seed=seed)
+    scene = draw_scene("default", seed=seed)
     record = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)).calibration
     assert record is not None
     cell = StereoCell(scene, record.stereo_head, tmp_path)

@@ -160,7 +160,9 @@ def test_a_head_that_moves_while_the_surgeon_works_is_reported_at_once(tmp_path:
     cell.operator.ask = move_and_answer  # type: ignore[method-assign]
     with pytest.raises(PatientMoved, match=f"the hold at {FIRST}"):
         engine.run_step(engine.order.find(f"at_target:{FIRST}"))
-    assert all(cell.workcell.instrument.stages.at(FIRST).values())  # what was confirmed meanwhile is done
+    assert all(
+        cell.workcell.instrument.stages.tasks_at(FIRST).values()
+    )  # what was confirmed meanwhile is done
 
 
 def test_a_head_that_moved_is_still_watched_when_that_could_not_be_journalled(

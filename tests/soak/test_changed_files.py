@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 from spoilt_runs import files_in, with_another_byte
 
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
 
@@ -26,12 +26,12 @@ def real_run(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFa
     program = Path(sys.executable).with_name("ronna-procedure")
     subprocess.run([program, *case], check=True, capture_output=True)
     (folder,) = out.iterdir()
-    assert inspected(folder).problems == ()
+    assert inspect_run(folder).problems == ()
     return request.param, folder
 
 
 def named(folder: Path) -> set[str]:
-    return {problem.file for problem in inspected(folder).problems}
+    return {problem.file for problem in inspect_run(folder).problems}
 
 
 @pytest.mark.hazard(39)
@@ -50,7 +50,7 @@ def test_every_changed_byte_is_detected(
             changed += 1
     record_property("changed_bytes", changed)
     print(f"{scene}: {changed} changed bytes in {len(files_in(folder))} files, all found")
-    assert inspected(folder).problems == ()
+    assert inspect_run(folder).problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -66,4 +66,4 @@ def test_every_missing_emptied_or_replaced_file_is_named(real_run: tuple[str, Pa
             assert name in named(folder)
         aside.rename(path)
     print(f"{len(files)} files gone, emptied and exchanged, all named")
-    assert inspected(folder).problems == ()
+    assert inspect_run(folder).problems == ()

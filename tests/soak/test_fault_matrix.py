@@ -17,7 +17,7 @@ from single_faults import DONE, SCENES, Cell, cells, noticed_by_device, stops
 from user_commands import Commands
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(400)]
 
@@ -44,7 +44,7 @@ def options(cell: Cell, folder: Path) -> list[str]:
     row = cell.row
     words = ["--scene", "mini", "--seed", str(SEED), "--markers", str(row.markers)]
     if row.scene:
-        changed = SCENES[row.scene](named_scene("mini", seed=SEED, markers=row.markers))
+        changed = SCENES[row.scene](draw_scene("mini", seed=SEED, markers=row.markers))
         content = changed.model_dump(mode="json", by_alias=True, exclude_none=True)
         words = ["--scene", written(folder / "scene.toml", tomli_w.dumps(content))]
     if cell.line:

@@ -13,7 +13,7 @@ from kuka_clients import Cell, EkiClient, RsiClient
 
 from sim.world.faults.robot import ROBOT_FAULTS, TRIPS
 from sim.world.nominal_arm import description
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 pytestmark = pytest.mark.soak
@@ -26,7 +26,7 @@ NAMES = {"mode": ("T1", "AUT"), "trip": TRIPS}
 
 @pytest.fixture
 def world() -> Iterator[World]:
-    world = World.create(named_scene("mini", seed=5), paced=False)
+    world = World.create(draw_scene("mini", seed=5), paced=False)
     yield world
     world.clock.close()
 

@@ -28,7 +28,7 @@ from user_commands import TOKEN, Commands, in_this_process
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from sim.world.faults import parse_faults
 
@@ -102,7 +102,7 @@ def assert_known_state(run: Path, outcome: dict[str, object], journal: list[Line
         assert error["code"] != PROGRAM_FAULT, error
         *_, last = stops(journal)
         assert last[-1] is journal[-1]
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 def assert_nothing_moved_after_a_stop(run: Path, journal: list[Line]) -> None:

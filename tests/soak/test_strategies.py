@@ -12,7 +12,7 @@ import tomli_w
 from user_commands import Commands
 
 from procedures.strategies.catalogue import STRATEGIES
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.soak, pytest.mark.timeout(3600)]
 
@@ -28,7 +28,7 @@ MARGIN_MM = 5.0  # in the plan: of an uncalibrated arm in the neutral orientatio
 
 def scene_file(folder: Path, seed: int) -> Path:
     """The default scene with a margin that the neutral orientation meets too."""
-    scene = named_scene("default", seed=seed)
+    scene = draw_scene("default", seed=seed)
     targets = tuple(one.model_copy(update={"margin_mm": MARGIN_MM}) for one in scene.head.targets)
     changed = scene.model_copy(update={"head": scene.head.model_copy(update={"targets": targets})})
     path = folder / f"scene-{seed}.toml"

@@ -37,11 +37,11 @@ class Part:
     interfaces: tuple[type, ...] = ()
 
 
-def _of(module: Any, *names: str) -> Part:
+def _all_of(module: Any, *names: str) -> Part:
     return Part(module.__name__, [getattr(module, name) for name in names or module.__all__])
 
 
-def _driver(kind: type, interface: type) -> Part:
+def _driver_part(kind: type, interface: type) -> Part:
     return Part(kind.__module__.rpartition(".")[0], [kind], (interface, ConfirmedStart, RecordsBytes))
 
 
@@ -49,14 +49,14 @@ def numerics() -> str:
     """Registration, imaging, the stereo head, strategies, own methods, raw readings."""
     return _page(
         [
-            _of(procedures.registration),
-            _of(procedures.imaging),
-            _of(procedures.relocalization),
-            _of(strategy, "Strategy"),
-            _of(trajectory, "Trajectory"),
-            _of(contracts, "Localizer", "Pairing", "PairedRegistration", "StrategyFactory"),
-            _of(raw_readings, "RawReading", "raw_readings", "write_raw"),
-            _of(frames, "Frame", "Transform"),
+            _all_of(procedures.registration),
+            _all_of(procedures.imaging),
+            _all_of(procedures.relocalization),
+            _all_of(strategy, "Strategy"),
+            _all_of(trajectory, "Trajectory"),
+            _all_of(contracts, "Localizer", "Pairing", "PairedRegistration", "StrategyFactory"),
+            _all_of(raw_readings, "RawReading", "raw_readings", "write_raw"),
+            _all_of(frames, "Frame", "Transform"),
         ]
     )
 
@@ -72,58 +72,60 @@ def devices() -> str:
     ]
     return _page(
         [
-            _of(theatre, "open_theatre", "Theatre"),
-            _of(theatre, "simulated_theatre"),
+            _all_of(theatre, "open_theatre", "Theatre"),
+            _all_of(theatre, "simulated_theatre"),
             interfaces,
             Part(readings.__name__, own),
-            _driver(PolarisTracker, OpticalTracker),
-            _driver(KukaRsiArm, RobotArm),
-            _driver(BaslerStereoPair, StereoPair),
+            _driver_part(PolarisTracker, OpticalTracker),
+            _driver_part(KukaRsiArm, RobotArm),
+            _driver_part(BaslerStereoPair, StereoPair),
         ]
     )
 
 
 def _page(parts: Sequence[Part]) -> str:
-    return "\n".join(line for part in parts for line in _part(part)) + "\n"
+    return "\n".join(line for part in parts for line in _part_lines(part)) + "\n"
 
 
-def _part(part: Part) -> Iterator[str]:
+def _part_lines(part: Part) -> Iterator[str]:
     yield f"## `{part.module}`\n"
     for one in part.objects:
         if inspect.isclass(one):
-            yield from _class(one, part.interfaces)
+            yield from _class_lines(one, part.interfaces)
         else:
-            yield f"### `{one.__name__}{_signature(one)}`\n\n{_words(one)}\n"
+            yield f"### `{one.__name__}{_format_signature(one)}`\n\n{_docstring(one)}\n"
 
 
-def _class(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
-    yield f"### class `{one.__name__}`\n\n{_words(one)}\n"
+def _class_lines(one: type, interfaces: tuple[type, ...]) -> Iterator[str]:
+    yield f"### class `{one.__name__}`\n\n{_docstring(one)}\n"
     if issubclass(one, Enum):
         yield f"Members: {', '.join(f'`{name}`' for name in one.__members__)}.\n"
     elif is_dataclass(one):
-        yield from _fields(one)
+        yield from _field_lines(one)
     if inspect.isfunction(call := vars(one).get("__call__")) and getattr(one, "_is_protocol", False):
-        yield f"- **`{one.__name__}{_signature(call)}`**: {_on_one_line(_words(call))}"
-    for name, member in _members(one).items():
+        yield f"- **`{one.__name__}{_format_signature(call)}`**: {_join_lines(_docstring(call))}"
+    for name, member in _list_members(one).items():
         if name.startswith("_"):
             continue
         got = member.__func__ if isinstance(member, classmethod | staticmethod) else member
-        spoken = (getattr(got, "fget", got), *(getattr(two, name, None) for two in interfaces))
-        words = next((said for two in spoken if two is not None and (said := inspect.getdoc(two))), "")
+        sources = (getattr(got, "fget", got), *(getattr(two, name, None) for two in interfaces))
+        words = next(
+            (own_words for two in sources if two is not None and (own_words := inspect.getdoc(two))), ""
+        )
         if isinstance(got, property):
-            yield f"- **`{name}`**: {_on_one_line(words)}"
+            yield f"- **`{name}`**: {_join_lines(words)}"
         elif inspect.isfunction(got):
-            yield f"- **`{name}{_signature(got)}`**: {_on_one_line(words)}"
+            yield f"- **`{name}{_format_signature(got)}`**: {_join_lines(words)}"
     yield ""
 
 
-def _members(one: type) -> dict[str, Any]:
+def _list_members(one: type) -> dict[str, Any]:
     """Members of a class; for a driver also the members of its base classes."""
     bases = [base for base in reversed(one.__mro__) if base is one or base.__module__.startswith("drivers.")]
     return {name: member for base in bases for name, member in vars(base).items()}
 
 
-def _fields(one: type[DataclassInstance]) -> Iterator[str]:
+def _field_lines(one: type[DataclassInstance]) -> Iterator[str]:
     """Each field with its type and, where one stands beside it, its comment: mostly the unit."""
     lines = inspect.getsource(one).splitlines()
     for field in fields(one):
@@ -135,31 +137,31 @@ def _fields(one: type[DataclassInstance]) -> Iterator[str]:
     yield ""
 
 
-def _signature(function: Any) -> str:
+def _format_signature(function: Any) -> str:
     """Return the signature without `self` and types, which are in the module and the docstring."""
-    given = inspect.signature(function)
+    own_signature = inspect.signature(function)
     kept = [
-        one.replace(annotation=one.empty, default=_default(one.default))
-        for one in given.parameters.values()
+        one.replace(annotation=one.empty, default=_format_default(one.default))
+        for one in own_signature.parameters.values()
         if one.name not in ("self", "cls")
     ]
-    return str(given.replace(parameters=kept, return_annotation=given.empty))
+    return str(own_signature.replace(parameters=kept, return_annotation=own_signature.empty))
 
 
-def _default(value: Any) -> Any:
-    return _Unsaid() if inspect.isfunction(value) else value
+def _format_default(value: Any) -> Any:
+    return _FunctionDefault() if inspect.isfunction(value) else value
 
 
-class _Unsaid:
+class _FunctionDefault:
     """Stands for a default that is a function; its docstring describes it."""
 
     def __repr__(self) -> str:
         return "..."
 
 
-def _words(one: Any) -> str:
+def _docstring(one: Any) -> str:
     return inspect.cleandoc(one.__doc__ or "")
 
 
-def _on_one_line(words: str) -> str:
+def _join_lines(words: str) -> str:
     return " ".join(words.split())

@@ -41,7 +41,7 @@ def main() -> None:
         operated_cases(Path(place)) as start,
     ):
         case = start("step")
-        page = _page(browser, WIDE, "light")
+        page = _open_page(browser, WIDE, "light")
         enter(page, case.addresses["url"])
         take_seat(page, "Dr Rehearsal")
         await_next(page, "ct_import")
@@ -55,7 +55,7 @@ def main() -> None:
         page.emulate_media(color_scheme="light")
         page.set_viewport_size({"width": WIDE[0], "height": WIDE[1]})
         for scheme, size in (("dark", WIDE), ("light", PHONE)):
-            watching = _page(browser, size, scheme)
+            watching = _open_page(browser, size, scheme)
             enter(watching, case.addresses["viewer_url"])
             _take(watching, out / f"console-viewer-{scheme}-{size[0]}.png")
             watching.context.close()
@@ -69,13 +69,13 @@ def main() -> None:
         _take(page, out / "console-devices.png")
         with reviewed(case.run, Path(place) / "review-errors") as address:
             for scheme in ("light", "dark"):
-                looking = _page(browser, WIDE, scheme)
+                looking = _open_page(browser, WIDE, scheme)
                 enter(looking, address)
                 _take(looking, out / f"console-review-{scheme}-1280.png")
                 looking.context.close()
 
 
-def _page(browser: Any, size: tuple[int, int], scheme: str) -> Any:
+def _open_page(browser: Any, size: tuple[int, int], scheme: str) -> Any:
     width, height = size
     context = opened_context(browser, viewport={"width": width, "height": height}, color_scheme=scheme)
     return context.new_page()

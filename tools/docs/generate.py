@@ -33,10 +33,10 @@ from conformance import robot, stereo, tracker
 from drivers.basler_stereo.options import BaslerOptions
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.ndi_polaris.options import PolarisOptions
-from procedures.engine.machine import mermaid
+from procedures.engine.machine import state_chart_mermaid
 from procedures.exchange import allowed_fields
 from procedures.journal.results import StepResult
-from procedures.operator.question import FOR_A_PERSON, Topic, words
+from procedures.operator.question import FOR_A_PERSON, Topic, join_answers
 from procedures.planning.plan_model import Plan
 from procedures.steps.branches import BRANCHES
 from procedures.steps.catalogue import ANSWER_WORDS, clinical_steps
@@ -58,15 +58,19 @@ def tables() -> dict[str, str]:
         "answers.md": table(
             ("topic", "words", "on real devices"),
             [
-                (f"`{topic}`", words(ANSWER_WORDS[topic]), "only a person" if topic in FOR_A_PERSON else "")
+                (
+                    f"`{topic}`",
+                    join_answers(ANSWER_WORDS[topic]),
+                    "only a person" if topic in FOR_A_PERSON else "",
+                )
                 for topic in Topic
             ],
         ),
         "api-devices.md": devices(),
         "api-numerics.md": numerics(),
         "camera-checklist.md": checklist(stereo.SUITE, "gige-vision"),
-        "error-codes.md": _error_codes(),
-        "export.md": _exported_fields(),
+        "error-codes.md": _tabulate_error_codes(),
+        "export.md": _tabulate_exported_fields(),
         "faults.md": table(
             ("fault", "", "effect"),
             [(f"`{k.usage}`", "once" if k.momentary else "lasts", k.meaning) for k in FAULT_KINDS],
@@ -75,13 +79,13 @@ def tables() -> dict[str, str]:
         "link-disturbances.md": disturbances(),
         "plan-file.md": model_tables({"plan": Plan}),
         "polaris-checklist.md": checklist(tracker.SUITE, "ndi-polaris"),
-        "records.md": model_tables({model.kind: model for model in step_results()}),
+        "records.md": model_tables({model.kind: model for model in list_step_results()}),
         "robot-checklist.md": checklist(robot.SUITE, "kuka-rsi-eki"),
         "robot-options.md": model_tables({"Options": KukaOptions}),
         "robot-parameters.md": robot_parameters(),
         "scene-file.md": model_tables({"scene": Scene}),
         "scanner-faults.md": scanner_faults(),
-        "state-chart.md": f"```mermaid\n{mermaid(CASE_STEPS)}```\n\n{_branches()}",
+        "state-chart.md": f"```mermaid\n{state_chart_mermaid(CASE_STEPS)}```\n\n{_tabulate_branches()}",
         "stereo-options.md": model_tables({"Options": BaslerOptions}),
         "theatre-file.md": model_tables({"theatre file": TheatreFile}),
         "tracker-options.md": model_tables({"Options": PolarisOptions}),
@@ -94,7 +98,7 @@ def with_table(page: str, content: str) -> str:
     return page.partition(MARK)[0] + MARK + content
 
 
-def step_results() -> list[type[StepResult]]:
+def list_step_results() -> list[type[StepResult]]:
     """Collect the results of all steps: of a case in order, then of calibrations by name."""
     for module in pkgutil.walk_packages(procedures.steps.__path__, "procedures.steps."):
         importlib.import_module(module.name)
@@ -103,7 +107,7 @@ def step_results() -> list[type[StepResult]]:
     return [*case, *sorted(set(ours) - set(case), key=lambda model: model.kind)]
 
 
-def errors_with_a_code() -> list[type[RonnaError]]:
+def list_errors_with_code() -> list[type[RonnaError]]:
     """Every error of ours that has a code, in the order of codes."""
     for package in PACKAGES:
         for module in pkgutil.walk_packages(package.__path__, package.__name__ + "."):
@@ -115,21 +119,21 @@ def errors_with_a_code() -> list[type[RonnaError]]:
     return sorted(errors, key=lambda error: error.code)
 
 
-def _error_codes() -> str:
+def _tabulate_error_codes() -> str:
     return table(
         ("code", "what it means", "what to do", "exit code"),
         [
             (error.code, (error.__doc__ or "").strip().splitlines()[0], error.action, error.exit_code)
-            for error in errors_with_a_code()
+            for error in list_errors_with_code()
         ],
     )
 
 
-def _exported_fields() -> str:
+def _tabulate_exported_fields() -> str:
     """Tabulate the fields that may leave a run folder."""
     rows = [
-        (f"`{name}`", where, meaning)
-        for where, fields in (
+        (f"`{name}`", record_name, meaning)
+        for record_name, fields in (
             ("spheres", allowed_fields.SPHERE_FIELDS),
             ("registrations", allowed_fields.REGISTRATION_FIELDS),
             ("both", allowed_fields.DOCUMENT_FIELDS),
@@ -141,7 +145,7 @@ def _exported_fields() -> str:
     return table(("field", "in", ""), rows)
 
 
-def _branches() -> str:
+def _tabulate_branches() -> str:
     """The decision points and failure branches."""
     return table(
         ("what happens", "in", "noticed by", "then", "ends in", "question", "code"),
@@ -152,7 +156,7 @@ def _branches() -> str:
                 one.detected_by,
                 one.action,
                 one.ending,
-                f"`{one.topic}`: {words(one.answers)}" if one.topic and one.answers else "",
+                f"`{one.topic}`: {join_answers(one.answers)}" if one.topic and one.answers else "",
                 ", ".join(error.code for error in one.errors),
             )
             for one in BRANCHES

@@ -60,7 +60,7 @@ def read_hazards(path: Path = REFERENCE / "hazards.toml") -> list[Hazard]:
     return sorted(read_rows(path, "hazard", Hazard), key=lambda hazard: hazard.number)
 
 
-def bound_tests(tests: Path = TESTS) -> list[BoundTest]:
+def find_bound_tests(tests: Path = TESTS) -> list[BoundTest]:
     """Every test with a hazard mark, in order of hazard, file and name."""
     found: list[BoundTest] = []
     for path in sorted(tests.rglob("test_*.py")):
@@ -73,13 +73,13 @@ def bound_tests(tests: Path = TESTS) -> list[BoundTest]:
             for node in tree.body
             if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == "pytestmark"
         ]
-        found += _tests_of(tree.body, marks, path.relative_to(tests.parent).as_posix())
+        found += _find_tests(tree.body, marks, path.relative_to(tests.parent).as_posix())
     return sorted(found, key=lambda test: (test.number, test.path, test.name))
 
 
 def hazard_table() -> str:
     """Compose the matrix, below the number of hazards of each status."""
-    hazards, tests = read_hazards(), bound_tests()
+    hazards, tests = read_hazards(), find_bound_tests()
     statuses = [hazard.status for hazard in hazards]
     counts = ", ".join(f"{statuses.count(status)} {status}" for status in Status)
     rows = []
@@ -95,10 +95,12 @@ def hazard_table() -> str:
     return f"{len(hazards)} hazards: {counts}.\n\n{table(headings, rows)}"
 
 
-def _tests_of(body: Sequence[ast.stmt], inherited: Sequence[ast.expr], where: str) -> Iterator[BoundTest]:
+def _find_tests(
+    body: Sequence[ast.stmt], inherited: Sequence[ast.expr], file_path: str
+) -> Iterator[BoundTest]:
     for node in body:
         if isinstance(node, ast.ClassDef):
-            yield from _tests_of(node.body, (*inherited, *node.decorator_list), where)
+            yield from _find_tests(node.body, (*inherited, *node.decorator_list), file_path)
         elif isinstance(node, ast.FunctionDef) and node.name.startswith("test_"):
             marks = _MARK.findall(" ".join(map(ast.unparse, (*inherited, *node.decorator_list))))
             names = {name for name, _ in marks}
@@ -106,4 +108,4 @@ def _tests_of(body: Sequence[ast.stmt], inherited: Sequence[ast.expr], where: st
                 continue  # shows a gap, not a control
             runs_in = next((target for mark, target in WHERE_IT_RUNS.items() if mark in names), "make test")
             for number in sorted({int(number) for name, number in marks if name == "hazard"}):
-                yield BoundTest(number, where, node.name, runs_in)
+                yield BoundTest(number, file_path, node.name, runs_in)

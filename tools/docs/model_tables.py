@@ -18,21 +18,21 @@ def model_tables(titles: Mapping[str, type[BaseModel]]) -> str:
     contained = sorted((name, one) for name, one in definitions.items() if "properties" in one)
     return "\n".join(
         f"## {title}\n\n{schema.get('description', '')}\n\n"
-        + table(("key", "type", "default", "meaning"), _rows(schema, definitions))
+        + table(("key", "type", "default", "meaning"), _make_rows(schema, definitions))
         for title, schema in (*schemas.items(), *contained)
     )
 
 
-def _rows(schema: dict[str, Any], definitions: dict[str, Any]) -> Iterable[tuple[str, ...]]:
+def _make_rows(schema: dict[str, Any], definitions: dict[str, Any]) -> Iterable[tuple[str, ...]]:
     required = schema.get("required", [])
     for key, value in schema.get("properties", {}).items():
-        default = "required" if key in required else _default(value)
+        default = "required" if key in required else _format_default(value)
         nullable = key in required and {"type": "null"} in value.get("anyOf", ())
-        kind = _type(value, definitions) + (" or null" if nullable else "")
+        kind = _format_type(value, definitions) + (" or null" if nullable else "")
         yield f"`{key}`", kind, default, value.get("description", "")
 
 
-def _default(value: dict[str, Any]) -> str:
+def _format_default(value: dict[str, Any]) -> str:
     default = value.get("default")
     if isinstance(default, dict) and default:
         return "see its table"
@@ -40,18 +40,20 @@ def _default(value: dict[str, Any]) -> str:
     return "built in" if len(shown) > SHOWN_DEFAULT else shown
 
 
-def _type(value: dict[str, Any], definitions: dict[str, Any]) -> str:
+def _format_type(value: dict[str, Any], definitions: dict[str, Any]) -> str:
     if "$ref" in value:
         name = str(value["$ref"]).rsplit("/", 1)[-1]
         choices = definitions[name].get("enum")
         return " or ".join(f"`{choice}`" for choice in choices) if choices else name
     if "anyOf" in value:
-        return " or ".join(_type(one, definitions) for one in value["anyOf"] if one.get("type") != "null")
+        return " or ".join(
+            _format_type(one, definitions) for one in value["anyOf"] if one.get("type") != "null"
+        )
     if isinstance(value.get("additionalProperties"), dict):
-        return f"table of {_type(value['additionalProperties'], definitions)}"
+        return f"table of {_format_type(value['additionalProperties'], definitions)}"
     if value.get("type") == "array":
         each = value.get("items") or (value.get("prefixItems") or [{}])[0]
-        return f"{value.get('maxItems', 'list of')} {_type(each, definitions)}"
+        return f"{value.get('maxItems', 'list of')} {_format_type(each, definitions)}"
     if "enum" in value:
         return " or ".join(f"`{choice}`" for choice in value["enum"])
     return str(value.get("const") or value.get("format") or value.get("type") or "any")

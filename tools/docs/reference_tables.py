@@ -79,14 +79,14 @@ def disturbances() -> str:
                 f"{', '.join(one.codes)}: {one.message}" if one.codes else one.message,
                 one.within,
                 ", ".join(fault.replace("_", " ") for fault in one.faults),
-                "<br>".join(_link(name, files[name][0]) for name in one.tests),
+                "<br>".join(_format_link(name, files[name][0]) for name in one.tests),
             )
             for one in read_disturbances()
         ],
     )
 
 
-def _link(name: str, path: Path) -> str:
+def _format_link(name: str, path: Path) -> str:
     words = name.removeprefix("test_").replace("_", " ")
     return f"[{words}](../../{path.relative_to(ROOT).as_posix()})"
 
@@ -167,7 +167,7 @@ def scanner_faults() -> str:
                 f"{row['error_um']:g} ({row['largest_um']:g})" if "error_um" in row else "",
                 f"{row['fitted_um']:g}" if row.get("fitted_um", nan) > 0.0 else "",
                 f"{row['chi2']:g}" if "chi2" in row else "",
-                _outcome(row),
+                _format_outcome(row),
                 row["told"],
             )
             for row in rows
@@ -175,7 +175,7 @@ def scanner_faults() -> str:
     )
 
 
-def _outcome(row: dict[str, Any]) -> str:
+def _format_outcome(row: dict[str, Any]) -> str:
     if "missed" not in row:
         return "refused"
     some = f"; {row['refused']} of {row['volumes']} scans refused" if row["refused"] else ""

@@ -3,7 +3,7 @@
     make profile
     make profile CASE="--scene mini --seed 3"
 
-The case runs twice: once watched from outside only, for the table, and once under py-spy, for the flame graph.
+The case runs twice: watched from outside for the table, and under py-spy for the flame graph.
 """
 
 from __future__ import annotations
@@ -74,7 +74,7 @@ def profile(
 
 
 def watch(command: Sequence[str]) -> Iterator[Used]:
-    """Run a command and yield what each of its processes uses, period by period. Raises CalledProcessError."""
+    """Run a command; yield what each of its processes uses, by period. Raises CalledProcessError."""
     before: dict[psutil.Process, float] = {}
     with subprocess.Popen(command, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL) as running:
         program = psutil.Process(running.pid)

@@ -101,58 +101,60 @@ def parse_description(data: bytes) -> dict[str, Node]:
         root = parse_xml(data, LARGEST_FILE_BYTES)
     except InputRefused as error:
         raise BadDescription(f"the description is refused: {error.summary}", wire=data[:32]) from error
-    if _local(root.tag) != ROOT:
-        raise BadDescription("the description has the wrong root", expected=ROOT, got=_local(root.tag))
-    return {node.name: node for node in _nodes(root)}
+    if _local_name(root.tag) != ROOT:
+        raise BadDescription("the description has the wrong root", expected=ROOT, got=_local_name(root.tag))
+    return {node.name: node for node in _iterate_nodes(root)}
 
 
-def _nodes(group: ElementTree.Element) -> Iterator[Node]:
+def _iterate_nodes(group: ElementTree.Element) -> Iterator[Node]:
     """Yield named elements, including those inside groups, and the entries of shared registers."""
     for element in group:
-        kind = _local(element.tag)
+        kind = _local_name(element.tag)
         if kind == "Group":
-            yield from _nodes(element)
+            yield from _iterate_nodes(element)
         elif kind == "StructReg":
             yield from _struct_entries(element)
         elif "Name" in element.attrib:
-            yield _node(element)
+            yield _parse_node(element)
 
 
 def _struct_entries(shared: ElementTree.Element) -> Iterator[Node]:
     """Yield the named parts of one register; a part inherits the fields that it lacks."""
-    entries = [child for child in shared if _local(child.tag) == "StructEntry" and "Name" in child.attrib]
-    common = tuple(_field(child) for child in shared if _local(child.tag) != "StructEntry")
+    entries = [
+        child for child in shared if _local_name(child.tag) == "StructEntry" and "Name" in child.attrib
+    ]
+    common = tuple(_parse_field(child) for child in shared if _local_name(child.tag) != "StructEntry")
     if len(common) > MOST_SHARED_FIELDS:
         raise BadDescription("a shared register has too many fields", limit=str(MOST_SHARED_FIELDS))
     for entry in entries:
-        node = _node(entry)
+        node = _parse_node(entry)
         yield Node("MaskedIntReg", node.name, node.fields + common)
 
 
-def _node(element: ElementTree.Element) -> Node:
+def _parse_node(element: ElementTree.Element) -> Node:
     fields: list[Field] = []
     entries: dict[str, int] = {}
     conditions: dict[str, tuple[str, ...]] = {}
     name = element.attrib["Name"]
     for child in element:
-        if _local(child.tag) != "EnumEntry":
-            fields.append(_field(child))
+        if _local_name(child.tag) != "EnumEntry":
+            fields.append(_parse_field(child))
             continue
         entry = child.attrib.get("Name", "")
-        parts = [_field(part) for part in child]
+        parts = [_parse_field(part) for part in child]
         value = next((part.text for part in parts if part.tag == "Value"), None)
-        entries[entry] = whole_number(value, f"entry of {name}")
+        entries[entry] = parse_whole_number(value, f"entry of {name}")
         conditions[entry] = tuple(part.text for part in parts if part.tag in CONDITIONS)
     if len(fields) > MOST_FIELDS:
         raise BadDescription(f"{name} has too many fields", limit=str(MOST_FIELDS))
-    return Node(_local(element.tag), name, tuple(fields), entries, conditions)
+    return Node(_local_name(element.tag), name, tuple(fields), entries, conditions)
 
 
-def _field(element: ElementTree.Element) -> Field:
-    return Field(_local(element.tag), (element.text or "").strip(), dict(element.attrib))
+def _parse_field(element: ElementTree.Element) -> Field:
+    return Field(_local_name(element.tag), (element.text or "").strip(), dict(element.attrib))
 
 
-def whole_number(text: str | None, what: str) -> int:
+def parse_whole_number(text: str | None, what: str) -> int:
     """Parse an integer of up to 64 bits, decimal or 0x hexadecimal; raises GEV-009."""
     try:
         number = int((text or "").strip(), 0)
@@ -163,7 +165,7 @@ def whole_number(text: str | None, what: str) -> int:
     return number
 
 
-def real_number(text: str, what: str) -> float:
+def parse_real_number(text: str, what: str) -> float:
     """Parse a finite number; raises GEV-009."""
     try:
         number = float(text)
@@ -174,13 +176,13 @@ def real_number(text: str, what: str) -> float:
     return number
 
 
-def _local(tag: str) -> str:
+def _local_name(tag: str) -> str:
     return tag.rsplit("}", 1)[-1]
 
 
 def register_length(node: Node) -> int:
     """Return the length of a register in bytes; raises GEV-009."""
-    length = whole_number(node.text("Length"), f"length of {node.name}")
+    length = parse_whole_number(node.text("Length"), f"length of {node.name}")
     if length not in (_FLOATS if node.kind == "FloatReg" else (1, 2, 4, 8)):
         raise BadDescription(f"{node.name} has a length of {length} bytes")
     return length
@@ -235,7 +237,8 @@ def register_bits(node: Node, length: int) -> tuple[int, int]:
         return 0, 8 * length
     single = node.text("Bit")
     ends = [
-        whole_number(single if single is not None else node.text(tag), node.name) for tag in ("LSB", "MSB")
+        parse_whole_number(single if single is not None else node.text(tag), node.name)
+        for tag in ("LSB", "MSB")
     ]
     if _byte_order(node) == "big":
         ends = [8 * length - 1 - end for end in ends]

@@ -19,10 +19,10 @@ from drivers.basler_stereo.features.description import (
     Number,
     decode_register,
     encode_register,
-    real_number,
+    parse_real_number,
+    parse_whole_number,
     register_length,
     shares_register,
-    whole_number,
 )
 from drivers.basler_stereo.features.formula import evaluate
 from ronna_hw.wire.gige_vision import REGISTER_BYTES
@@ -84,7 +84,7 @@ class FeatureMap:
     def entries(self, name: str) -> dict[str, int]:
         """Return names and values of an enumeration's currently available entries."""
         self._budget = COST_LIMIT
-        node = self._node(name)
+        node = self._find_node(name)
         return {
             entry: value
             for entry, value in node.entries.items()
@@ -103,7 +103,7 @@ class FeatureMap:
     def choice(self, name: str) -> str:
         """Read an enumeration; return the name of its entry."""
         value = self.whole(name)
-        for entry, number in self._node(name).entries.items():
+        for entry, number in self._find_node(name).entries.items():
             if number == value:
                 return entry
         raise BadDescription(f"{name} has the value {value}, which is not among its entries")
@@ -127,30 +127,32 @@ class FeatureMap:
     def command_write(self, name: str) -> tuple[int, bytes]:
         """Return the address and bytes that execute a command."""
         self._budget = COST_LIMIT
-        node = self._node(name)
+        node = self._find_node(name)
         if node.kind != "Command":
             raise MissingFeature(f"{name} is not a command", got=node.kind)
-        value = self._field_number(node, "CommandValue", 0)
+        value = self._read_field_number(node, "CommandValue", 0)
         target = node.text("pValue")
         register = self._final_register(target or "", 0)
-        return self._address(register, 0), self._encoded(register, 1 if value is None else value)
+        return self._register_address(register, 0), self._encode_value(
+            register, 1 if value is None else value
+        )
 
     def limits(self, name: str) -> Limits:
         """Return a feature's present limits: its own, within those of the nodes below it."""
         self._budget = COST_LIMIT
-        node: Node | None = self._node(name)
+        node: Node | None = self._find_node(name)
         found: list[Number | None] = [None, None, None]
         depth = 0
         while node is not None and depth < DEPTH_LIMIT:
             for place, tag in enumerate(("Min", "Max", "Inc")):
                 if found[place] is None:
-                    found[place] = self._field_number(node, tag, depth)
-            below = self._value_node(node, depth) if node.kind not in _CONVERTERS else None
-            node = self._node(below) if below else None
+                    found[place] = self._read_field_number(node, tag, depth)
+            child_name = self._value_node_name(node, depth) if node.kind not in _CONVERTERS else None
+            node = self._find_node(child_name) if child_name else None
             depth += 1
         return Limits(*found)
 
-    def _node(self, name: str) -> Node:
+    def _find_node(self, name: str) -> Node:
         try:
             return self._nodes[name]
         except KeyError:
@@ -159,32 +161,34 @@ class FeatureMap:
     def _read(self, name: str, depth: int) -> Number:
         node = self._visit(name, depth)
         if node.kind in _REGISTERS:
-            return self._decoded(node, depth)
+            return self._read_register(node, depth)
         if node.kind.endswith("SwissKnife"):
             return self._evaluate_node(node, "Formula", depth)
-        below = self._value_node(node, depth)
+        child_name = self._value_node_name(node, depth)
         if node.kind in _CONVERTERS:
-            return self._evaluate_node(node, "FormulaFrom", depth, TO=self._read(below or "", depth + 1))
-        if below is not None:
-            value = self._read(below, depth + 1)
+            return self._evaluate_node(node, "FormulaFrom", depth, TO=self._read(child_name or "", depth + 1))
+        if child_name is not None:
+            value = self._read(child_name, depth + 1)
             return float(value) if node.kind == "Float" else value
         if name in self._local_values:
             return self._local_values[name]
         own = node.text("Value")
         if own is None:
             raise BadDescription(f"{name} ({node.kind}) has no value")
-        return real_number(own, name) if node.kind == "Float" else whole_number(own, name)
+        return parse_real_number(own, name) if node.kind == "Float" else parse_whole_number(own, name)
 
     def _write(self, name: str, value: Number, depth: int) -> None:
         node = self._visit(name, depth)
         if node.kind in _REGISTERS:
-            self._memory.write(self._address(node, depth), self._encoded(node, value))
+            self._memory.write(self._register_address(node, depth), self._encode_value(node, value))
             return
-        below = self._value_node(node, depth)
+        child_name = self._value_node_name(node, depth)
         if node.kind in _CONVERTERS:
-            self._write(below or "", self._evaluate_node(node, "FormulaTo", depth, FROM=value), depth + 1)
-        elif below is not None:
-            self._write(below, value, depth + 1)
+            self._write(
+                child_name or "", self._evaluate_node(node, "FormulaTo", depth, FROM=value), depth + 1
+            )
+        elif child_name is not None:
+            self._write(child_name, value, depth + 1)
         elif node.text("Value") is not None:
             self._local_values[name] = value
         else:
@@ -193,7 +197,7 @@ class FeatureMap:
     def _visit(self, name: str, depth: int) -> Node:
         if depth > DEPTH_LIMIT:
             raise BadDescription(f"the nodes below {name} form a cycle")
-        node = self._node(name)
+        node = self._find_node(name)
         self._spend(1 + len(node.fields), name)
         return node
 
@@ -206,7 +210,7 @@ class FeatureMap:
         node = self._visit(name, depth)
         if node.kind in _REGISTERS:
             return node
-        return self._final_register(self._value_node(node, depth) or "", depth + 1)
+        return self._final_register(self._value_node_name(node, depth) or "", depth + 1)
 
     def _is_available(self, name: str, depth: int) -> bool:
         """Test a node's conditions, and those of the node with its value."""
@@ -214,25 +218,25 @@ class FeatureMap:
         for tag in CONDITIONS:
             if not all(self._read(field.text, depth + 1) for field in node.all(tag)):
                 return False
-        below = self._value_node(node, depth)
-        return below is None or self._is_available(below, depth + 1)
+        child_name = self._value_node_name(node, depth)
+        return child_name is None or self._is_available(child_name, depth + 1)
 
-    def _value_node(self, node: Node, depth: int) -> str | None:
+    def _value_node_name(self, node: Node, depth: int) -> str | None:
         """Return the node with a node's value, selected by the index if there are several."""
-        chooser = None if node.kind in _REGISTERS else node.text("pIndex")
-        if chooser is None:
+        index_node = None if node.kind in _REGISTERS else node.text("pIndex")
+        if index_node is None:
             return node.text("pValue")
-        index = int(self._read(chooser, depth + 1))
+        index = int(self._read(index_node, depth + 1))
         for field in node.all("pValueIndexed"):
-            if whole_number(field.attributes.get("Index"), f"index of {node.name}") == index:
+            if parse_whole_number(field.attributes.get("Index"), f"index of {node.name}") == index:
                 return field.text
         return node.text("pValueDefault")
 
-    def _field_number(self, node: Node, tag: str, depth: int) -> Number | None:
+    def _read_field_number(self, node: Node, tag: str, depth: int) -> Number | None:
         """Return the number in a field, or in the node named by its twin `p...`; None without either."""
         own, other = node.text(tag), node.text(f"p{tag}")
         if own is not None:
-            read = real_number if node.kind == "Float" else whole_number
+            read = parse_real_number if node.kind == "Float" else parse_whole_number
             return read(own, f"{tag} of {node.name}")
         return None if other is None else self._read(other, depth + 1)
 
@@ -254,29 +258,31 @@ class FeatureMap:
         self._spend(len(formula), node.name)
         return evaluate(formula, values, whole=node.kind in _WHOLE)
 
-    def _address(self, node: Node, depth: int) -> int:
-        address = sum(whole_number(field.text, f"address of {node.name}") for field in node.all("Address"))
+    def _register_address(self, node: Node, depth: int) -> int:
+        address = sum(
+            parse_whole_number(field.text, f"address of {node.name}") for field in node.all("Address")
+        )
         address += sum(int(self._read(field.text, depth + 1)) for field in node.all("pAddress"))
         for field in node.all("pIndex"):
-            address += int(self._read(field.text, depth + 1)) * self._index_step(field, node, depth)
+            address += int(self._read(field.text, depth + 1)) * self._read_index_step(field, node, depth)
         if not 0 <= address < ADDRESS_LIMIT:
             raise BadDescription(f"{node.name} is at an impossible address", got=f"{address}")
         return address
 
-    def _index_step(self, field: Field, node: Node, depth: int) -> int:
+    def _read_index_step(self, field: Field, node: Node, depth: int) -> int:
         if "pOffset" in field.attributes:
             return int(self._read(field.attributes["pOffset"], depth + 1))
         if "Offset" in field.attributes:
-            return whole_number(field.attributes["Offset"], f"index of {node.name}")
+            return parse_whole_number(field.attributes["Offset"], f"index of {node.name}")
         return register_length(node)
 
-    def _decoded(self, node: Node, depth: int) -> Number:
+    def _read_register(self, node: Node, depth: int) -> Number:
         length = register_length(node)
         self._spend(REGISTER_COST, node.name)
         padded = -(-length // REGISTER_BYTES) * REGISTER_BYTES
-        return decode_register(node, self._memory.read(self._address(node, depth), padded)[:length])
+        return decode_register(node, self._memory.read(self._register_address(node, depth), padded)[:length])
 
-    def _encoded(self, node: Node, value: Number) -> bytes:
+    def _encode_value(self, node: Node, value: Number) -> bytes:
         length = register_length(node)
         if length % REGISTER_BYTES:
             raise MissingFeature(
@@ -286,5 +292,5 @@ class FeatureMap:
             )
         current = b""
         if shares_register(node):
-            current = self._memory.read(self._address(node, 0), length)
+            current = self._memory.read(self._register_address(node, 0), length)
         return encode_register(node, value, current)

@@ -15,9 +15,9 @@ from drivers.basler_stereo.errors import BadDescription
 from drivers.basler_stereo.features.description import LONGEST_SHOWN, Number
 
 LONGEST_FORMULA = 4000  # characters; real ones have some hundred
-DEEPEST = 200  # nested operations
+MAX_DEPTH = 200  # nested operations
 LARGEST_WHOLE = 1 << 64  # limit for intermediate results, as for registers
-KEPT_FORMULAS = 64
+CACHED_FORMULAS = 64
 
 _GRAMMAR = r"""
 ?start: choice
@@ -46,7 +46,7 @@ NAME: /[A-Za-z_][A-Za-z0-9_.]*/
 LARGEST_SHIFT = 64  # beyond this, a value is out of range or zero
 
 
-def _divided(first: Number, second: Number) -> Number:
+def _divide(first: Number, second: Number) -> Number:
     """Divide towards zero, and exactly: a float has 53 bits of the 64 of a register."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.trunc(first / second)
@@ -58,7 +58,7 @@ def _remainder(first: Number, second: Number) -> Number:
     """Return the remainder of division towards zero, with the sign of the first."""
     if not isinstance(first, int) or not isinstance(second, int):
         return math.fmod(first, second)
-    return first - second * int(_divided(first, second))
+    return first - second * int(_divide(first, second))
 
 
 def _power(base: Number, exponent: Number) -> Number:
@@ -111,7 +111,7 @@ def evaluate(formula: str, values: Mapping[str, Number], *, whole: bool) -> Numb
     Raises GEV-009 for a formula that cannot be parsed, an unknown name, or an undefined result.
     """
     try:
-        result = _value(_parsed(formula), values, whole, DEEPEST)
+        result = _evaluate(_parse(formula), values, whole, MAX_DEPTH)
     except (ArithmeticError, ValueError, TypeError) as error:
         raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} has no value: {error}") from error
     return int(result) if whole else float(result)
@@ -122,8 +122,8 @@ def _parser() -> Lark:
     return Lark(_GRAMMAR, parser="lalr")
 
 
-@lru_cache(maxsize=KEPT_FORMULAS)
-def _parsed(formula: str) -> Tree[Token] | Token:
+@lru_cache(maxsize=CACHED_FORMULAS)
+def _parse(formula: str) -> Tree[Token] | Token:
     if len(formula) > LONGEST_FORMULA:
         raise BadDescription("a formula is too long", limit=f"{LONGEST_FORMULA} characters")
     try:
@@ -132,11 +132,11 @@ def _parsed(formula: str) -> Tree[Token] | Token:
         raise BadDescription(f"formula {formula[:LONGEST_SHOWN]!r} cannot be read") from error
 
 
-def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool, depth: int) -> Number:
+def _evaluate(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool, depth: int) -> Number:
     assert isinstance(node, Tree), "every rule of the grammar makes a tree"
     if depth == 0:
-        raise BadDescription("a formula is nested too deep", limit=f"{DEEPEST} levels")
-    number = _number(node, values, whole, depth - 1)
+        raise BadDescription("a formula is nested too deep", limit=f"{MAX_DEPTH} levels")
+    number = _evaluate_operation(node, values, whole, depth - 1)
     if isinstance(number, int) and abs(number) >= LARGEST_WHOLE:
         raise OverflowError("a number of more than 64 bits")
     if not math.isfinite(number):
@@ -144,7 +144,7 @@ def _value(node: Tree[Token] | Token, values: Mapping[str, Number], whole: bool,
     return number
 
 
-def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
+def _evaluate_operation(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth: int) -> Number:
     """Evaluate one operation without checking the size of its value."""
     kind, parts = str(node.data), node.children
     if kind == "number":
@@ -160,15 +160,15 @@ def _number(node: Tree[Token], values: Mapping[str, Number], whole: bool, depth:
         function = _FUNCTIONS.get(str(parts[0]).upper())
         if function is None:
             raise BadDescription(f"formula uses the unknown function {parts[0]}")
-        return function(_value(parts[1], values, whole, depth))
+        return function(_evaluate(parts[1], values, whole, depth))
     if kind == "choose":
-        return _value(parts[1 if _value(parts[0], values, whole, depth) else 2], values, whole, depth)
-    first = _value(parts[0], values, whole, depth)
+        return _evaluate(parts[1 if _evaluate(parts[0], values, whole, depth) else 2], values, whole, depth)
+    first = _evaluate(parts[0], values, whole, depth)
     if kind == "neg":
         return -first
     if kind == "invert":
         return ~int(first)
-    second = _value(parts[1], values, whole, depth)
+    second = _evaluate(parts[1], values, whole, depth)
     if kind == "div":
-        return _divided(first, second) if whole else first / second
+        return _divide(first, second) if whole else first / second
     return _BINARY[kind](first, second)

@@ -53,7 +53,7 @@ class Features(Protocol):
     def execute(self, name: str) -> None: ...
 
 
-def temperature_C(features: Features) -> float | None:
+def read_temperature_C(features: Features) -> float | None:
     """Read the internal temperature; None if not reported."""
     name = next(filter(features.has, TEMPERATURE_NAMES), None)
     return None if name is None else float(features.number(name))
@@ -112,7 +112,7 @@ def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, c
 
     `camera` names it, for example `left camera`.
     """
-    exposure, gain = _first(features, EXPOSURE_NAMES), _first(features, GAIN_NAMES)
+    exposure, gain = _find_feature(features, EXPOSURE_NAMES), _find_feature(features, GAIN_NAMES)
     _require_within(features, exposure, exposure_us, f"exposure_us of the {camera}")
     wanted_gain = features.limits(gain).minimum or 0 if gain_raw is None else gain_raw
     _require_within(features, gain, wanted_gain, f"gain_raw of the {camera}")
@@ -122,8 +122,8 @@ def set_exposure(features: Features, exposure_us: float, gain_raw: int | None, c
 
 def full_area(features: Features) -> AreaOfInterest:
     """Return the area of the whole sensor."""
-    width = features.whole(_first(features, SENSOR_WIDTH_NAMES))
-    height = features.whole(_first(features, SENSOR_HEIGHT_NAMES))
+    width = features.whole(_find_feature(features, SENSOR_WIDTH_NAMES))
+    height = features.whole(_find_feature(features, SENSOR_HEIGHT_NAMES))
     return AreaOfInterest(0, 0, width, height)
 
 
@@ -133,7 +133,7 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
     The offsets go to zero first: the camera rejects a size that does not fit at its current offset.
     """
     sensor = full_area(features)
-    if area == present_area(features):
+    if area == read_area(features):
         return
     _require_area(features, area, sensor)
     features.set_number("OffsetX", 0)
@@ -142,11 +142,13 @@ def set_area(features: Features, area: AreaOfInterest) -> None:
     features.set_number("Height", area.height)
     features.set_number("OffsetX", area.offset_x)
     features.set_number("OffsetY", area.offset_y)
-    if (found := present_area(features)) != area:
-        raise OutOfRange("the camera set a different area", expected=_shown(area), got=_shown(found))
+    if (found := read_area(features)) != area:
+        raise OutOfRange(
+            "the camera set a different area", expected=_format_area(area), got=_format_area(found)
+        )
 
 
-def present_area(features: Features) -> AreaOfInterest:
+def read_area(features: Features) -> AreaOfInterest:
     """Return the part of the sensor that the camera reports."""
     return AreaOfInterest(*(features.whole(name) for name in ("OffsetX", "OffsetY", "Width", "Height")))
 
@@ -154,8 +156,10 @@ def present_area(features: Features) -> AreaOfInterest:
 def payload_bytes(features: Features, area: AreaOfInterest, pixel_format: int) -> int:
     """Return the bytes of one image; raises GEV-009 when the camera's payload size differs."""
     expected = image_bytes(area, pixel_format)
-    if features.has("PayloadSize") and (said := features.whole("PayloadSize")) != expected:
-        raise BadDescription("payload size does not match the area", expected=str(expected), got=str(said))
+    if features.has("PayloadSize") and (reported_bytes := features.whole("PayloadSize")) != expected:
+        raise BadDescription(
+            "payload size does not match the area", expected=str(expected), got=str(reported_bytes)
+        )
     return expected
 
 
@@ -166,7 +170,7 @@ def image_bytes(area: AreaOfInterest, pixel_format: int) -> int:
 
 
 def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfInterest) -> None:
-    inside = (
+    is_inside = (
         area.width > 0
         and area.height > 0
         and area.offset_x >= 0
@@ -174,8 +178,8 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         and area.offset_x + area.width <= sensor.width
         and area.offset_y + area.height <= sensor.height
     )
-    if not inside:
-        raise OutOfRange("the area exceeds the sensor", limit=_shown(sensor), got=_shown(area))
+    if not is_inside:
+        raise OutOfRange("the area exceeds the sensor", limit=_format_area(sensor), got=_format_area(area))
     for name, value in (
         ("Width", area.width),
         ("Height", area.height),
@@ -185,7 +189,9 @@ def _require_area(features: Features, area: AreaOfInterest, sensor: AreaOfIntere
         limits = features.limits(name)
         start, step = int(limits.minimum or 0), int(limits.step or 1)
         if value < start or (value - start) % step:
-            raise OutOfRange(f"{name} {value}", limit=f"from {start} in steps of {step}", got=_shown(area))
+            raise OutOfRange(
+                f"{name} {value}", limit=f"from {start} in steps of {step}", got=_format_area(area)
+            )
 
 
 def _require_within(features: Features, name: str, value: Number, what: str) -> None:
@@ -195,12 +201,12 @@ def _require_within(features: Features, name: str, value: Number, what: str) -> 
         raise OutOfRange(f"{what} is {value:g}", limit=f"{low} to {high} ({name})")
 
 
-def _first(features: Features, names: tuple[str, ...]) -> str:
+def _find_feature(features: Features, names: tuple[str, ...]) -> str:
     for name in names:
         if features.has(name):
             return name
     raise MissingFeature(f"the camera has none of {', '.join(names)}")
 
 
-def _shown(area: AreaOfInterest) -> str:
+def _format_area(area: AreaOfInterest) -> str:
     return f"{area.width}x{area.height}+{area.offset_x}+{area.offset_y}"

@@ -26,9 +26,11 @@ from drivers.basler_stereo.identity import CameraIdentity
 from drivers.basler_stereo.options import BaslerOptions
 from ronna_hw.devices.readings import AreaOfInterest
 
-TAKEN = "controlled by another application"  # in the library's message
+CONTROLLED_TEXT = "controlled by another application"  # in the library's message
 EMULATED = "BaslerCamEmu"  # device class of the cameras that the library itself emulates
-UNSEEN = f"{NoCamera.action} If `ronna-procedure doctor` shows that it replies, use the driver basler_stereo."
+UNSEEN_ADVICE = (
+    f"{NoCamera.action} If `ronna-procedure doctor` shows that it replies, use the driver basler_stereo."
+)
 LONGEST_WAIT_S = 60.0
 READY_LIMIT_MS = 1000  # a trigger that arrives before the camera is ready is ignored
 
@@ -75,18 +77,22 @@ class PylonCamera:
 
     def connect(self) -> CameraIdentity:
         """Find the camera without taking control. Raises GEV-001."""
-        wanted = self._pylon.DeviceInfo()
-        wanted.SetDeviceClass(self._device_class)
+        sought_device = self._pylon.DeviceInfo()
+        sought_device.SetDeviceClass(self._device_class)
         if self._device_class == EMULATED and self._serial is not None:
-            wanted.SetSerialNumber(self._serial)
+            sought_device.SetSerialNumber(self._serial)
         else:
-            wanted.SetIpAddress(self._address)
+            sought_device.SetIpAddress(self._address)
         try:
-            self._camera = self._pylon.InstantCamera(self._pylon.TlFactory.GetInstance().CreateDevice(wanted))
+            self._camera = self._pylon.InstantCamera(
+                self._pylon.TlFactory.GetInstance().CreateDevice(sought_device)
+            )
         except self._genicam.GenericException as error:
-            sought = self._serial if self._device_class == EMULATED else f"at {self._address}"
+            camera_label = self._serial if self._device_class == EMULATED else f"at {self._address}"
             raise NoCamera(
-                f"the installed pylon sees no camera {sought}", got=str(error).splitlines()[0], action=UNSEEN
+                f"the installed pylon sees no camera {camera_label}",
+                got=str(error).splitlines()[0],
+                action=UNSEEN_ADVICE,
             ) from error
         info = self._camera.GetDeviceInfo()
         return CameraIdentity(
@@ -104,7 +110,7 @@ class PylonCamera:
         try:
             self._camera.Open()
         except self._genicam.GenericException as error:
-            if TAKEN in str(error):
+            if CONTROLLED_TEXT in str(error):
                 raise ControlTaken(f"the {self.side} camera is controlled by another application") from error
             raise CameraLost(
                 f"the {self.side} camera cannot be opened", got=str(error).splitlines()[0]
@@ -145,15 +151,15 @@ class PylonCamera:
                 self._camera.WaitForFrameTriggerReady(READY_LIMIT_MS, self._pylon.TimeoutHandling_Return)
             self.features.execute("TriggerSoftware")
         except self._genicam.GenericException as error:
-            raise self._lost(error) from error
+            raise self._lost_error(error) from error
 
     def take(self, deadline_s: float) -> PylonFrame | None:
         """Return the next frame, or None if none arrived by the deadline. Raises GEV-014."""
-        left_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
+        remaining_s = min(LONGEST_WAIT_S, max(0.001, deadline_s - time.monotonic()))
         try:
-            result = self._camera.RetrieveResult(round(left_s * 1e3), self._pylon.TimeoutHandling_Return)
+            result = self._camera.RetrieveResult(round(remaining_s * 1e3), self._pylon.TimeoutHandling_Return)
         except self._genicam.GenericException as error:
-            raise self._lost(error) from error
+            raise self._lost_error(error) from error
         if self._camera.IsCameraDeviceRemoved():
             raise CameraLost(f"the {self.side} camera was removed")
         if not result.IsValid():
@@ -176,7 +182,7 @@ class PylonCamera:
                 self._camera.DestroyDevice()  # a detached camera would keep its threads and some thirty files
         self._camera = None
 
-    def _lost(self, error: Exception) -> CameraLost:
+    def _lost_error(self, error: Exception) -> CameraLost:
         return CameraLost(f"the {self.side} camera no longer replies", got=str(error).splitlines()[0])
 
 
@@ -194,26 +200,26 @@ class PylonFeatures:
 
     def number(self, name: str) -> Number:
         """Read a feature."""
-        value: Number = self._node(name).GetValue()
+        value: Number = self._find_node(name).GetValue()
         return value
 
     def whole(self, name: str) -> int:
         """Read an integer feature."""
-        return int(self._node(name).GetValue())
+        return int(self._find_node(name).GetValue())
 
     def entries(self, name: str) -> tuple[str, ...]:
         """Return the names of an enumeration's currently available entries."""
-        return tuple(self._node(name).Symbolics)
+        return tuple(self._find_node(name).Symbolics)
 
     def limits(self, name: str) -> Limits:
         """Return a feature's present limits."""
-        node = self._node(name)
+        node = self._find_node(name)
         step = node.GetInc() if node.GetIncMode() == self._genicam.fixedIncrement else None
         return Limits(node.GetMin(), node.GetMax(), step)
 
     def set_number(self, name: str, value: Number) -> None:
         """Set a number; raises GEV-011."""
-        node = self._node(name)
+        node = self._find_node(name)
         try:
             node.SetValue(value)
         except self._genicam.OutOfRangeException as error:
@@ -224,15 +230,15 @@ class PylonFeatures:
     def choose(self, name: str, entry: str) -> None:
         """Set an enumeration to one of its entries."""
         try:
-            self._node(name).SetValue(entry)
+            self._find_node(name).SetValue(entry)
         except self._genicam.GenericException as error:
             raise MissingFeature(f"{name} cannot be {entry}", got=str(error).splitlines()[0]) from error
 
     def execute(self, name: str) -> None:
         """Execute a command."""
-        self._node(name).Execute()
+        self._find_node(name).Execute()
 
-    def _node(self, name: str) -> Any:
+    def _find_node(self, name: str) -> Any:
         if not self.has(name):
             raise MissingFeature(f"the camera has no feature {name}")
         return self._nodes.GetNode(name)

@@ -55,9 +55,9 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         """
         self._guard.require("grab_pair", {Lifecycle.ACTIVE})
         deadline_s = time.monotonic() + timeout_s
-        return self._keep(self._watched(lambda: self._grab(deadline_s), deadline_s))
+        return self._store_pair(self._run_guarded(lambda: self._grab_reading(deadline_s), deadline_s))
 
-    def _open(
+    def _open_cameras(
         self, deadline_s: float
     ) -> tuple[tuple[PylonCamera, PylonCamera], tuple[CameraIdentity, CameraIdentity]]:
         options = self._options
@@ -77,27 +77,27 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         for camera in self._pair:
             camera.configure()
 
-    def _watched(self, work: Callable[[], T], deadline_s: float) -> T:
+    def _run_guarded(self, work: Callable[[], T], deadline_s: float) -> T:
         try:
             return work()
         except CameraLost as fault:
             self._guard.latch(fault)
             raise
 
-    def _begin(self, deadline_s: float) -> None:
+    def _start_streams(self, deadline_s: float) -> None:
         for camera in self._pair:
             camera.start()
         self._pair_clock = PairClock((None, None), self._options.pair_skew_ms / 1000.0)
         self._must_restart = False
 
-    def _end(self, deadline_s: float) -> None:
+    def _stop_streams(self, deadline_s: float) -> None:
         for camera in self._pair:
             camera.stop()
 
-    def _grab(self, deadline_s: float) -> StereoReading:
+    def _grab_reading(self, deadline_s: float) -> StereoReading:
         if self._must_restart:
-            self._end(deadline_s)
-            self._begin(deadline_s)
+            self._stop_streams(deadline_s)
+            self._start_streams(deadline_s)
         triggered_s = self._clock.now_s()  # before the trigger: an image is never older than its stamp
         for camera in self._pair:
             camera.trigger()
@@ -107,17 +107,17 @@ class PylonStereoPair(PairDevice[PylonCamera]):
             raise TriggerMissed("no image after a trigger", expected="an image from either camera")
         self._sequence += 1
         left, right = (
-            self._image(frame, serial, camera.area, triggered_s)
+            self._make_image(frame, serial, camera.area, triggered_s)
             for frame, serial, camera in zip(frames, self.serials, self._pair, strict=True)
         )
-        match = self._match(frames, triggered_s)
+        match = self._match_frames(frames, triggered_s)
         return stereo_reading(left, right, self._sequence, triggered_s, match)
 
-    def _match(self, frames: list[Any], triggered_s: float) -> Validity:
+    def _match_frames(self, frames: list[Any], triggered_s: float) -> Validity:
         if self._must_restart:
             return Validity.OK  # the missing side is reported anyway
         left, right = self._pair
-        match = self._pair_clock.judge(
+        match = self._pair_clock.judge_pair(
             (frames[0].ticks, frames[1].ticks),
             (left.tick_frequency_hz, right.tick_frequency_hz),
             triggered_s,
@@ -126,12 +126,12 @@ class PylonStereoPair(PairDevice[PylonCamera]):
         self._must_restart = match is not Validity.OK
         return match
 
-    def _image(
+    def _make_image(
         self, frame: PylonFrame | None, serial: str, area: AreaOfInterest, triggered_s: float
     ) -> CameraImage | None:
         if frame is None or frame.pixels is None:
             return None
-        as_set = frame.pixels.shape == (area.height, area.width)
+        matches_area = frame.pixels.shape == (area.height, area.width)
         stamp = Stamp(self._sequence, frame.ticks, triggered_s)
-        validity = Validity.OK if as_set else Validity.CORRUPT
+        validity = Validity.OK if matches_area else Validity.CORRUPT
         return CameraImage(stamp, validity, serial, frame.pixels, area)

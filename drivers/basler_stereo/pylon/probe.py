@@ -12,18 +12,18 @@ from ronna_hw.devices.probing import (
     Diagnostic,
     Inspection,
     Progress,
-    connect_and_leave,
+    connect_and_identify,
     endpoints_of,
-    leave_alone,
+    inspect_nothing,
 )
 
 
 def probe(
-    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = leave_alone
+    name: str, config: DeviceConfig, progress: Progress, inspect: Inspection = inspect_nothing
 ) -> Sequence[Diagnostic]:
     """Diagnose a pair, see `Probe`. Cameras that the library emulates have no address of their own."""
     emulated = config.options.get("device_class") == EMULATED
     addresses = [each for each in endpoints_of(config) if each.scheme == "gev" and not emulated]
-    found = cameras.probe.look_at(addresses, progress)
+    found = cameras.probe.probe_endpoints(addresses, progress)
     advice = next((each.advice for each in found if not each.well), "")
-    return (*found, *connect_and_leave(name, config, PylonStereoPair, advice, inspect))
+    return (*found, *connect_and_identify(name, config, PylonStereoPair, advice, inspect))

@@ -149,7 +149,7 @@ class FrameAssembler:
         self.counters = StreamCounters()
 
     @property
-    def waiting(self) -> bool:
+    def is_waiting(self) -> bool:
         """True while a frame has begun and is incomplete."""
         return bool(self._open)
 
@@ -157,7 +157,7 @@ class FrameAssembler:
         """Expect a triggered block: request it from then on, even if none of its packets has arrived."""
         if block_id in self._finished or block_id in self._open or len(self._open) >= OPEN_BLOCKS:
             return
-        self._block(block_id).last_packet_s = from_s
+        self._open_block(block_id).last_packet_s = from_s
 
     def accept(self, packet: memoryview, now_s: float) -> Frame | None:
         """Process one packet; return the frame that it completes, or one displaced by a newer block."""
@@ -171,41 +171,41 @@ class FrameAssembler:
         if header.block_id not in self._open:
             self._expect_skipped(header.block_id, now_s)
         displaced = self._displace_oldest(header.block_id)
-        block = self._block(header.block_id)
+        block = self._open_block(header.block_id)
         block.last_packet_s = now_s
         self._accept_content(block, header, packet[gev.GVSP_HEADER_BYTES :])
         # a single packet never completes a block, so no frame is lost here
-        return self._finish(block) if block.remaining == 0 else displaced
+        return self._finish_block(block) if block.remaining == 0 else displaced
 
-    def overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
+    def find_overdue(self, now_s: float) -> tuple[list[tuple[int, int, int]], Frame | None]:
         """Return packets to request again, as (block id, first, last packet id), and an abandoned frame."""
         for block in list(self._open.values()):
-            if now_s - block.last_packet_s < self._pause_s(block):
+            if now_s - block.last_packet_s < self._resend_pause_s(block):
                 continue
             missing = [
                 i for i in range(self._trailer_id + 1) if not block.received[i] and i not in block.unavailable
             ]
-            if self._fulfilled(block):
+            if self._is_fulfilled(block):
                 block.rounds = 0
-            used_up = block.rounds >= len(RESEND_INTERVALS_S)
+            is_exhausted = block.rounds >= len(RESEND_INTERVALS_S)
             # an expected block that has not begun may be late: it is requested until displaced
-            if not missing or (used_up and block.remaining <= self._trailer_id):
-                return [], self._finish(block)
-            block.rounds += not used_up
+            if not missing or (is_exhausted and block.remaining <= self._trailer_id):
+                return [], self._finish_block(block)
+            block.rounds += not is_exhausted
             block.last_packet_s = now_s
             block.requested = missing[:PACKETS_PER_ROUND] if block.remaining <= self._trailer_id else missing
-            ranges = _ranges(block.requested)
+            ranges = _group_ranges(block.requested)
             self.counters.resend_requests += len(ranges)
             return [(block.block_id, first, last) for first, last in ranges], None
         return [], None
 
-    def _pause_s(self, block: _Block) -> float:
+    def _resend_pause_s(self, block: _Block) -> float:
         """Return the pause after a block's last packet before it is requested again."""
-        if self._fulfilled(block):
+        if self._is_fulfilled(block):
             return AFTER_TRAILER_S
         if block.rounds == 0 and block.remaining <= self._trailer_id:
-            newer_begun = next(reversed(self._open.values())) is not block
-            if newer_begun or block.received[self._trailer_id]:
+            has_newer_begun = next(reversed(self._open.values())) is not block
+            if has_newer_begun or block.received[self._trailer_id]:
                 return AFTER_TRAILER_S
         return RESEND_INTERVALS_S[min(block.rounds, len(RESEND_INTERVALS_S) - 1)]
 
@@ -221,10 +221,10 @@ class FrameAssembler:
             self.expect(newest, now_s)
 
     @staticmethod
-    def _fulfilled(block: _Block) -> bool:
+    def _is_fulfilled(block: _Block) -> bool:
         return bool(block.requested) and all(block.received[packet_id] for packet_id in block.requested)
 
-    def _block(self, block_id: int) -> _Block:
+    def _open_block(self, block_id: int) -> _Block:
         block = self._open.get(block_id)
         if block is None:
             block = _Block(
@@ -239,7 +239,7 @@ class FrameAssembler:
     def _displace_oldest(self, block_id: int) -> Frame | None:
         if block_id in self._open or len(self._open) < OPEN_BLOCKS:
             return None
-        return self._finish(next(iter(self._open.values())))
+        return self._finish_block(next(iter(self._open.values())))
 
     def _store_fast(self, packet: memoryview, now_s: float) -> bool:
         """Store nearly every packet on a fast path: full, new, of an open block that stays incomplete."""
@@ -289,32 +289,32 @@ class FrameAssembler:
             return block.leader is not None
         if packet_id == self._trailer_id:
             return header.kind == GvspFormat.TRAILER
-        begin, end = self._place(packet_id)
+        begin, end = self._payload_range(packet_id)
         if header.kind != GvspFormat.PAYLOAD or len(content) != end - begin:
             return False
         block.data[begin:end] = content
         return True
 
-    def _finish(self, block: _Block) -> Frame | None:
+    def _finish_block(self, block: _Block) -> Frame | None:
         del self._open[block.block_id]
         if block.remaining > self._trailer_id:
             return None  # expected, never seen
         self._finished.append(block.block_id)
         missing = [i for i in range(1, self._trailer_id) if not block.received[i]] if block.remaining else []
         for packet_id in missing:
-            begin, end = self._place(packet_id)
+            begin, end = self._payload_range(packet_id)
             block.data[begin:end] = bytes(end - begin)  # not the pixels of an earlier frame
         self.counters.frames += 1
         self.counters.incomplete_frames += bool(missing) or block.leader is None
         return Frame(block.block_id, block.leader, block.data, len(missing), block.slot)
 
-    def _place(self, packet_id: int) -> tuple[int, int]:
+    def _payload_range(self, packet_id: int) -> tuple[int, int]:
         """Return the range of a payload packet's bytes."""
         begin = (packet_id - 1) * self._data_bytes
         return begin, min(begin + self._data_bytes, self._payload_bytes)
 
 
-def _ranges(numbers: list[int]) -> list[tuple[int, int]]:
+def _group_ranges(numbers: list[int]) -> list[tuple[int, int]]:
     """Group ascending numbers into runs, as (first, last)."""
     runs: list[tuple[int, int]] = []
     for number in numbers:

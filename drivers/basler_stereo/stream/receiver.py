@@ -28,7 +28,7 @@ from drivers.basler_stereo.stream.receiver_interface import (
     Order,
     send_order,
 )
-from ronna_hw.host.process import children_uninterrupted, describe_exit
+from ronna_hw.host.process import describe_exit, shield_children
 from ronna_hw.wire import gige_vision as gev
 from ronna_hw.wire.gige_vision import Bootstrap
 
@@ -47,15 +47,15 @@ class ReceiverProcess:
     """Process for the streams of all cameras; it ends when `close` is called or its parent dies."""
 
     def __init__(self) -> None:
-        self._orders, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+        self._orders, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
         self._numbers = itertools.count(1)
-        with theirs, children_uninterrupted():
+        with child_end, shield_children():
             self._process = subprocess.Popen(
-                [sys.executable, "-P", "-m", RECEIVER_MODULE, str(theirs.fileno())],
+                [sys.executable, "-P", "-m", RECEIVER_MODULE, str(child_end.fileno())],
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.DEVNULL,
                 start_new_session=True,
-                pass_fds=(theirs.fileno(),),
+                pass_fds=(child_end.fileno(),),
             )
 
     @property
@@ -75,32 +75,32 @@ class ReceiverProcess:
         number = next(self._numbers)
         memory = FrameSlots.allocate(payload_bytes)
         try:
-            ours, theirs = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
-            with theirs:
+            parent_end, child_end = socket.socketpair(socket.AF_UNIX, socket.SOCK_SEQPACKET)
+            with child_end:
                 order = OpenStream(number, payload_bytes, packet_bytes, resend)
-                self.tell(order, stream.fileno(), control.fileno(), memory, theirs.fileno())
-            return StreamReceiver(self, number, FrameSlots(memory, payload_bytes), ours)
+                self.give_order(order, stream.fileno(), control.fileno(), memory, child_end.fileno())
+            return StreamReceiver(self, number, FrameSlots(memory, payload_bytes), parent_end)
         finally:
             os.close(memory)
 
     def keep_alive(self, control: socket.socket, period_s: float) -> int:
         """Send keep-alives to a camera; return the number for ending them. Raises GEV-017."""
         number = next(self._numbers)
-        self.tell(KeepAlive(number, period_s), control.fileno())
+        self.give_order(KeepAlive(number, period_s), control.fileno())
         return number
 
     def end_keep_alive(self, number: int) -> None:
         """Stop the keep-alives."""
         with contextlib.suppress(ReceiverEnded):
-            self.tell(EndKeepAlive(number))
+            self.give_order(EndKeepAlive(number))
 
-    def ended(self, got: OSError | None = None) -> ReceiverEnded:
+    def ended_error(self, got: OSError | None = None) -> ReceiverEnded:
         """Return the error for a process that has ended, with its exit status."""
         try:
-            how = describe_exit(self._process.wait(POLL_S))  # it ends shortly after its channels
+            exit_text = describe_exit(self._process.wait(POLL_S))  # it ends shortly after its channels
         except subprocess.TimeoutExpired:
-            how = str(got or "its channel is closed")
-        return ReceiverEnded("the receiver process has ended", got=how)
+            exit_text = str(got or "its channel is closed")
+        return ReceiverEnded("the receiver process has ended", got=exit_text)
 
     def close(self) -> None:
         """End the process, within two seconds."""
@@ -111,12 +111,12 @@ class ReceiverProcess:
             self._process.kill()
             self._process.wait()
 
-    def tell(self, order: Order, *descriptors: int) -> None:
+    def give_order(self, order: Order, *descriptors: int) -> None:
         """Send an order. Raises GEV-017."""
         try:
             send_order(self._orders, order, descriptors)
         except OSError as error:
-            raise self.ended(error) from error
+            raise self.ended_error(error) from error
 
 
 class StreamReceiver:
@@ -143,7 +143,7 @@ class StreamReceiver:
 
     def expect(self, block_id: int, patience_s: float) -> None:
         """Expect a triggered block; it is requested if it has not begun after `patience_s`."""
-        self._process.tell(ExpectBlock(self._number, block_id, patience_s))
+        self._process.give_order(ExpectBlock(self._number, block_id, patience_s))
 
     def take(self, deadline_s: float, give_up: Callable[[], bool] = lambda: False) -> Frame | None:
         """Return the oldest frame not yet taken, or None if there is none by the deadline (host monotonic).
@@ -151,13 +151,13 @@ class StreamReceiver:
         Also None as soon as `give_up()`. Raises GEV-017.
         """
         while True:
-            left_s = deadline_s - time.monotonic()
+            remaining_s = deadline_s - time.monotonic()
             # an available frame is taken even after the deadline
-            if select.select([self._notes], [], [], max(0.0, min(left_s, POLL_S)))[0]:
+            if select.select([self._notes], [], [], max(0.0, min(remaining_s, POLL_S)))[0]:
                 frame = self._slots.fetch(self._next_note())
                 if frame is not None:
                     return frame
-            elif left_s <= 0 or give_up():
+            elif remaining_s <= 0 or give_up():
                 return None
 
     def discard(self) -> None:
@@ -168,16 +168,16 @@ class StreamReceiver:
     def close(self) -> None:
         """Stop receiving the stream."""
         with contextlib.suppress(ReceiverEnded):
-            self._process.tell(CloseStream(self._number))
+            self._process.give_order(CloseStream(self._number))
         self._notes.close()
 
     def _next_note(self) -> bytes:
         try:
             note = self._notes.recv(NOTE_BYTES)
         except OSError as error:
-            raise self._process.ended(error) from error
+            raise self._process.ended_error(error) from error
         if not note:
-            raise self._process.ended()
+            raise self._process.ended_error()
         return note
 
 
@@ -193,7 +193,7 @@ def open_stream_socket(local_address: str, receive_buffer_bytes: int) -> socket.
     return stream
 
 
-def packet_arrives(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
+def await_packet(stream: socket.socket, sender: str, packet_bytes: int, limit_s: float) -> bool:
     """Wait for a datagram of this packet size from the sender; others are dropped."""
     deadline_s = time.monotonic() + limit_s
     # a datagram that is already there counts even if the host stalled beyond the limit
@@ -216,10 +216,10 @@ def choose_packet_bytes(
     point_stream_to(control, stream, deadline_s)
     try:
         for size in (wanted_bytes,) if wanted_bytes else CANDIDATES_BYTES:
-            if _size_arrives(control, stream, size, deadline_s):
+            if _test_size(control, stream, size, deadline_s):
                 return _set_packet_bytes(control, size, deadline_s), True
         for size in CANDIDATES_BYTES if wanted_bytes else ():
-            if size < (wanted_bytes or 0) and _size_arrives(control, stream, size, deadline_s):
+            if size < (wanted_bytes or 0) and _test_size(control, stream, size, deadline_s):
                 raise PacketTooLarge(
                     f"packets of {wanted_bytes} bytes from {control.address} do not arrive",
                     expected=f"a test packet within {PROBE_LIMIT_S} s",
@@ -238,11 +238,11 @@ def point_stream_to(control: ControlChannel, stream: socket.socket, deadline_s: 
     control.write_register(Bootstrap.SCP, port & gev.SCP_PORT_MASK, deadline_s)
 
 
-def _size_arrives(control: ControlChannel, stream: socket.socket, size: int, deadline_s: float) -> bool:
-    fire = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
+def _test_size(control: ControlChannel, stream: socket.socket, size: int, deadline_s: float) -> bool:
+    probe_value = size | gev.SCPS_FIRE_TEST | gev.SCPS_DO_NOT_FRAGMENT
     for _ in range(PROBES):
-        control.write_register(Bootstrap.SCPS, fire, deadline_s)
-        if packet_arrives(stream, control.peer_address, size, PROBE_LIMIT_S):
+        control.write_register(Bootstrap.SCPS, probe_value, deadline_s)
+        if await_packet(stream, control.peer_address, size, PROBE_LIMIT_S):
             return True
     return False
 

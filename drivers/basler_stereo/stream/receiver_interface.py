@@ -92,13 +92,13 @@ def receive_order(channel: socket.socket) -> tuple[Order, list[int]] | None:
     return _KINDS[fields.pop("order")](**fields), descriptors
 
 
-def _packed_leader(leader: Leader | None) -> tuple[int, ...]:
+def _pack_leader(leader: Leader | None) -> tuple[int, ...]:
     return (leader is not None, *(leader or (0,) * len(Leader._fields)))
 
 
-def _unpacked_leader(values: tuple[int, ...]) -> Leader | None:
-    came, *leader = values
-    return Leader(*leader) if came else None
+def _unpack_leader(values: tuple[int, ...]) -> Leader | None:
+    is_present, *leader = values
+    return Leader(*leader) if is_present else None
 
 
 class _FrameNote(NamedTuple):
@@ -108,7 +108,7 @@ class _FrameNote(NamedTuple):
     use_count: Annotated[int, "Q"]
     block_id: Annotated[int, "I"]
     missing_packets: Annotated[int, "I"]
-    leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _packed_leader, _unpacked_leader)]
+    leader: Annotated[Leader | None, FieldCode("?QIIIIIH", _pack_leader, _unpack_leader)]
 
 
 _NOTE = RowCodec(_FrameNote)
@@ -122,7 +122,7 @@ class FrameSlots:
 
     def __init__(self, fd: int, payload_bytes: int) -> None:
         self._payload_bytes = payload_bytes
-        self._memory = mmap.mmap(fd, _size(payload_bytes))
+        self._memory = mmap.mmap(fd, _memory_size(payload_bytes))
         self._view = memoryview(self._memory)
         self._use_counts = _USE_COUNTS.view(self._memory)
         self._counters = _COUNTERS.view(self._memory)
@@ -132,7 +132,7 @@ class FrameSlots:
     def allocate(payload_bytes: int) -> int:
         """Allocate memory for frames of that size; return its descriptor."""
         fd = os.memfd_create("basler_stereo")
-        os.ftruncate(fd, _size(payload_bytes))
+        os.ftruncate(fd, _memory_size(payload_bytes))
         return fd
 
     def claim(self) -> tuple[int, memoryview]:
@@ -176,5 +176,5 @@ class FrameSlots:
         return StreamCounters(*self._counters)
 
 
-def _size(payload_bytes: int) -> int:
+def _memory_size(payload_bytes: int) -> int:
     return _DATA_AT + SLOTS * payload_bytes

@@ -60,13 +60,13 @@ class _Stream:
         self._request_id = 0
 
     @property
-    def waiting(self) -> bool:
-        return self._assembler.waiting
+    def is_waiting(self) -> bool:
+        return self._assembler.is_waiting
 
     @property
-    def gathers(self) -> bool:
+    def should_gather(self) -> bool:
         """True if packets may wait in the socket for a moment."""
-        return self._may_gather and self._assembler.waiting
+        return self._may_gather and self._assembler.is_waiting
 
     def expect(self, block_id: int, from_s: float) -> None:
         self._assembler.expect(block_id, from_s)
@@ -90,15 +90,15 @@ class _Stream:
 
     def request_missing(self, now_s: float) -> None:
         """Request missing packets again; give up frames that stay incomplete."""
-        ranges, given_up = self._assembler.overdue(now_s)
+        ranges, abandoned = self._assembler.find_overdue(now_s)
         if self._resend:
             for block_id, first, last in ranges:
                 self._request_id = self._request_id % gev.REQUEST_ID_LAST + gev.REQUEST_ID_FIRST
                 with contextlib.suppress(OSError):
                     self._control.send(gvcp.encode_resend(self._request_id, block_id, first, last))
-        if given_up is not None:
-            self._announce(given_up)
-        if ranges or given_up is not None:
+        if abandoned is not None:
+            self._announce(abandoned)
+        if ranges or abandoned is not None:
             self._slots.write_counters(self._assembler.counters)
 
     def close(self) -> None:
@@ -155,24 +155,24 @@ class ReceiverLoop:
         buffer = bytearray(gvcp.LARGEST_DATAGRAM_BYTES)
         view = memoryview(buffer)
         while True:
-            more = False
-            for descriptor, _ in self._poll.poll(self._wait_s() * 1e3):
+            has_more = False
+            for descriptor, _ in self._poll.poll(self._poll_limit_s() * 1e3):
                 stream = self._by_descriptor.get(descriptor)
                 if stream is not None:
-                    more |= stream.receive(buffer, view)
+                    has_more |= stream.receive(buffer, view)
                 elif descriptor == self._orders.fileno() and not self._take_order():
                     return
             now_s = time.monotonic()
             for stream in self._streams.values():
-                if stream.waiting:
+                if stream.is_waiting:
                     stream.request_missing(now_s)
             for keep_alive in self._keep_alives.values():
                 keep_alive.send_when_due(now_s)
-            if not more and any(stream.gathers for stream in self._streams.values()):
+            if not has_more and any(stream.should_gather for stream in self._streams.values()):
                 time.sleep(GATHER_S)
 
-    def _wait_s(self) -> float:
-        if any(stream.waiting for stream in self._streams.values()):
+    def _poll_limit_s(self) -> float:
+        if any(stream.is_waiting for stream in self._streams.values()):
             return FRAME_WAIT_S
         now_s = time.monotonic()
         return max(
@@ -197,13 +197,13 @@ class ReceiverLoop:
                 self._by_descriptor[stream.socket.fileno()] = stream
                 self._poll.register(stream.socket, select.POLLIN)
             case CloseStream():
-                if (ended := self._streams.pop(order.stream, None)) is not None:
-                    self._poll.unregister(ended.socket)
-                    del self._by_descriptor[ended.socket.fileno()]
-                    ended.close()
+                if (closed_stream := self._streams.pop(order.stream, None)) is not None:
+                    self._poll.unregister(closed_stream.socket)
+                    del self._by_descriptor[closed_stream.socket.fileno()]
+                    closed_stream.close()
             case ExpectBlock():
-                if (expecting := self._streams.get(order.stream)) is not None:
-                    expecting.expect(order.block_id, time.monotonic() + order.patience_s)
+                if (expectant := self._streams.get(order.stream)) is not None:
+                    expectant.expect(order.block_id, time.monotonic() + order.patience_s)
             case KeepAlive():
                 self._keep_alives[order.camera] = _KeepAlive(order.period_s, descriptors[0])
             case EndKeepAlive():

@@ -35,7 +35,7 @@ from ronna_hw.wire.kuka_eki import ACK, CMD, STATE, AckCode, CommandName
 RECEIVE_BYTES = 4096
 CLOSE_TIMEOUT_S = 1.0
 ACKS_KEPT = 64
-ASK_AGAIN_S = 0.2  # two periods of the unsolicited state
+REQUEST_PERIOD_S = 0.2  # two periods of the unsolicited state
 QUIET_S = 0.2  # the same: after such a silence a listener should check how long it has lasted
 T = TypeVar("T")
 NOT_SERVED = (
@@ -78,10 +78,10 @@ class EkiClient:
         host: str,
         port: int,
         timeout_s: float,
-        passed: Callable[[Direction, bytes], None] | None = None,
+        on_bytes: Callable[[Direction, bytes], None] | None = None,
     ) -> None:
-        """Connect; raises EKI-001 when nothing answers at the address. `passed` is called with all bytes."""
-        self._passed = passed
+        """Connect; raises EKI-001 if nothing answers at the address. `on_bytes` is called with all bytes."""
+        self._on_bytes = on_bytes
         self.where = f"tcp://{host}:{port}"
         try:
             self._socket = socket.create_connection((host, port), timeout=timeout_s)
@@ -103,7 +103,7 @@ class EkiClient:
         self.failure: RonnaError | None = None  # cause of the loss
         self._listener: Listener | None = None
         self._closing = False
-        self._reader = threading.Thread(target=self._read, name="eki reader", daemon=True)
+        self._reader = threading.Thread(target=self._read_telegrams, name="eki reader", daemon=True)
         self._reader.start()
 
     @property
@@ -120,27 +120,27 @@ class EkiClient:
 
     def status(self, timeout_s: float) -> ControllerState:
         """Request the state. Raises EKI-003 on time-out, EKI-002 or EKI-004 on a broken link."""
-        state = self.await_reply(self.ask(), timeout_s)
+        state = self.await_reply(self.request_state(), timeout_s)
         if state is None:
             raise NoAnswer(f"{self.where} does not answer {CommandName.STATUS}", limit=f"{timeout_s:g} s")
         return state
 
-    def ask(self) -> int:
+    def request_state(self) -> int:
         """Request the state without waiting for it; return the request's number. Raises EKI-002."""
         return self._send(CommandName.STATUS, {})
 
-    def reply(self, number: int) -> ControllerState | None:
+    def find_reply(self, number: int) -> ControllerState | None:
         """Return the state sent in reply to a request; None before it has come."""
         return self._states.get(number)
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
         """Wait for the reply to a request; None after the time limit. Raises EKI-002 or EKI-004."""
-        return self._await(lambda: self._states.get(number), timeout_s)
+        return self._wait_for(lambda: self._states.get(number), timeout_s)
 
     def command(self, name: CommandName, timeout_s: float, **values: object) -> Ack:
         """Send a command and wait for its answer, of any code. Raises EKI-003, EKI-002 or EKI-004."""
         number = self._send(name, values)
-        ack = self._await(lambda: self._acks.get(number), timeout_s)
+        ack = self._wait_for(lambda: self._acks.get(number), timeout_s)
         if ack is None:
             raise NoAnswer(f"{self.where} does not answer {name}", limit=f"{timeout_s:g} s")
         return ack
@@ -159,17 +159,17 @@ class EkiClient:
         States arrive unsolicited; one is nevertheless requested now and then.
         """
 
-        def fulfilled() -> ControllerState | None:
+        def find_matching() -> ControllerState | None:
             latest = self.latest
             return latest if latest is not None and condition(latest) else None
 
         deadline = time.monotonic() + timeout_s
-        while (rest := deadline - time.monotonic()) > 0.0:
-            found = self._await(fulfilled, min(rest, ASK_AGAIN_S))
+        while (remaining_s := deadline - time.monotonic()) > 0.0:
+            found = self._wait_for(find_matching, min(remaining_s, REQUEST_PERIOD_S))
             if found is not None:
                 return found
             self._send(CommandName.STATUS, {})
-        return fulfilled()
+        return find_matching()
 
     def close(self) -> None:
         """Close the connection; never raises."""
@@ -187,13 +187,13 @@ class EkiClient:
         try:
             with self._sending:
                 self._socket.sendall(sent := telegram.encode("ascii"))
-                if self._passed is not None:
-                    self._passed(Direction.SENT, sent)
+                if self._on_bytes is not None:
+                    self._on_bytes(Direction.SENT, sent)
         except OSError as error:
-            raise self.failure or self._lost(f": {error.strerror or error}") from error
+            raise self.failure or self._lost_error(f": {error.strerror or error}") from error
         return number
 
-    def _await(self, find: Callable[[], T | None], timeout_s: float) -> T | None:
+    def _wait_for(self, find: Callable[[], T | None], timeout_s: float) -> T | None:
         deadline = time.monotonic() + timeout_s
         with self._arrived:
             while True:
@@ -202,36 +202,38 @@ class EkiClient:
                     return found
                 if self.failure is not None:
                     raise self.failure
-                rest = deadline - time.monotonic()
-                if rest <= 0.0:
+                remaining_s = deadline - time.monotonic()
+                if remaining_s <= 0.0:
                     return None
-                self._arrived.wait(rest)
+                self._arrived.wait(remaining_s)
 
-    def _read(self) -> None:
+    def _read_telegrams(self) -> None:
         scanner = TelegramScanner()
         failure: RonnaError
         try:
-            while data := self._next():
+            while data := self._receive_bytes():
                 for telegram in scanner.feed(data):
-                    self._take(parse_telegram(telegram))
-            failure = self._lost(" closed the connection")
+                    self._handle_element(parse_telegram(telegram))
+            failure = self._lost_error(" closed the connection")
         except RonnaError as error:
             failure = error
         except Exception as error:  # also a listener's: without a reader no emergency stop would arrive
-            failure = self._lost(f": {getattr(error, 'strerror', None) or error or type(error).__name__}")
+            failure = self._lost_error(
+                f": {getattr(error, 'strerror', None) or error or type(error).__name__}"
+            )
         with self._arrived:
             self.failure = failure
             self._arrived.notify_all()
         if self._listener is not None and not self._closing:
             self._listener.on_loss(failure)
 
-    def _lost(self, how: str) -> ControllerLost:
+    def _lost_error(self, how: str) -> ControllerLost:
         """Return the error for a broken connection; without any state it was never really open."""
         if self.latest is None:
             return ControllerLost(f"{self.where}{how} before it sent anything", action=NOT_SERVED)
         return ControllerLost(f"{self.where}{how}")
 
-    def _next(self) -> bytes:
+    def _receive_bytes(self) -> bytes:
         """Receive the next bytes; empty when the controller has closed the connection."""
         while True:
             try:
@@ -240,11 +242,11 @@ class EkiClient:
                 if self._listener is not None:
                     self._listener.on_silence()
                 continue
-            if self._passed is not None:
-                self._passed(Direction.RECEIVED, data)
+            if self._on_bytes is not None:
+                self._on_bytes(Direction.RECEIVED, data)
             return data
 
-    def _take(self, root: ElementTree.Element) -> None:
+    def _handle_element(self, root: ElementTree.Element) -> None:
         try:
             number = int(root.get("Id") or 0)
             code = AckCode(int(root.get("Code") or 0))
@@ -254,16 +256,16 @@ class EkiClient:
         with self._arrived:
             if state is not None:
                 self.latest = state
-                _keep(self._states, number, state)
+                _store_reply(self._states, number, state)
             elif root.tag == ACK:
                 # A motion is answered twice; the caller waits for the first answer.
-                _keep(self._acks, number, Ack(code, root.get("Text") or ""))
+                _store_reply(self._acks, number, Ack(code, root.get("Text") or ""))
             self._arrived.notify_all()
         if state is not None and self._listener is not None:
             self._listener.on_state(state)
 
 
-def _keep(store: dict[int, T], number: int, value: T) -> None:
+def _store_reply(store: dict[int, T], number: int, value: T) -> None:
     store.setdefault(number, value)
     while len(store) > ACKS_KEPT:
         del store[next(iter(store))]
@@ -296,23 +298,25 @@ class ControllerCommands:
     ) -> None:
         """Set a tool frame (number 1..16) with its load; at rest only."""
         CX, CY, CZ = centre_of_mass_mm
-        frame = _frame(tool_in_flange)
-        self._give(CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ)
+        frame = _frame_attributes(tool_in_flange)
+        self._send_command(
+            CommandName.SET_TOOL, timeout_s, No=number, **frame, M=mass_kg, CX=CX, CY=CY, CZ=CZ
+        )
 
     def set_base(self, number: int, base_in_world: Pose, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         """Set a base frame (number 1..32); at rest only."""
-        self._give(CommandName.SET_BASE, timeout_s, No=number, **_frame(base_in_world))
+        self._send_command(CommandName.SET_BASE, timeout_s, No=number, **_frame_attributes(base_in_world))
 
     def set_override(self, percent: int, timeout_s: float = DEFAULT_TIMEOUT_S) -> None:
         """Set the program override, 1..100; it does not scale RSI corrections."""
-        self._give(CommandName.SET_OV, timeout_s, Val=percent)
+        self._send_command(CommandName.SET_OV, timeout_s, Val=percent)
 
-    def _give(self, command: CommandName, timeout_s: float, **values: object) -> None:
+    def _send_command(self, command: CommandName, timeout_s: float, **values: object) -> None:
         self._guard.require(f"controller {command}", AT_REST)
         self._eki().require(command, timeout_s, **values)
 
 
-def _frame(pose: Pose) -> dict[str, object]:
+def _frame_attributes(pose: Pose) -> dict[str, object]:
     X, Y, Z, A, B, C = pose.to_kuka()
     values = {"X": X, "Y": Y, "Z": Z, "A": A, "B": B, "C": C}
     return {name: f"{value:.6f}" for name, value in values.items()}

@@ -44,8 +44,8 @@ class TelegramScanner:
 
     def __init__(self) -> None:
         self._buffer = bytearray()
-        self._begin = -1  # of the root, -1 between telegrams
-        self._place = 0  # scanned so far
+        self._root_start = -1  # of the root, -1 between telegrams
+        self._scanned = 0  # scanned so far
         self._depth = 0
 
     def feed(self, data: bytes) -> Iterator[bytes]:
@@ -58,20 +58,20 @@ class TelegramScanner:
                 raise BadEkiTelegram("an XML declaration inside a telegram", wire=bytes(self._buffer))
             if inner[:1] == b"?":
                 continue
-            if self._begin < 0:
+            if self._root_start < 0:
                 if inner[:1] == b"/":
                     continue  # the end of something whose beginning was lost
-                self._begin, self._depth = start, 0
-            elif _name(inner) in ROOTS:
+                self._root_start, self._depth = start, 0
+            elif _tag_name(inner) in ROOTS:
                 self._refuse_truncated()
             if inner[:1] == b"/":
                 self._depth -= 1
             elif inner[-1:] != b"/":
                 self._depth += 1
             if self._depth == 0:
-                yield bytes(self._buffer[self._begin : end + 1])
+                yield bytes(self._buffer[self._root_start : end + 1])
                 del self._buffer[: end + 1]
-                self._begin, self._place = -1, 0
+                self._root_start, self._scanned = -1, 0
         if len(self._buffer) > LONGEST_TELEGRAM:
             raise BadEkiTelegram(
                 "a telegram without end tag", limit=f"{LONGEST_TELEGRAM} bytes", wire=bytes(self._buffer)
@@ -80,13 +80,13 @@ class TelegramScanner:
     def _next_tag(self) -> tuple[int, int] | None:
         """Find the next "<" and its ">", respecting quotes; None until both have arrived."""
         buffer = self._buffer
-        start = buffer.find(b"<", self._place)
+        start = buffer.find(b"<", self._scanned)
         if start < 0:
-            if self._begin < 0:
+            if self._root_start < 0:
                 buffer.clear()
-            self._place = len(buffer)
+            self._scanned = len(buffer)
             return None
-        if self._begin < 0 and start > 0:
+        if self._root_start < 0 and start > 0:
             del buffer[:start]
             start = 0
         quote = b""
@@ -99,16 +99,16 @@ class TelegramScanner:
             elif found != b">":
                 quote = found
             else:
-                self._place = mark.end()
+                self._scanned = mark.end()
                 return start, mark.start()
-        self._place = start
+        self._scanned = start
         return None
 
     def _refuse_truncated(self) -> NoReturn:
         raise BadEkiTelegram("a telegram is truncated", expected="its end", wire=bytes(self._buffer))
 
 
-def _name(tag: bytes) -> bytes:
+def _tag_name(tag: bytes) -> bytes:
     """Return the name of an opening tag; empty for a closing one."""
     found = _NAME.match(tag)
     return found[0] if found else b""
@@ -154,14 +154,14 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
     holdon, cycle = get(StateAttribute.HOLDON), get(StateAttribute.CYCLE)
     serial, brakes = get(StateAttribute.SERIAL), get(StateAttribute.BRAKES)
     try:
-        A1, A2, A3, A4, A5, A6 = (_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
+        A1, A2, A3, A4, A5, A6 = (_parse_number(axis.attrib[name]) for name in AXIS_ATTRIBUTES)
         return ControllerState(
             received_s=received_s,
             mode=OperationMode(element.attrib[StateAttribute.MODE]),
-            drives=_bool(element, StateAttribute.DRIVES),
-            emergency_stop=_bool(element, StateAttribute.ESTOP),
-            guard_open=_bool(element, StateAttribute.GUARD),
-            moving=_bool(element, StateAttribute.MOVING),
+            drives=_parse_flag(element, StateAttribute.DRIVES),
+            emergency_stop=_parse_flag(element, StateAttribute.ESTOP),
+            guard_open=_parse_flag(element, StateAttribute.GUARD),
+            moving=_parse_flag(element, StateAttribute.MOVING),
             error=int(element.attrib[StateAttribute.ERROR]),
             rsi=RsiState(int(element.attrib[StateAttribute.RSI])),
             tool=int(element.attrib[StateAttribute.TOOL]),
@@ -180,7 +180,9 @@ def read_state(element: ElementTree.Element, received_s: float) -> ControllerSta
         ) from error
 
 
-def require_ours(state: ControllerState, context: RsiContext, variant: ArmVariant) -> tuple[str, ...]:
+def require_matching_setup(
+    state: ControllerState, context: RsiContext, variant: ArmVariant
+) -> tuple[str, ...]:
     """Return the facts not reported; raises EKI-005 listing every reported value that differs from ours."""
     reference = Reference.ABSOLUTE if context.program.corrections == "absolute" else Reference.RELATIVE
     facts = (
@@ -190,17 +192,17 @@ def require_ours(state: ControllerState, context: RsiContext, variant: ArmVarian
         ("context hash", context_hash(context), state.context_hash),
         ("arm", variant.value, state.variant),
     )
-    wrong = [
-        f"{name} is {said}, not {expected}"
-        for name, expected, said in facts
-        if said is not None and said != expected
+    differences = [
+        f"{name} is {stated}, not {expected}"
+        for name, expected, stated in facts
+        if stated is not None and stated != expected
     ]
-    if wrong:
+    if differences:
         raise WrongController(
-            "the controller is not set up for this driver: " + "; ".join(wrong),
+            "the controller is not set up for this driver: " + "; ".join(differences),
             expected=IN_A_CONTEXT if state.context_hash not in (None, context_hash(context)) else None,
         )
-    return tuple(name for name, _, said in facts if said is None)
+    return tuple(name for name, _, stated in facts if stated is None)
 
 
 def require_ready(
@@ -228,7 +230,7 @@ def unmet_conditions(state: ControllerState, *, drives: bool, modes: tuple[Opera
     return unmet
 
 
-def _number(text: str) -> float:
+def _parse_number(text: str) -> float:
     """Parse a number; reject NaN, for which every comparison would be false."""
     value = float(text)
     if not isfinite(value):
@@ -236,5 +238,5 @@ def _number(text: str) -> float:
     return value
 
 
-def _bool(element: ElementTree.Element, attribute: StateAttribute) -> bool:
-    return bool(_number(element.attrib[attribute]))
+def _parse_flag(element: ElementTree.Element, attribute: StateAttribute) -> bool:
+    return bool(_parse_number(element.attrib[attribute]))

@@ -74,12 +74,12 @@ class Losses:
         self.late += late
         self.reply_lost = late > missing
         self.held_cycles = missing + self.held_cycles + 1 if self.reply_lost else missing
-        self._judge(max(missing, late))
+        self._judge_stretch(max(missing, late))
         self._judge_window(1 + missing, max(missing, late))
         return missing
 
     @property
-    def unusable(self) -> bool:
+    def is_unusable(self) -> bool:
         """True when losses have been too high for too long for any motion to progress."""
         return self._bad_windows >= UNUSABLE_WINDOWS
 
@@ -91,7 +91,7 @@ class Losses:
         self._bad_windows = self._bad_windows + 1 if lost > UNUSABLE_SHARE * seen else 0
         self._window = (0, 0)
 
-    def _judge(self, losses: int) -> None:
+    def _judge_stretch(self, losses: int) -> None:
         if losses:
             self._stretch += losses
             self._clean = 0
@@ -113,13 +113,13 @@ class SenderCheck:
         self.count = 0
         self.host = ""  # of the last one
         self.disagreeing = 0  # readable telegrams with other axes, before the controller's first
-        self.sent_last = False  # a stranger sent after the controller's last telegram
+        self.foreign_sent_last = False  # a stranger sent after the controller's last telegram
 
     def count_foreign(self, host: str) -> None:
         """Count a telegram from a sender other than the controller."""
         self.count += 1
         self.host = host
-        self.sent_last = True
+        self.foreign_sent_last = True
 
     def matches_expected(self, axes_deg: JointVector) -> bool:
         """Test whether a possible first telegram of the controller has the expected axes."""
@@ -133,7 +133,7 @@ class SenderCheck:
         return False
 
 
-def bin_of(turnaround_us: float) -> int:
+def histogram_bin(turnaround_us: float) -> int:
     """Return the number of the bin for a time in us of host time; the last one is open."""
     if turnaround_us < FIRST_EDGE_US:
         return 0

@@ -17,13 +17,19 @@ import socket
 import time
 
 from drivers.kuka_rsi.errors import BadTelegram
-from drivers.kuka_rsi.realtime.link_health import bin_of
+from drivers.kuka_rsi.realtime.link_health import histogram_bin
 from drivers.kuka_rsi.realtime.link_state import Command, LinkSettings, Orders, Phase, RecordedCycle
 from drivers.kuka_rsi.realtime.mailbox import Mailbox
 from drivers.kuka_rsi.realtime.responder import STREAMING_PHASES, Responder
 from drivers.kuka_rsi.realtime.set_points import PreparedReply
 from drivers.kuka_rsi.realtime.sockets import Address, LinkSockets, Received, Rehearsal, TelegramReceiver
-from drivers.kuka_rsi.realtime.telegram import REPLY_TAIL, Found, TelegramReader, read_strictly, telegram_of
+from drivers.kuka_rsi.realtime.telegram import (
+    REPLY_TAIL,
+    Found,
+    TelegramReader,
+    extract_telegram,
+    read_strictly,
+)
 from ronna_hw.host.real_time import ProcessorAffinity
 
 # Without the parent and without a telegram for this long, there is no one left to answer.
@@ -31,7 +37,7 @@ QUIET_AFTER_STOP_NS = 100_000_000  # the program was asked to end
 QUIET_BEFORE_STOP_NS = 400_000_000  # the usual Timeout of a controller: a loaded computer stalls for less
 LONGEST_ENDING_CYCLES = 250  # of sending Stop after the parent is gone
 BUNCH_S = 200e-6  # in which telegrams that were delayed together arrive
-GIVEN_AWAY_S = 50e-6  # of processor time after a reply; a cycle has 4,000
+YIELD_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 FOREIGN_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
@@ -81,7 +87,7 @@ class LinkLoop:
     def run(self) -> None:
         """Serve until the parent is gone."""
         self._publish()
-        while not self._done():
+        while not self._is_done():
             received = self._receive()
             if received is None:
                 self._check_orders()
@@ -104,17 +110,17 @@ class LinkLoop:
         # The usual sender first: a call costs as much as reading a telegram.
         newest = None if received[1] != self._peer and self._is_foreign(received[1]) else received
         # Delayed telegrams arrive in a burst: only the last one is worth an answer.
-        late = self._received_ns - self._answered_ns >= self._late_ns
-        if late:
+        is_late = self._received_ns - self._answered_ns >= self._late_ns
+        if is_late:
             time.sleep(BUNCH_S)
         # Before a stream, anyone's may be the newest: each is checked.
-        if (late or self._receiver.queued) and self.responder.phase is not Phase.ARMED:
+        if (is_late or self._receiver.was_queued) and self.responder.phase is not Phase.ARMED:
             newest = self._drain(newest)
         return newest
 
     def _drain(self, newest: Received | None) -> Received | None:
         try:
-            while self._sockets.datagram_waiting():
+            while self._sockets.has_datagram():
                 received = self._sockets.receive(socket.MSG_DONTWAIT)
                 if not self._is_foreign(received[1]):
                     self.responder.dropped += newest is not None
@@ -146,26 +152,26 @@ class LinkLoop:
     def _is_foreign(self, address: Address) -> bool:
         responder = self.responder
         if responder.phase in STREAMING_PHASES:
-            foreign = address != self._peer
+            is_from_stranger = address != self._peer
         else:
-            foreign = bool(self._controller_host) and address[0] != self._controller_host
-        if foreign:
+            is_from_stranger = bool(self._controller_host) and address[0] != self._controller_host
+        if is_from_stranger:
             responder.senders.count_foreign(address[0])
-        return foreign
+        return is_from_stranger
 
     def _serve(self, data: bytes, address: Address) -> None:
         responder = self.responder
-        found, ready = self._prepared_reply(data)
+        found, ready = self._match_prepared_reply(data)
         if found is not None and ready is not None:
             self._send(ready.reply, address)
             self._last_data = data
-            orders, telegram = self._mailbox.orders(), telegram_of(found)
-            responder.answered(telegram, orders, self._received_ns)
-            self._after_reply(data, telegram.ipoc, orders)
+            orders, telegram = self._mailbox.orders(), extract_telegram(found)
+            responder.note_answered(telegram, orders, self._received_ns)
+            self._finish_cycle(data, telegram.ipoc, orders)
             return
         orders = self._mailbox.orders()
         try:
-            telegram = telegram_of(found) if found is not None else read_strictly(data)
+            telegram = extract_telegram(found) if found is not None else read_strictly(data)
         except BadTelegram:
             responder.rejected += 1
             if responder.phase is Phase.ARMED:
@@ -173,7 +179,7 @@ class LinkLoop:
             self._leave_unanswered(data)
             return
         if responder.phase is Phase.ARMED:
-            if not responder.expects(telegram):
+            if not responder.is_expected(telegram):
                 responder.senders.host = address[0]
                 self._leave_unanswered(data)
                 return
@@ -183,9 +189,9 @@ class LinkLoop:
             self._leave_unanswered(data)
             return
         self._send(head + telegram.ipoc + REPLY_TAIL, address)
-        self._after_reply(data, telegram.ipoc, orders)
+        self._finish_cycle(data, telegram.ipoc, orders)
 
-    def _prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
+    def _match_prepared_reply(self, data: bytes) -> tuple[Found | None, PreparedReply | None]:
         """Match a regular telegram; return the match, and the prepared reply if it is the right one."""
         found, ready = self._reader.match(data), self.responder.ready
         if (
@@ -200,7 +206,7 @@ class LinkLoop:
     def _rehearse(self) -> None:
         """Run through the path from telegram to reply without effect."""
         self._rehearsal.exchange(self._last_data)
-        self._prepared_reply(self._last_data)
+        self._match_prepared_reply(self._last_data)
 
     def _send(self, reply: bytes, address: Address) -> None:
         try:
@@ -210,7 +216,7 @@ class LinkLoop:
         self._sent_ns = sent_ns = time.monotonic_ns()
         self._last_reply = reply
         if self._received_ns - self._answered_ns > self._paced_ns:
-            time.sleep(GIVEN_AWAY_S)
+            time.sleep(YIELD_S)
             if self._receiver.note_paced():
                 self._processor.follow(self._sockets.processor())
         else:
@@ -219,13 +225,13 @@ class LinkLoop:
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 
-    def _after_reply(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
+    def _finish_cycle(self, data: bytes, ipoc: bytes, orders: Orders) -> None:
         """Prepare the next reply and record this one."""
         responder, mailbox = self.responder, self._mailbox
         self._stop_sent = responder.phase is Phase.ENDING
-        responder.after_reply(self._new_command(orders.command_number))
-        mailbox.count_turnaround(bin_of(self._turnaround_us))
-        mailbox.count_jitter(bin_of(responder.jitter_us))
+        responder.finish_cycle(self._new_command(orders.command_number))
+        mailbox.count_turnaround(histogram_bin(self._turnaround_us))
+        mailbox.count_jitter(histogram_bin(responder.jitter_us))
         self._cycles_since_fault = self._cycles_since_fault + 1 if responder.fault else 0
         if self._cycles_since_fault <= RECORDED_AFTER_FAULT:
             mailbox.record(
@@ -252,10 +258,10 @@ class LinkLoop:
     def _check_orders(self) -> None:
         self._count_foreign_senders()
         orders = self._mailbox.orders()
-        self.responder.idle(orders, time.monotonic_ns())
+        self.responder.monitor_silence(orders, time.monotonic_ns())
         command = self._new_command(orders.command_number)
         if command is not None:
-            self.responder.take(command)
+            self.responder.execute_command(command)
         self._publish()
 
     def _new_command(self, number: int) -> Command | None:
@@ -285,9 +291,9 @@ class LinkLoop:
             self._published = published
             os.eventfd_write(self._event_fd, 1)
 
-    def _done(self) -> bool:
+    def _is_done(self) -> bool:
         responder = self.responder
-        if not responder.parent_gone:
+        if not responder.is_parent_gone:
             return False
         if responder.phase not in STREAMING_PHASES:
             return True

@@ -67,8 +67,8 @@ _HEARTBEAT = _MAP.word()
 _STOP = _MAP.word()  # stop number and StopOrder
 _COMMAND_NUMBER = _MAP.word()  # of the command in the row
 _ALIVE_NS = _MAP.word()  # host monotonic time of the real-time process' last heartbeat
-_COMMAND = _MAP.checked(CommandRow)
-_STATE = _MAP.checked(LinkState)
+_COMMAND = _MAP.checked_row(CommandRow)
+_STATE = _MAP.checked_row(LinkState)
 _TURNAROUNDS = _MAP.counters(HISTOGRAM_BINS)
 _JITTER = _MAP.counters(HISTOGRAM_BINS)
 _RECORDER = _MAP.rows(RecordedCycle, RECORDER_CYCLES)
@@ -129,7 +129,7 @@ class Mailbox:
 
     # Written by the driver ...
 
-    def beat(self, count: int) -> None:
+    def write_heartbeat(self, count: int) -> None:
         _HEARTBEAT.write(self._memory, count)
 
     def order_stop(self, number: int, kind: StopOrder) -> None:
@@ -138,7 +138,7 @@ class Mailbox:
     def write_command(self, command: Command) -> None:
         if command.surroundings is not self._surroundings:
             self._write_surroundings(command.surroundings)
-        _COMMAND.write(self._memory, _row_of(command, self._surroundings_number))
+        _COMMAND.write(self._memory, _to_row(command, self._surroundings_number))
         _COMMAND_NUMBER.write(self._memory, command.number)
 
     def _write_surroundings(self, surroundings: Surroundings) -> None:
@@ -170,7 +170,7 @@ class Mailbox:
             return None
         axes_rad = row.start_rad if row.has_axes else None
         limits = MotionLimits.from_numbers(row.arm_limits) if row.has_arm_limits else None
-        plan = _plan_of(row)
+        plan = _to_plan(row)
         return Command(row.number, row.kind, plan, row.stop_number, self._surroundings, axes_rad, limits)
 
     def _read_surroundings(self, number: int) -> bool:
@@ -215,7 +215,7 @@ class Mailbox:
     def fetch_kept(self) -> tuple[list[KeptCycle], int]:
         """Return the cycles kept since the last call, and the number of bytes lost by overwriting."""
         content, self._fetched, lost = _KEPT.read(self._memory, self._fetched)
-        return list(_kept_cycles(content)), lost
+        return list(_split_kept_cycles(content)), lost
 
     def read_state(self) -> LinkState:
         """Read the state of the last cycle; raises MailboxTorn if no complete one can be read."""
@@ -225,34 +225,34 @@ class Mailbox:
                 return state
         raise MailboxTorn("the state row is never consistent")
 
-    def alive_ns(self) -> int:
+    def read_alive_ns(self) -> int:
         """Return the host monotonic time of the real-time process' last heartbeat; 0 before the first."""
         return _ALIVE_NS.read(self._memory)
 
-    def histogram(self) -> tuple[int, ...]:
+    def read_histogram(self) -> tuple[int, ...]:
         return tuple(self._histogram)
 
-    def jitter_histogram(self) -> tuple[int, ...]:
+    def read_jitter_histogram(self) -> tuple[int, ...]:
         return tuple(self._jitter)
 
-    def records(self) -> tuple[RecordedCycle, ...]:
+    def read_records(self) -> tuple[RecordedCycle, ...]:
         """Return the recorded cycles, oldest first. Consistent only while nothing is being recorded."""
         kept = (_RECORDER.read(self._memory, k) for k in range(RECORDER_CYCLES))
         return tuple(sorted(record for record in kept if record.cycle))
 
 
-def _kept_cycles(content: bytes) -> Iterator[KeptCycle]:
-    at = 0
-    while at < len(content):
-        head = _KEPT_HEAD.unpack_from(content, at)
-        at += _KEPT_HEAD.size_bytes
-        middle = at + head.telegram_bytes
+def _split_kept_cycles(content: bytes) -> Iterator[KeptCycle]:
+    offset = 0
+    while offset < len(content):
+        head = _KEPT_HEAD.unpack_from(content, offset)
+        offset += _KEPT_HEAD.size_bytes
+        middle = offset + head.telegram_bytes
         end = middle + head.reply_bytes
-        yield KeptCycle(head.received_ns, head.sent_ns, content[at:middle], content[middle:end])
-        at = end
+        yield KeptCycle(head.received_ns, head.sent_ns, content[offset:middle], content[middle:end])
+        offset = end
 
 
-def _row_of(command: Command, surroundings_number: int) -> CommandRow:
+def _to_row(command: Command, surroundings_number: int) -> CommandRow:
     plan = command.plan or MotionPlan(NO_JOINTS, NO_JOINTS, PathLimits(0.0, 0.0, 0.0))
     target = plan.target or Pose()
     steps = (*plan.speed_steps, *(NO_STEP,) * (MOST_STEPS - len(plan.speed_steps)))
@@ -276,7 +276,7 @@ def _row_of(command: Command, surroundings_number: int) -> CommandRow:
     )
 
 
-def _plan_of(row: CommandRow) -> MotionPlan | None:
+def _to_plan(row: CommandRow) -> MotionPlan | None:
     if row.kind is not CommandKind.MOVE:
         return None
     values = row.speed_steps

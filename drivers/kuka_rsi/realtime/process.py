@@ -20,10 +20,10 @@ from drivers.kuka_rsi.realtime.sockets import bind
 from ronna_hw.host.real_time import (
     PARENT_DEATH_SIGNAL,
     lock_memory,
-    run_first,
+    make_sleep_precise,
+    request_priority,
     signal_on_parent_death,
-    sleep_exactly,
-    stop_collecting,
+    stop_garbage_collection,
 )
 
 EXIT_NOT_STARTED = 2
@@ -48,12 +48,12 @@ def main() -> int:
         settings,
         link,
         mailbox,
-        real_time=run_first(settings.real_time_priority),
+        real_time=request_priority(settings.real_time_priority),
         locked=locked,
     )
     _watch_parent(loop, settings.parent_pid)
-    sleep_exactly()
-    stop_collecting()
+    make_sleep_precise()
+    stop_garbage_collection()
     loop.run()
     loop.close()
     link.close()
@@ -61,25 +61,25 @@ def main() -> int:
 
 
 def _watch_parent(loop: LinkLoop, parent_pid: int) -> None:
-    def lifeline() -> None:
+    def watch_lifeline() -> None:
         while os.read(0, 1):
             pass
-        loop.responder.parent_gone = True
+        loop.responder.is_parent_gone = True
 
-    def parent_died(_signal: int, _frame: FrameType | None) -> None:
+    def on_parent_death(_signal: int, _frame: FrameType | None) -> None:
         # The signal also arrives when only the thread that started this process has ended.
         if os.getppid() != parent_pid:
-            loop.responder.parent_gone = True
+            loop.responder.is_parent_gone = True
 
-    def terminated(_signal: int, _frame: FrameType | None) -> None:
-        loop.responder.parent_gone = True
+    def on_terminate(_signal: int, _frame: FrameType | None) -> None:
+        loop.responder.is_parent_gone = True
 
-    signal.signal(PARENT_DEATH_SIGNAL, parent_died)
-    signal.signal(signal.SIGTERM, terminated)
+    signal.signal(PARENT_DEATH_SIGNAL, on_parent_death)
+    signal.signal(signal.SIGTERM, on_terminate)
     signal_on_parent_death()
     if os.getppid() != parent_pid:
-        loop.responder.parent_gone = True
-    threading.Thread(target=lifeline, name="lifeline", daemon=True).start()
+        loop.responder.is_parent_gone = True
+    threading.Thread(target=watch_lifeline, name="lifeline", daemon=True).start()
 
 
 if __name__ == "__main__":

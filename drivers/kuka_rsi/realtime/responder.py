@@ -54,14 +54,14 @@ STREAMING_PHASES = (Phase.RUNNING, Phase.FAULT, Phase.ENDING)
 
 
 class Responder:
-    """State of the link across cycles: `answer`, send, `after_reply`; `idle` if nothing arrives."""
+    """State of the link across cycles: `answer`, send, `finish_cycle`; else `monitor_silence`."""
 
     def __init__(self, settings: LinkSettings) -> None:
         self._settings = settings
         self._kinematics = kr6_r900(settings.variant)
         self._limits: MotionLimits | None = None  # of the stream's operating mode
         self._cycle_s = settings.cycle_ms / 1000.0
-        self._tolerance = radians(settings.settle_tolerance_deg)
+        self._tolerance_rad = radians(settings.settle_tolerance_deg)
         self._silence_ns = round(settings.silence_limit_s * 1e9)
         self._heartbeat_ns = round(settings.heartbeat_limit_s * 1e9)
         self._replies = Replies(settings)
@@ -74,14 +74,14 @@ class Responder:
         self.senders = SenderCheck()
         self.cycles = 0
         self.jitter_us = 0.0  # deviation of the last telegram from its expected arrival
-        self.parent_gone = False
+        self.is_parent_gone = False
         self.choice = Choice.GO
         self.ready: PreparedReply | None = None
         self._heartbeat = (0, 0)  # value, and when it was first seen
         self._stop_word = 0  # last order seen
         self._command_number = 0
         self._ipoc = 0
-        self._received_ns = self._before_ns = 0
+        self._received_ns = self._previous_ns = 0
         self._missing = 0  # telegrams lost before the last one
         self._axes_deg: JointVector = NO_STATE.measured_rad
         self._measured: JointVector = NO_STATE.measured_rad
@@ -110,14 +110,14 @@ class Responder:
         """Return the reply up to its IPOC, or None if this telegram is not to be answered."""
         self.ready = None
         self._axes_deg = telegram.axes_deg
-        self._before_ns, self._received_ns = self._received_ns, now_ns
-        self.senders.sent_last = False
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self.senders.foreign_sent_last = False
         self._check_heartbeat(orders.heartbeat, now_ns)
         ipoc = int(telegram.ipoc)
         if self.phase is Phase.ARMED and self._limits is not None:
             self._losses.count(ipoc, telegram.delay)
             self._ipoc = ipoc
-            return self._begin(telegram.axes_deg, self._limits)
+            return self._begin_run(telegram.axes_deg, self._limits)
         if self.phase not in STREAMING_PHASES or self._points is None:
             self._ipoc = ipoc
             return None
@@ -129,7 +129,7 @@ class Responder:
         if missing is None:
             # Our corrections are meaningless for a run that we did not start: it gets no reply at all.
             self._latch(Fault.RESTARTED)
-            self._cease(self._points)
+            self._stop_replying(self._points)
             return None
         self._check_stop(orders.stop_word)
         if self.phase is Phase.SILENT:
@@ -139,25 +139,25 @@ class Responder:
             self._trip(points.violation)
         elif points.path_failed:
             self._latch(Fault.PATH)
-        elif points.moving and self._losses.unusable:
+        elif points.moving and self._losses.is_unusable:
             self._latch(Fault.LOSSES)
         if points.moving and (self._losses.reply_lost or missing > HELD_AFTER_CYCLES):
             return self._answer_loss(points)
         self.choice = Choice.STOP if self._stopping else Choice.GO
         return self._replies.heads[self.choice]
 
-    def answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
+    def note_answered(self, telegram: Telegram, orders: Orders, now_ns: int) -> None:
         """Do the bookkeeping of `answer` for the expected telegram, whose prepared reply is out."""
         self._axes_deg = telegram.axes_deg
-        self._before_ns, self._received_ns = self._received_ns, now_ns
-        self.senders.sent_last = False
+        self._previous_ns, self._received_ns = self._received_ns, now_ns
+        self.senders.foreign_sent_last = False
         self._ipoc = int(telegram.ipoc)
         self._missing = self._losses.count(self._ipoc, telegram.delay) or 0
         if self.ready is not None:
             self.choice = self.ready.choice
         self._check_heartbeat(orders.heartbeat, now_ns)
 
-    def after_reply(self, command: Command | None) -> None:
+    def finish_cycle(self, command: Command | None) -> None:
         """Judge the measured axes, accept a new command, prepare the next reply."""
         points = self._points
         if points is None:
@@ -165,16 +165,16 @@ class Responder:
         self.cycles += 1
         due_ns = (self._missing + 1) * self._cycle_s * 1e9
         self.jitter_us = (
-            abs(self._received_ns - self._before_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
+            abs(self._received_ns - self._previous_ns - due_ns) / 1000.0 if self.cycles > 1 else 0.0
         )
         self._measure()
-        following = points.monitor.check_measured(self._measured)
-        if following is not None:
-            self._trip(following)
+        following_violation = points.monitor.check_measured(self._measured)
+        if following_violation is not None:
+            self._trip(following_violation)
         points.commit(self.choice)
         self._follow_motion(points)
         if command is not None:
-            self.take(command)
+            self.execute_command(command)
         if self._losses.degraded != (self._speed < 1.0):
             self._speed = DEGRADED_SPEED if self._losses.degraded else 1.0
             points.limit_speed(self._speed)
@@ -182,20 +182,20 @@ class Responder:
         self._replies.prepare(points, ending=self.phase is Phase.ENDING)
         self._make_ready(points)
 
-    def expects(self, telegram: Telegram) -> bool:
+    def is_expected(self, telegram: Telegram) -> bool:
         """Test whether this telegram may open the stream; otherwise it gets no reply."""
         self._axes_deg = telegram.axes_deg
         self._measure()
         return self.senders.matches_expected(telegram.axes_deg)
 
-    def take(self, command: Command) -> None:
+    def execute_command(self, command: Command) -> None:
         """Act on a new command."""
         self.ready = None
         if command.number == self._command_number:
             return
         self._command_number = command.number
         if command.kind is CommandKind.MOVE and command.plan is not None:
-            self.result = self._start(command.plan, command)
+            self.result = self._start_motion(command.plan, command)
         elif command.kind is CommandKind.OPEN and command.limits is not None and self.phase is Phase.IDLE:
             self._limits = command.limits
             self.phase, self.fault, self.result = Phase.ARMED, Fault.NONE, Result.NONE
@@ -210,7 +210,7 @@ class Responder:
         elif command.kind is CommandKind.CLOSE and not self.moving:
             self.phase, self.fault, self._points = Phase.IDLE, Fault.NONE, None
 
-    def idle(self, orders: Orders, now_ns: int) -> None:
+    def monitor_silence(self, orders: Orders, now_ns: int) -> None:
         """Monitor silence and heartbeat, and act on stops, while nothing arrives."""
         self.ready = None
         self._check_heartbeat(orders.heartbeat, now_ns)
@@ -226,7 +226,7 @@ class Responder:
             self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
             if self.phase is Phase.RUNNING:
                 # A controller that restarts its program sends from another port.
-                self._latch(Fault.RESTARTED if self.senders.sent_last else Fault.SILENCE)
+                self._latch(Fault.RESTARTED if self.senders.foreign_sent_last else Fault.SILENCE)
         self._make_ready(self._points)
 
     def silent_for_ns(self, now_ns: int) -> int:
@@ -281,7 +281,7 @@ class Responder:
         a, b, c, d, e, f = self._axes_deg
         self._measured = (radians(a), radians(b), radians(c), radians(d), radians(e), radians(f))
 
-    def _begin(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
+    def _begin_run(self, axes_deg: JointVector, limits: MotionLimits) -> bytes:
         """Return the first reply of a run: corrections are relative to these axes, and the first is zero."""
         lower, upper = self._kinematics.lower_rad, self._kinematics.upper_rad
         for low, angle, high in zip(lower, axes_deg, upper, strict=True):
@@ -298,7 +298,7 @@ class Responder:
         self._replies.prepare(self._points, ending=self.phase is Phase.ENDING)
         return self._replies.heads[Choice.GO]
 
-    def _start(self, plan: MotionPlan, command: Command) -> Result:
+    def _start_motion(self, plan: MotionPlan, command: Command) -> Result:
         points = self._points
         if self.phase is not Phase.RUNNING or points is None:
             return Result.REFUSED_PHASE
@@ -323,14 +323,16 @@ class Responder:
         if self._stopping and self.phase is not Phase.FAULT:
             self._stopping = False
         last = points.last_rad
-        near = all(abs(x - y) <= self._tolerance for x, y in zip(self._measured, last, strict=True))
-        self._settled_cycles = self._settled_cycles + 1 if near else 0
+        is_near = all(abs(x - y) <= self._tolerance_rad for x, y in zip(self._measured, last, strict=True))
+        self._settled_cycles = self._settled_cycles + 1 if is_near else 0
         if self.result is Result.RUNNING:
-            if points.stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
+            if points.was_stopped_early and (self._settled_cycles >= SETTLE_CYCLES or self.fault):
                 self.result = Result.STOPPED
             elif self._settled_cycles >= SETTLE_CYCLES:
                 self.result = Result.DONE
-        if self.phase in (Phase.RUNNING, Phase.FAULT) and (self.parent_gone or self.fault is Fault.HEARTBEAT):
+        if self.phase in (Phase.RUNNING, Phase.FAULT) and (
+            self.is_parent_gone or self.fault is Fault.HEARTBEAT
+        ):
             self.phase = Phase.ENDING
 
     def _check_stop(self, stop_word: int) -> None:
@@ -341,10 +343,10 @@ class Responder:
         if kind is not StopOrder.HOLD:
             self._latch(_STOP_FAULTS[kind])
         if kind is StopOrder.LINK and self._points is not None:
-            self._cease(self._points)
+            self._stop_replying(self._points)
         self._stopping = self.moving
 
-    def _cease(self, points: SetPoints) -> None:
+    def _stop_replying(self, points: SetPoints) -> None:
         """Stop replying: the controller holds the last point and ends the run by its Timeout."""
         self.phase = Phase.SILENT
         points.abandon()
@@ -356,7 +358,7 @@ class Responder:
             self._heartbeat = (value, now_ns)
         elif now_ns - since > self._heartbeat_ns and self.phase in (Phase.ARMED, Phase.RUNNING):
             self._latch(Fault.HEARTBEAT)
-        if self.parent_gone:
+        if self.is_parent_gone:
             self._stopping = self.moving
 
     def _trip(self, violation: Violation) -> None:
@@ -374,10 +376,13 @@ class Responder:
     def _make_ready(self, points: SetPoints) -> None:
         """Prepare the complete next reply if only new information could change it."""
         self.ready = None
-        unsettled = (
-            points.violation is not None or points.path_failed or self.parent_gone or self._losses.unusable
+        is_unsettled = (
+            points.violation is not None
+            or points.path_failed
+            or self.is_parent_gone
+            or self._losses.is_unusable
         )
-        if unsettled or self.phase not in STREAMING_PHASES:
+        if is_unsettled or self.phase not in STREAMING_PHASES:
             return
         self.ready = self._replies.complete(
             Choice.STOP if self._stopping else Choice.GO,

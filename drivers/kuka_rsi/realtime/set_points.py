@@ -41,7 +41,7 @@ class SetPoints:
         self.stop_rad = start_rad
         self.violation: Violation | None = None  # why continuing is not allowed
         self.path_failed = False
-        self.stopped_early = False  # of the last motion
+        self.was_stopped_early = False  # of the last motion
 
     @property
     def last_rad(self) -> JointVector:
@@ -63,7 +63,7 @@ class SetPoints:
 
         From here on the monitor also checks the clearance of these surroundings' bodies.
         """
-        self.stopped_early = False
+        self.was_stopped_early = False
         if plan.is_standstill:
             return
         motion = PathMotion(
@@ -97,14 +97,14 @@ class SetPoints:
             self._use_joint_stop()
             self.go_rad = self.stop_rad
             return
-        judged = self.monitor.check(self.go_rad)
+        go_violation = self.monitor.check(self.go_rad)
         if self.stop_rad is self.go_rad:
-            bad_stop = judged
+            stop_violation = go_violation
         else:
-            bad_stop = self.monitor.check(self.stop_rad)
-        if judged is not None and self.violation is None:
-            self.violation = judged
-        if bad_stop is not None and not isinstance(motion, StopMotion):
+            stop_violation = self.monitor.check(self.stop_rad)
+        if go_violation is not None and self.violation is None:
+            self.violation = go_violation
+        if stop_violation is not None and not isinstance(motion, StopMotion):
             self._use_joint_stop()
 
     def commit(self, choice: Choice) -> None:
@@ -123,25 +123,27 @@ class SetPoints:
             self.monitor.mark_sent_again()
         else:
             self._rest_here()
-        if self._motion is not None and self._motion.finished:
-            self.stopped_early = not isinstance(self._motion, PathMotion) or self._motion.stopped_early
+        if self._motion is not None and self._motion.is_finished:
+            self.was_stopped_early = (
+                not isinstance(self._motion, PathMotion) or self._motion.was_stopped_early
+            )
             self._motion = None
 
     def abandon(self) -> None:
         """Drop the motion: the arm has long been at rest at the last point."""
         if self._motion is not None:
-            self.stopped_early = True
+            self.was_stopped_early = True
         self._motion = None
-        self.monitor.stands()
+        self.monitor.mark_at_rest()
 
     def _rest_here(self) -> None:
         one_back = self.held_rad is not self.last_rad
-        self.monitor.stands()
+        self.monitor.mark_at_rest()
         if isinstance(self._motion, PathMotion):
             self._motion.restart_from_rest(one_back=one_back)
         elif self._motion is not None:
             self._motion = None
-            self.stopped_early = True
+            self.was_stopped_early = True
 
     def _use_joint_stop(self) -> None:
         state = state_from_history(self.monitor.history_rad, self._cycle_s)

@@ -41,7 +41,7 @@ def bind(host: str, port: int) -> socket.socket:
     except OSError:
         link.close()
         raise
-    _limit_waiting(link)
+    _set_receive_timeout(link)
     return link
 
 
@@ -70,7 +70,7 @@ class LinkSockets:
                 each.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
             line.bind(own)
             line.connect(peer)
-            _limit_waiting(line)
+            _set_receive_timeout(line)
         except OSError:
             line.close()
         else:
@@ -103,7 +103,7 @@ class LinkSockets:
         """Wait for a datagram; False if none arrived in time."""
         return bool(select.select((self._line,), (), (), limit_s)[0])
 
-    def datagram_waiting(self) -> bool:
+    def has_datagram(self) -> bool:
         """Test for a datagram, more cheaply than by the exception of an empty socket."""
         return ioctl(self._line, termios.FIONREAD, _NO_BYTES) != _NO_BYTES
 
@@ -122,9 +122,9 @@ class LinkSockets:
         return self._line.getsockopt(socket.SOL_SOCKET, socket.SO_INCOMING_CPU) if self._peer else -1
 
 
-def _limit_waiting(link: socket.socket) -> None:
-    seconds, rest = divmod(IDLE_POLL_S, 1.0)
-    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(rest * 1e6)))
+def _set_receive_timeout(link: socket.socket) -> None:
+    seconds, fraction_s = divmod(IDLE_POLL_S, 1.0)
+    link.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, _TIMEVAL.pack(int(seconds), int(fraction_s * 1e6)))
 
 
 class TelegramReceiver:
@@ -146,13 +146,13 @@ class TelegramReceiver:
         self._pace = Pace()
         self._keeps_pace = False
         self.received_ns = 0  # arrival of the last telegram
-        self.queued = False  # whether it was there before the wait began: others may be queued behind it
+        self.was_queued = False  # whether it was there before the wait began: others may be queued behind it
 
     def next(self) -> Received | None:
         """Receive the next datagram, from any sender; None if none arrived for a while."""
         try:
-            self.queued = self._sockets.datagram_waiting()
-            if self._lead_ns and not self.queued:
+            self.was_queued = self._sockets.has_datagram()
+            if self._lead_ns and not self.was_queued:
                 self._sleep_until_rehearsal()
             received = self._sockets.receive()
         except OSError:  # timed out, or the network reported something about an earlier reply
@@ -165,7 +165,7 @@ class TelegramReceiver:
 
         Once the controller's schedule is known this stays true through a pause, until it hurries.
         """
-        self._pace.arrived(self.received_ns)
+        self._pace.note_arrival(self.received_ns)
         self._keeps_pace = self._keeps_pace or self._pace.due_ns > 0
         return self._keeps_pace
 
@@ -188,26 +188,26 @@ class Pace:
     """
 
     def __init__(self) -> None:
-        self._place_ns = 0.0  # scheduled time of the last arrival
+        self._scheduled_ns = 0.0  # scheduled time of the last arrival
         self._interval_ns = 0.0
         self._steady = 0
 
     @property
     def due_ns(self) -> int:
         """Arrival of the next telegram unless delayed; 0 while no schedule is known."""
-        return int(self._place_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
+        return int(self._scheduled_ns + self._interval_ns) if self._steady >= STEADY_ARRIVALS else 0
 
-    def arrived(self, now_ns: int) -> None:
+    def note_arrival(self, now_ns: int) -> None:
         """Add an arrival."""
-        gap_ns, interval_ns = now_ns - self._place_ns, self._interval_ns
+        gap_ns, interval_ns = now_ns - self._scheduled_ns, self._interval_ns
         steps = round(gap_ns / interval_ns) if interval_ns else 0
         off_ns = gap_ns - steps * interval_ns
         if not 1 <= steps <= MOST_MISSING + 1 or abs(off_ns) > NEAR_SHARE * interval_ns:
-            self._steady, self._place_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
+            self._steady, self._scheduled_ns, self._interval_ns = 0, float(now_ns), float(gap_ns)
             return
         self._steady += 1
-        place_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
-        self._place_ns = now_ns - (1.0 - place_gain) * off_ns
+        phase_gain, interval_gain = LATE_GAINS if off_ns > 0.0 else EARLY_GAINS
+        self._scheduled_ns = now_ns - (1.0 - phase_gain) * off_ns
         self._interval_ns += interval_gain * off_ns / steps
 
     def forget(self) -> None:

@@ -61,7 +61,7 @@ class Element(NamedTuple):
     attributes: tuple[str, ...]
 
 
-def elements_of(tags: tuple[str, ...]) -> tuple[Element, ...]:
+def group_elements(tags: tuple[str, ...]) -> tuple[Element, ...]:
     """Group the declared tags into elements, in order; consecutive tags of one group share an element."""
     result: list[Element] = []
     for tag in tags:
@@ -87,7 +87,7 @@ class TelegramReader:
 
     def __init__(self, send_tags: tuple[str, ...]) -> None:
         pattern = [rb'<Rob Type="KUKA">']
-        for name, attributes in elements_of(send_tags):
+        for name, attributes in group_elements(send_tags):
             pattern.append(b"<" + re.escape(name.encode()))
             if not attributes:
                 pattern.append(rb">[^<]{0,80}</" + re.escape(name.encode()) + b">")
@@ -103,27 +103,27 @@ class TelegramReader:
         # A context without Delay has an empty group in its place.
         pattern.append(b"" if "DEF_Delay" in send_tags else b"(?P<D>)")
         pattern.append(b"<IPOC>(?P<IPOC>\\d{1,%d})</IPOC></Rob>" % MOST_DIGITS)
-        tells_axes = "DEF_AIPos" in send_tags
-        self._match = re.compile(b"".join(pattern)).match if tells_axes else _never
+        has_axes = "DEF_AIPos" in send_tags
+        self._match = re.compile(b"".join(pattern)).match if has_axes else _match_nothing
 
     def match(self, data: bytes) -> Found | None:
-        """Match a telegram in the usual form, for `telegram_of`; None for one to be read strictly."""
+        """Match a telegram in the usual form, for `extract_telegram`; None for one to be read strictly."""
         return self._match(data)
 
     def read(self, data: bytes) -> Telegram:
         """Read a telegram; raises RSI-014 if neither the expression nor the strict parser accepts it."""
         found = self._match(data)
-        return read_strictly(data) if found is None else telegram_of(found)
+        return read_strictly(data) if found is None else extract_telegram(found)
 
 
-def telegram_of(found: Found) -> Telegram:
+def extract_telegram(found: Found) -> Telegram:
     """Return the numbers of a telegram in the usual form."""
     a, b, c, d, e, f, delay, ipoc = found.group(*AXIS_NAMES, "D", "IPOC")
     axes_deg = (float(a), float(b), float(c), float(d), float(e), float(f))
     return Telegram(axes_deg, int(delay) if delay else -1, ipoc)
 
 
-def _never(_data: bytes) -> None:
+def _match_nothing(_data: bytes) -> None:
     return None
 
 
@@ -189,24 +189,24 @@ class ReplyWriter:
     def __init__(
         self, sentype: str, receive_tags: tuple[str, ...], axis_tags: tuple[str, ...], stop_tag: str
     ) -> None:
-        places = {tag: f"%({axis})s" for tag, axis in zip(axis_tags, AXIS_NAMES, strict=True)}
-        places[stop_tag] = "%(Stop)s"
+        placeholders = {tag: f"%({axis})s" for tag, axis in zip(axis_tags, AXIS_NAMES, strict=True)}
+        placeholders[stop_tag] = "%(Stop)s"
         parts = [f'<Sen Type="{sentype}">']
-        for name, attributes in elements_of(receive_tags):
+        for name, attributes in group_elements(receive_tags):
             if attributes:
-                inner = " ".join(f'{a}="{places.get(f"{name}.{a}", "0")}"' for a in attributes)
+                inner = " ".join(f'{a}="{placeholders.get(f"{name}.{a}", "0")}"' for a in attributes)
                 parts.append(f"<{name} {inner}/>")
             else:
-                parts.append(f"<{name}>{places.get(name, '0')}</{name}>")
+                parts.append(f"<{name}>{placeholders.get(name, '0')}</{name}>")
         parts.append("<IPOC>")
         template = "".join(parts)
         order = re.findall(r"%\((\w+)\)s", template)
-        self._in_order = itemgetter(*((*AXIS_NAMES, "Stop").index(name) for name in order))
+        self._pick_in_order = itemgetter(*((*AXIS_NAMES, "Stop").index(name) for name in order))
         for name in AXIS_NAMES:
             template = template.replace(f"%({name})s", "%.6f")
         self._template = template.replace("%(Stop)s", "%d").encode("ascii")
 
     def head(self, corrections_deg: JointVector, stop: bool = False) -> bytes:
         """Write everything before the IPOC; corrections in deg with six decimals."""
-        head: bytes = self._template % self._in_order((*corrections_deg, stop))
+        head: bytes = self._template % self._pick_in_order((*corrections_deg, stop))
         return head.replace(NEGATIVE_ZERO, ZERO) if NEGATIVE_ZERO in head else head

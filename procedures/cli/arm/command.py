@@ -34,7 +34,7 @@ def arm() -> None:
 @with_option_records
 def calibrate_arm(
     context: typer.Context,
-    asked: CalibrationOptions,
+    command_options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=60, max=300, help="Measurements for the identification.")] = 90,
     validation: Annotated[
         int, typer.Option(min=12, max=100, help="Further measurements, held out for validation.")
@@ -46,18 +46,18 @@ def calibrate_arm(
     measurements do not yield a calibration, 2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety
     stop, 7 not confirmed, 130 interrupted.
     """
-    theatre = asked.source(context)
+    theatre = command_options.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import ARM
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), asked, theatre)
+    calibrate(ARM, Recipe(of=Calibrated.ARM, looks=looks, more=validation), command_options, theatre)
 
 
 @app.command()
 @with_option_records
 def check(
-    asked: MeasuringOptions,
+    command_options: MeasuringOptions,
     looks: Annotated[int, typer.Option(min=12, max=100, help="Measurements for the check.")] = 24,
 ) -> None:
     """Measure spheres from a few poses: does the arm still match its calibration record?
@@ -82,11 +82,13 @@ def check(
         rows = [[one.name, one.value, one.verdict] for one in figures.table()]
         terminal.print_table(f"check of calibration {figures.calibration}", ["", "value", ""], rows)
 
-    theatre = replace(asked, calibrated=True).theatre()
+    theatre = replace(command_options, calibrated=True).theatre()
     recipe = Recipe(of=Calibrated.ARM, looks=0, more=looks)
     measurement = Measurement(steps=recipe.steps, title="Check of the arm", recipe=recipe)
     request = replace(theatre, procedure=measurement)
-    check_calibration(request, asked.out, ARM.activity, judge, show, as_json=asked.as_json)
+    check_calibration(
+        request, command_options.out, ARM.activity, judge, show, as_json=command_options.as_json
+    )
 
 
 def main() -> None:

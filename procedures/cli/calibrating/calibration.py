@@ -12,24 +12,24 @@ from procedures.cli.case.case_view import EventFollower
 from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
 from procedures.engine.events import Event, Progress
 from procedures.reporting.calibration_figures import Figures, RecordFigures, write_figures
-from procedures.runs.calibration_files import finished_figures, require_same_folder
+from procedures.runs.calibration_files import read_finished_figures, require_same_folder
 from procedures.runs.calibrations import (
     KINDS,
     CalibrationKind,
     Looks,
     Result,
-    computed,
+    compute_calibration,
     conclude,
-    every_look_taken,
     finish_calibration,
-    leave_files,
+    has_every_look,
+    write_calibration_files,
 )
 from procedures.runs.finishing import complete_seal, finalize_run
 from procedures.runs.folders import hold_run, new_run_folder
 from procedures.runs.interrupted_run import InterruptedRun, Resumption
 from procedures.runs.lifecycle import run_steps
 from procedures.runs.observers import RunObservers
-from procedures.runs.reopening import make_ready, require_free_devices
+from procedures.runs.reopening import prepare_folder, require_free_devices
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Recipe
 from ronna_hw.command_line import terminal
@@ -48,31 +48,36 @@ NOT_COMPARED = (
 
 
 def calibrate(
-    kind: CalibrationKind[Looks, Result], recipe: Recipe, asked: CalibrationOptions, theatre: RunRequest
+    kind: CalibrationKind[Looks, Result],
+    recipe: Recipe,
+    command_options: CalibrationOptions,
+    theatre: RunRequest,
 ) -> None:
     """Measure in the theatre or read recorded looks, compute, write the files and show the figures.
 
     Raises CAL-002 to CAL-020, PRO-033.
     """
-    if asked.write is not None and theatre.config is not None:
-        require_same_folder(theatre.config, asked.write)  # before anything is measured
+    if command_options.write is not None and theatre.config is not None:
+        require_same_folder(theatre.config, command_options.write)  # before anything is measured
     procedure = CalibrationProcedure(
-        recipe=recipe.model_dump(mode="json"), days=asked.days, write=asked.write
+        recipe=recipe.model_dump(mode="json"), days=command_options.days, write=command_options.write
     )
     request = replace(theatre, procedure=procedure)
-    if asked.recorded is not None:
-        recorded = kind.read_looks(asked.recorded)
-        result = computed(kind, request, recorded)
-        folder = new_run_folder(None, asked.out, kind.name)
+    if command_options.recorded is not None:
+        recorded = kind.read_looks(command_options.recorded)
+        result = compute_calibration(kind, request, recorded)
+        folder = new_run_folder(None, command_options.out, kind.name)
         kind.write_looks(recorded, folder)
-        leave_files(kind, request, recorded, result, folder)
+        write_calibration_files(kind, request, recorded, result, folder)
         if request.config is None:
             terminal.tell(NOT_COMPARED)
     else:
-        folder = new_run_folder(request, asked.out, kind.name)
+        folder = new_run_folder(request, command_options.out, kind.name)
         with hold_run(folder), finalize_run(folder, with_truth=False):
             _measure(kind, request, folder)
-    show(finished_figures(folder), folder, written=asked.write, as_json=asked.as_json)
+    show(
+        read_finished_figures(folder), folder, written=command_options.write, as_json=command_options.as_json
+    )
 
 
 def resume_calibration(
@@ -89,16 +94,16 @@ def resume_calibration(
             pass
         terminal.tell(f"{interrupted.run.name} is finished: nothing remains to be done")
     else:
-        complete = every_look_taken(request, interrupted)
+        complete = has_every_look(request, interrupted)
         if not complete:
             require_free_devices(request)
-        make_ready(interrupted)
+        prepare_folder(interrupted)
         with finalize_run(folder, with_truth=False):
             if complete:
                 finish_calibration(kind, request, interrupted)
             else:
                 _measure(kind, request, folder, Resumption(interrupted, accepted))
-    show(finished_figures(folder), folder, written=request.calibration.write, as_json=as_json)
+    show(read_finished_figures(folder), folder, written=request.calibration.write, as_json=as_json)
 
 
 def _measure(
@@ -121,12 +126,12 @@ def run_with_bar(
 ) -> Engine:
     """Run the steps of a calibration or measurement with a progress bar, then `conclude` with its results."""
 
-    def concluded(engine: Engine) -> None:
+    def conclude_run(engine: Engine) -> None:
         with bar.hidden():  # it would write over the messages
             conclude(engine.case)
 
     with terminal.progress_bar(activity) as bar:
-        engine, _ = run_steps(request, folder, bar_observers(bar), resumption, concluded)
+        engine, _ = run_steps(request, folder, bar_observers(bar), resumption, conclude_run)
     return engine
 
 
@@ -140,12 +145,12 @@ def check_calibration(
     as_json: bool,
 ) -> None:
     """Measure, then write and show the figures from `judge`, even if its verdict raises."""
-    found: list[F] = []
+    checked_figures: list[F] = []
 
     def conclude(case: Case) -> None:
         figures, require = judge(case)
         write_figures(figures, folder)
-        found.append(figures)
+        checked_figures.append(figures)
         require()
 
     folder = new_run_folder(request, out, "check")
@@ -153,7 +158,7 @@ def check_calibration(
         with finalize_run(folder, with_truth=False):
             run_with_bar(request, folder, activity, conclude)
     finally:
-        for figures in found:
+        for figures in checked_figures:
             if as_json:
                 terminal.print_json(figures.as_json())
             else:

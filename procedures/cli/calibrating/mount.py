@@ -6,7 +6,7 @@ from typing import Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import CalibrationOptions, finite_ball
+from procedures.cli.calibrating.options import CalibrationOptions, require_finite_ball
 from ronna_hw.command_line.options import with_option_records
 
 app = typer.Typer(
@@ -28,7 +28,7 @@ def mount() -> None:
 @with_option_records
 def tracker_frame(
     context: typer.Context,
-    asked: CalibrationOptions,
+    command_options: CalibrationOptions,
     looks: Annotated[int, typer.Option(min=15, max=100, help="Poses for the calibration.")] = 30,
     validation: Annotated[
         int, typer.Option(min=5, max=50, help="Further poses, held out for validation.")
@@ -39,19 +39,21 @@ def tracker_frame(
     Nothing moves before a confirmation. Exit codes: 0 done, 1 the measurements do not yield a calibration, 2
     usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    theatre = asked.source(context)
+    theatre = command_options.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import TRACKER_FRAME
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
-    calibrate(TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), asked, theatre)
+    calibrate(
+        TRACKER_FRAME, Recipe(of=Calibrated.FRAME, looks=looks, more=validation), command_options, theatre
+    )
 
 
 @app.command("tool-tip")
 @with_option_records
 def tool_tip(
     context: typer.Context,
-    asked: CalibrationOptions,
+    command_options: CalibrationOptions,
     ball: Annotated[
         tuple[float, float, float] | None,
         typer.Option(
@@ -69,11 +71,11 @@ def tool_tip(
 
     Nothing moves before a confirmation. Exit codes as in `tracker-frame`.
     """
-    finite_ball(ball)
-    theatre = asked.source(context)
+    require_finite_ball(ball)
+    theatre = command_options.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import TOOL_TIP
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     recipe = Recipe(of=Calibrated.TIP, looks=readings, more=validation, ball_mm=ball)
-    calibrate(TOOL_TIP, recipe, asked, theatre)
+    calibrate(TOOL_TIP, recipe, command_options, theatre)

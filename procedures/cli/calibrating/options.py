@@ -50,12 +50,12 @@ class CalibrationOptions(MeasuringOptions):
 
         `context` is the command's: it knows which of all its options were typed.
         """
-        nowhere = self.recorded is None and not self.sim and self.config is None
-        if nowhere or (self.recorded is not None and self.sim):
+        has_no_source = self.recorded is None and not self.sim and self.config is None
+        if has_no_source or (self.recorded is not None and self.sim):
             raise UsageMistake("choose one: --sim, --config FILE, or --from FOLDER")
         if self.write is not None and self.config is None:
             raise UsageMistake("--write needs the theatre file it is made from: --config FILE")
-        if self.recorded is not None and (idle := _options_given_besides(context, USED_TO_RECOMPUTE)):
+        if self.recorded is not None and (idle := _list_other_options(context, USED_TO_RECOMPUTE)):
             raise UsageMistake(
                 f"{idle} and --from cannot be combined",
                 action="Omit it: nothing is measured, the measurements in the folder are used.",
@@ -63,18 +63,18 @@ class CalibrationOptions(MeasuringOptions):
         return self.theatre() if self.recorded is None else RunRequest(config=self.config)
 
 
-def _options_given_besides(context: typer.Context, names: Set[str]) -> str:
+def _list_other_options(context: typer.Context, names: Set[str]) -> str:
     return ", ".join(
-        one.opts[0]
-        for one in context.command.params
-        if one.expose_value  # the others are those that every command has
-        and one.name not in names
-        and (source := context.get_parameter_source(str(one.name))) is not None
+        parameter.opts[0]
+        for parameter in context.command.params
+        if parameter.expose_value  # the others are those that every command has
+        and parameter.name not in names
+        and (source := context.get_parameter_source(str(parameter.name))) is not None
         and source.name == "COMMANDLINE"
     )
 
 
-def finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
+def require_finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
     """Return the given place of a ball. Raises CLI-001 unless it is finite."""
     if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
         got = " ".join(f"{value:g}" for value in ball_mm)

@@ -61,7 +61,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
             how = f"no longer holds: {reason}" if reason else f"is superseded by a new {step}"
             return Entry(*MARKS["superseded"], f"{record} {how}")
         case StepState(step=step, state="failed", summary=summary) if not errors:
-            return Entry(*FAILED, f"{step:<26} {_code(summary)}")
+            return Entry(*FAILED, f"{step:<26} {_code_of(summary)}")
         case StepState(step=step, state=state, summary=summary):
             return Entry(*MARKS.get(state, FAILED), f"{step:<26} {summary}")
         case Advisory(text=text):
@@ -70,7 +70,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
             return None
 
 
-def done_or_note(event: Event) -> str | None:
+def plain_line_of(event: Event) -> str | None:
     """Return a plain line for a step done, a voided result or a finding; None for other events."""
     match event.what:
         case StepState(step=step, state="done", summary=summary):
@@ -83,7 +83,7 @@ def done_or_note(event: Event) -> str | None:
             return None
 
 
-def in_words(case: CaseState) -> str:
+def describe_state(case: CaseState) -> str:
     """Describe a state and its reason, except for a held case: its failed step gave the reason."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
@@ -101,7 +101,7 @@ class CaseView:
         self._step = ""  # the one that began last
         self._lost = ""
         self.share = 0.0
-        self.doing = ""
+        self.activity = ""
         self._devices: dict[str, DeviceState] = {}
         self._ages_s: dict[str, float] = {}
         self._journal: deque[str] = deque(maxlen=LAST_LINES)
@@ -111,19 +111,19 @@ class CaseView:
         """Update the view by an event."""
         match event.what:
             case CaseState() as case:
-                self.state = in_words(case)
+                self.state = describe_state(case)
             case StepState(step=step, state="begun"):
-                self._step = self.doing = step
+                self._step = self.activity = step
                 self.share = 0.0
                 self._settle(step)
             case Progress(step=step, share=share, text=text):
-                self.doing, self.share = f"{step}: {text}", share
+                self.activity, self.share = f"{step}: {text}", share
             case DeviceState(device=device) as state:
                 self._devices[device] = state
             case DeviceAge(device=device, age_s=age_s):
                 self._ages_s[device] = age_s
             case JournalLine(line=line):
-                self._journal.append(_short(line))
+                self._journal.append(_summarize_line(line))
                 if line.get("entry") == ACKNOWLEDGED:
                     self._settle_fault(str(line.get("device")), str(line.get("fault")))
             case Fault(code=code, what=what):
@@ -143,7 +143,7 @@ class CaseView:
     @property
     def devices(self) -> str:
         """State and age of each device."""
-        return "   ".join(map(self._device, self._devices.values()))
+        return "   ".join(map(self._describe_device, self._devices.values()))
 
     def lines(self) -> list[tuple[str, str]]:
         """Style and text of each line below the progress."""
@@ -156,16 +156,16 @@ class CaseView:
 
     def _settle(self, step: str) -> None:
         """Drop errors of a step that is done again."""
-        left = [one for one in self._errors if one[0] != step]
+        kept_errors = [one for one in self._errors if one[0] != step]
         self._errors.clear()
-        self._errors.extend(left)
+        self._errors.extend(kept_errors)
 
     def _settle_fault(self, device: str, fault: str) -> None:
         """Drop a fault that is over, and the refusals that it caused."""
-        over = (f"the {device} is in fault", f"{_code(fault)}: ")
-        left = [one for one in self._errors if not any(words in one[1] for words in over)]
+        fault_words = (f"the {device} is in fault", f"{_code_of(fault)}: ")
+        kept_errors = [one for one in self._errors if not any(words in one[1] for words in fault_words)]
         self._errors.clear()
-        self._errors.extend(left)
+        self._errors.extend(kept_errors)
 
     def __rich__(self) -> RenderableType:
         from rich.console import Group
@@ -177,18 +177,20 @@ class CaseView:
         ]
         return Group(*rows)
 
-    def _device(self, seen: DeviceState) -> str:
-        age_s = self._ages_s.get(seen.device)
+    def _describe_device(self, device_state: DeviceState) -> str:
+        age_s = self._ages_s.get(device_state.device)
         age = "" if age_s is None else f" {age_s:.1f} s"
-        return f"{seen.device} {seen.state}{age}" + (f" [{_code(seen.fault)}]" if seen.fault else "")
+        return f"{device_state.device} {device_state.state}{age}" + (
+            f" [{_code_of(device_state.fault)}]" if device_state.fault else ""
+        )
 
 
-def _code(error: str) -> str:
+def _code_of(error: str) -> str:
     """Return the code of an error in words."""
     return error.partition(": ")[0]
 
 
-def _short(line: Mapping[str, object]) -> str:
+def _summarize_line(line: Mapping[str, object]) -> str:
     about = next((line[name] for name in ("step", "what", "topic", "device", "text") if name in line), "")
     return f"{line.get('sequence')} {line.get('entry')} {about}"
 

@@ -50,10 +50,10 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
     find = engine.order.find
     match order:
         case ListSteps():
-            _list(engine, say)
+            _list_steps(engine, say)
         case Next():
             if engine.upcoming is None:
-                say(_nothing_upcoming(engine))
+                say(_describe_nothing_upcoming(engine))
             else:
                 engine.run_step(engine.upcoming)
         case Run(step=step) if not engine.case.stands(find(step)):
@@ -68,11 +68,11 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
         case Why(step=step):
             key = engine.upcoming if step is None else find(step)
             if key is None:
-                say(_nothing_upcoming(engine))
+                say(_describe_nothing_upcoming(engine))
             else:
-                _why(engine, key, say)
+                _explain(engine, key, say)
         case DryRun(step=step):
-            _dry_run(engine, _step_named_or_next(engine, step), say)
+            _dry_run(engine, _find_step_or_next(engine, step), say)
         case Pause():
             engine.checkpoint.pause()
             say("the case will pause before the next step; while a step runs, Ctrl-C pauses it")
@@ -95,7 +95,7 @@ def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
                 say(f"{f'{name} {rule.argument}'.strip():<22} {rule.does}")
 
 
-def _list(engine: Engine, say: Say) -> None:
+def _list_steps(engine: Engine, say: Say) -> None:
     width = max(len(engine.course.status(key)) for key in engine.order.sequence)
     for key in engine.order.sequence:
         spec = engine.order.spec(key)
@@ -107,16 +107,16 @@ def _repeat(engine: Engine, key: StepKey, say: Say) -> None:
     if not engine.case.stands(key):
         raise StepRefused(f"{key} is not done, so it cannot be repeated", action="Use run or to instead.")
     if not engine.why_refused(key):
-        gone = ", ".join(record.identifier for record in engine.course.superseded_by(key))
-        say(f"a new result of {key} supersedes {gone}")
-        if engine.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {gone}")) != YES:
-            raise NotConfirmed(f"the operator did not confirm: repeat {key}", got=gone)
+        superseded_names = ", ".join(record.identifier for record in engine.course.records_superseded_by(key))
+        say(f"a new result of {key} supersedes {superseded_names}")
+        if engine.ask(Question(Topic.REPEAT, f"repeat {key}", f"supersedes {superseded_names}")) != YES:
+            raise NotConfirmed(f"the operator did not confirm: repeat {key}", got=superseded_names)
     engine.run_step(key)
 
 
 def why_not_skipped(engine: Engine, step: str) -> str:
     """Explain why this step cannot be skipped. Raises PRO-005 for an unknown step."""
-    key = _step_named_or_next(engine, step or None)
+    key = _find_step_or_next(engine, step or None)
     result = engine.order.spec(key).result
     readers = [step.name for step in engine.order.steps if result in step.reads]
     needed = "needs" if len(readers) == 1 else "need"
@@ -128,26 +128,26 @@ def why_not_skipped(engine: Engine, step: str) -> str:
     return f"{key} cannot be skipped: {why}. A trajectory can be left out when the case asks about it."
 
 
-def _why(engine: Engine, key: StepKey, say: Say) -> None:
+def _explain(engine: Engine, key: StepKey, say: Say) -> None:
     if engine.case.stands(key):
         say(f"{key} is done and its result is valid; back {key} repeats it")
         return
     unmet = engine.why_refused(key)
     say(f"{key}: " + ("can start" if not unmet else "refused: " + "; ".join(unmet)))
-    from procedures.steps.catalogue import planned_questions
+    from procedures.steps.catalogue import list_questions
 
-    for question in planned_questions(engine.order.spec(key)):
+    for question in list_questions(engine.order.spec(key)):
         say(f"  asks {question}")
 
 
 def _dry_run(engine: Engine, key: StepKey, say: Say) -> None:
-    from procedures.steps.dry_run import planned_motions
+    from procedures.steps.dry_run import describe_planned_motions
 
-    _why(engine, key, say)
+    _explain(engine, key, say)
     if not engine.order.spec(key).moves:
         say("this step moves nothing")
         return
-    motions = planned_motions(engine.case, key, engine.setting)
+    motions = describe_planned_motions(engine.case, key, engine.setting)
     if motions is None:
         say("this step moves the arm; its motions are known after path_check")
         return
@@ -160,7 +160,7 @@ def _resume(engine: Engine, say: Say) -> None:
     state = "the pause is withdrawn" if withdrawn else "nothing is paused"
     if engine.checkpoint.firm:
         state = "the arm was stopped: that is asked about when the next step begins"
-    faults = tuple(engine.faults.described.values())
+    faults = tuple(engine.faults.descriptions.values())
     say("; ".join((state, *(faults or ("next or to continues",)))))
 
 
@@ -173,17 +173,17 @@ def _acknowledge(engine: Engine, by: str, say: Say) -> None:
             action="acknowledge YOUR-NAME recovers every device that is in fault.",
         )
     recovered = engine.faults.acknowledge(by)
-    done = [f"{role}, {fault}" for role, fault in recovered.items()]
-    say(f"acknowledged by {by}: {'; '.join(done)}" if done else "no device is in fault")
+    recoveries = [f"{role}, {fault}" for role, fault in recovered.items()]
+    say(f"acknowledged by {by}: {'; '.join(recoveries)}" if recoveries else "no device is in fault")
 
 
-def _step_named_or_next(engine: Engine, step: str | None) -> StepKey:
+def _find_step_or_next(engine: Engine, step: str | None) -> StepKey:
     if step is not None:
         return engine.order.find(step)
     if engine.upcoming is None:
-        raise StepRefused(_nothing_upcoming(engine), action="Name a step.")
+        raise StepRefused(_describe_nothing_upcoming(engine), action="Name a step.")
     return engine.upcoming
 
 
-def _nothing_upcoming(engine: Engine) -> str:
+def _describe_nothing_upcoming(engine: Engine) -> str:
     return "the case is finished" if engine.over else "every step is done; home brings the arm home"

@@ -19,11 +19,11 @@ from pathlib import Path
 from types import FrameType
 from typing import TYPE_CHECKING
 
-from procedures.cli.case.case_view import EventFollower, Show, done_or_note
+from procedures.cli.case.case_view import EventFollower, Show, plain_line_of
 from procedures.cli.case.operators import WritePrompt, terminal_observers, write_prompt
 from procedures.cli.case.prompt import Prompt
 from procedures.engine.events import Event
-from procedures.runs.case_outcome import run_case, unfinished
+from procedures.runs.case_outcome import build_unfinished_outcome, run_case
 from procedures.runs.finishing import Finalized, finalize_run
 from procedures.runs.folders import hold_run, run_folder
 from procedures.runs.observers import RunObservers
@@ -31,7 +31,7 @@ from procedures.runs.request import RunRequest
 from procedures.runs.request_checks import check_case
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
 from ronna_hw.errors import RefusedError
-from ronna_hw.text import without_controls
+from ronna_hw.text import escape_controls
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -100,10 +100,10 @@ def pause_on_interrupt() -> Iterator[Interrupts]:
         yield interrupts
         return
 
-    def asked(_number: int, _frame: FrameType | None) -> None:
+    def handle_signal(_number: int, _frame: FrameType | None) -> None:
         interrupts.interrupt()
 
-    before = signal.signal(signal.SIGINT, asked)
+    before = signal.signal(signal.SIGINT, handle_signal)
     try:
         yield interrupts
     finally:
@@ -111,7 +111,7 @@ def pause_on_interrupt() -> Iterator[Interrupts]:
 
 
 @contextlib.contextmanager
-def following(*, quiet: bool) -> Iterator[RunObservers]:
+def observe_run(*, quiet: bool) -> Iterator[RunObservers]:
     """Follow a run by its events: live on a terminal, one line per step and finding elsewhere."""
     with contextlib.ExitStack() as stack:
         if quiet or not on_terminal(sys.stderr):
@@ -125,7 +125,7 @@ def following(*, quiet: bool) -> Iterator[RunObservers]:
         stack.enter_context(display.shown())
         followers: list[EventFollower] = []
 
-        def attached(engine: Engine) -> None:
+        def attach_engine(engine: Engine) -> None:
             interrupts.attach(engine)
             if held is not None:
                 held.attach(engine)
@@ -141,7 +141,7 @@ def following(*, quiet: bool) -> Iterator[RunObservers]:
 
         held = Prompt("held> ", tell, asking=asking, resumes=True) if on_terminal(sys.stdin) else None
         yield replace(
-            terminal_observers(asking, attached),
+            terminal_observers(asking, attach_engine),
             status=display.status,
             announce=display.tell,
             held=held,
@@ -163,7 +163,7 @@ def _write_lines_of(engine: Engine, stack: contextlib.ExitStack) -> None:
 def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
     """Write one line for each finished step, voided result and finding."""
     for event in events:
-        if (line := done_or_note(event)) is not None:
+        if (line := plain_line_of(event)) is not None:
             write(line)
 
 
@@ -205,7 +205,7 @@ def _show_table(outcome: FinishedRun) -> None:
             f"{outcome.sim_s:.0f} s of theatre time in {outcome.wall_s:.0f} s\n"
         )
     if outcome.report is not None:
-        sys.stdout.write(f"report {without_controls(str(outcome.report))}\n")
+        sys.stdout.write(f"report {escape_controls(str(outcome.report))}\n")
 
 
 def follow_case(
@@ -235,15 +235,15 @@ def follow(
     try:
         with (
             finalize_run(folder, with_truth=False, name_report=False) as final,  # the outcome names it
-            following(quiet=as_json) as shown,
+            observe_run(quiet=as_json) as shown,
             _add_console(shown, folder, console, waits=waits) as observers,
         ):
             outcome = run(observers)
     except BaseException as problem:  # also an interruption: a script gets its JSON object whatever happens
         if as_json:
-            ended = unfinished(request, folder, problem)
+            unfinished_outcome = build_unfinished_outcome(request, folder, problem)
             report = final.report and str(final.report)
-            print_json(ended.model_copy(update={"report": report}).model_dump(mode="json"))
+            print_json(unfinished_outcome.model_copy(update={"report": report}).model_dump(mode="json"))
         raise
     show_outcome(outcome.model_copy(update={"report": final.report and str(final.report)}), as_json=as_json)
 

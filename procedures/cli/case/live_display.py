@@ -54,7 +54,7 @@ class LiveDisplay:
             if (entry := entry_of(event, errors=self._errors)) is not None:
                 self._console.print(Text.assemble((entry.mark, entry.style), f" {printable(entry.text)}"))
         self._bar.update(
-            self._task, completed=self.view.share, description=printable(self.view.doing) or "starting"
+            self._task, completed=self.view.share, description=printable(self.view.activity) or "starting"
         )
 
     @contextlib.contextmanager

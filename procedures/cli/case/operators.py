@@ -15,15 +15,15 @@ from typing import TYPE_CHECKING
 from typer import style
 
 from procedures.operator.question import NOBODY as NOBODY_READS
-from procedures.operator.question import YES, Answer, Question, Task, misread, words
+from procedures.operator.question import YES, Answer, Question, Task, join_answers, misread
 from procedures.runs.observers import RunObservers
-from ronna_hw.text import printable, printable_lines, typed_number
+from ronna_hw.text import parse_typed_number, printable, printable_lines
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
 
 LOOK_AGAIN_S = 0.2  # host time between two looks while nothing is typed
-MEANS = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
+ADVICE = "Whatever you answer, no motion and no step begins before the fault is acknowledged by name."
 WritePrompt = Callable[[str], None]  # a prompt
 Asking = Callable[[], AbstractContextManager[WritePrompt]]  # held while a question is open
 AGAIN = "again"
@@ -39,9 +39,9 @@ class Alarms:
     A person may answer in the belief that the arm can move.
     """
 
-    def __init__(self, means: str = MEANS) -> None:
-        """`means` follows the description of a fault."""
-        self._means = means
+    def __init__(self, advice: str = ADVICE) -> None:
+        """`advice` follows the description of a fault."""
+        self._advice = advice
         self._engine: Engine | None = None
         self._reported: set[str] = set()  # roles, at this question
 
@@ -53,10 +53,10 @@ class Alarms:
         """Open a question: present faults are shown with it."""
         self._reported = set()
 
-    def new(self) -> list[str]:
+    def take_new_lines(self) -> list[str]:
         """Return one line for each device in fault that this question has not shown yet."""
         faults = self._faults()
-        lines = [f"{what}. {self._means}" for role, what in faults.items() if role not in self._reported]
+        lines = [f"{what}. {self._advice}" for role, what in faults.items() if role not in self._reported]
         self._reported = set(faults)  # a recurring fault is shown again
         return lines
 
@@ -67,7 +67,7 @@ class Alarms:
         return f" ({roles} {'is' if len(self._reported) == 1 else 'are'} in fault)" if roles else ""
 
     def _faults(self) -> dict[str, str]:
-        return {} if self._engine is None else self._engine.faults.in_short
+        return {} if self._engine is None else self._engine.faults.summaries
 
 
 def forget_typed() -> None:
@@ -76,18 +76,18 @@ def forget_typed() -> None:
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
-def awaited(alarms: Alarms, ends_s: float | None = None) -> tuple[bool, list[str]]:
+def await_input(alarms: Alarms, deadline_s: float | None = None) -> tuple[bool, list[str]]:
     """Wait at a terminal for a line, the end of time or an alarm; return whether there is a line, and alarms.
 
     Input typed before an alarm is discarded: it was typed without knowing of it.
     """
     while True:
-        left_s = LOOK_AGAIN_S if ends_s is None else max(0.0, ends_s - time.monotonic())
-        ready, _, _ = select.select([sys.stdin], [], [], min(left_s, LOOK_AGAIN_S))
-        if news := alarms.new():
+        remaining_s = LOOK_AGAIN_S if deadline_s is None else max(0.0, deadline_s - time.monotonic())
+        ready, _, _ = select.select([sys.stdin], [], [], min(remaining_s, LOOK_AGAIN_S))
+        if news := alarms.take_new_lines():
             forget_typed()
             sys.stderr.write("\n")  # the prompt is still there
-        if ready or news or (ends_s is not None and time.monotonic() >= ends_s):
+        if ready or news or (deadline_s is not None and time.monotonic() >= deadline_s):
             return bool(ready), news
 
 
@@ -97,23 +97,23 @@ def write_prompt(prompt: str) -> None:
     sys.stderr.flush()
 
 
-def undisturbed() -> AbstractContextManager[WritePrompt]:
+def plain_prompt() -> AbstractContextManager[WritePrompt]:
     """Return a prompt for a terminal to which nothing else writes."""
     return nullcontext(write_prompt)
 
 
 def terminal_observers(
-    asking: Asking = undisturbed, opened: Callable[[Engine], None] = lambda _engine: None
+    asking: Asking = plain_prompt, opened: Callable[[Engine], None] = lambda _engine: None
 ) -> RunObservers:
     """Return observers with the person at the terminal, who is told of devices in fault."""
     alarms = Alarms()
 
-    def attached(engine: Engine) -> None:
+    def attach_alarms(engine: Engine) -> None:
         alarms.attach(engine)
         opened(engine)
 
     return RunObservers(
-        opened=attached,
+        opened=attach_alarms,
         person=TerminalOperator(asking, alarms),
         staff=lambda simulated: TerminalRoom(asking, simulated=simulated, alarms=alarms),
     )
@@ -126,7 +126,7 @@ class TerminalOperator:
     and nothing typed before counts.
     """
 
-    def __init__(self, asking: Asking = undisturbed, alarms: Alarms | None = None) -> None:
+    def __init__(self, asking: Asking = plain_prompt, alarms: Alarms | None = None) -> None:
         self._asking = asking
         self._alarms = Alarms() if alarms is None else alarms
 
@@ -138,19 +138,19 @@ class TerminalOperator:
         silence = Answer(question.silence)
         if not sys.stdin.isatty():
             return silence
-        ends_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
+        deadline_s = None if question.timeout_s is None else time.monotonic() + question.timeout_s
         read_back = question.read_back
         with self._asking() as write:
             sys.stderr.write(f"{printable(question.subject)}\n  {_emphasize_read_back(question)}\n")
             self._alarms.begin()
             misread_before = 0
-            while typed := _read_typed(write, words(question.answers), ends_s, self._alarms):
+            while typed := _read_typed(write, join_answers(question.answers), deadline_s, self._alarms):
                 if (word := typed.lower().strip("'")) not in question.answers:
-                    _say(f"{typed!r} is not an answer: type {words(question.answers)} in full.")
+                    _say(f"{typed!r} is not an answer: type {join_answers(question.answers)} in full.")
                     continue
                 if word != question.answers[0] or read_back is None:
                     return Answer(word)
-                if not (typed := _read_typed(write, read_back.what, ends_s, self._alarms)):
+                if not (typed := _read_typed(write, read_back.what, deadline_s, self._alarms)):
                     break
                 if read_back.fits(typed):
                     return Answer(word, typed)
@@ -160,8 +160,8 @@ class TerminalOperator:
                 if misread_before == MOST_MISREAD:
                     _say(f"{wrong} {MOST_MISREAD} wrong values count as {silence.word!r}.")
                     return silence
-                _say(f"{wrong} Answer from the start, or {words((silence.word,))} to stop.")
-            if ends_s is not None and time.monotonic() >= ends_s:
+                _say(f"{wrong} Answer from the start, or {join_answers((silence.word,))} to stop.")
+            if deadline_s is not None and time.monotonic() >= deadline_s:
                 sys.stderr.write("\n")  # the prompt is still there
                 _say(f"No answer within {question.timeout_s:g} s counts as {silence.word!r}.")
             return silence
@@ -172,7 +172,7 @@ class TerminalRoom:
 
     def __init__(
         self,
-        asking: Asking = undisturbed,
+        asking: Asking = plain_prompt,
         *,
         simulated: bool = False,
         alarms: Alarms | None = None,
@@ -212,10 +212,10 @@ class TerminalRoom:
             trajectory = f" --trajectory {task.trajectory}" if task.trajectory else ""
             self._hint(f"work {task.name}{numbers}{trajectory}")
             self._alarms.begin()
-            return _read_off(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
+            return _read_values(write, task, self._alarms) if task.reads and sys.stdin.isatty() else ()
 
 
-def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
+def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
     """Return the typed readings, confirmed if there are several; empty if nobody reads."""
     while True:
         readings: list[float] = []
@@ -229,7 +229,7 @@ def _read_off(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ..
             return tuple(readings)
         for what, number in zip(task.reads, readings, strict=True):
             _say(f"  {what}: {number:g}")
-        while (typed := _read_typed(write, words((YES, AGAIN)), None, alarms).lower()) != AGAIN:
+        while (typed := _read_typed(write, join_answers((YES, AGAIN)), None, alarms).lower()) != AGAIN:
             if typed == YES or not typed:
                 return tuple(readings) if typed else ()
             _say(
@@ -248,16 +248,16 @@ def _read_plausible_number(
     while (typed := _read_typed(write, what, None, alarms, ahead)) and typed.lower() != NOBODY_READS:
         ahead = False
         with suppress(ValueError):
-            number = typed_number(typed, UNIT)
+            number = parse_typed_number(typed, UNIT)
             if not (wrong := misread(number, plausible)):
                 return number
-            _say(f"{wrong}; type {_one_number(plausible)}")
+            _say(f"{wrong}; type {_number_hint(plausible)}")
             continue
-        _say(f"{typed!r} is not a reading: type {_one_number(plausible)}")
+        _say(f"{typed!r} is not a reading: type {_number_hint(plausible)}")
     return None
 
 
-def _one_number(plausible: tuple[float, float] | None) -> str:
+def _number_hint(plausible: tuple[float, float] | None) -> str:
     """Return the form of a reading, with a possible example."""
     low, high = plausible or (0.0, SMALL_MM)
     example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
@@ -276,21 +276,21 @@ def _emphasize_read_back(question: Question) -> str:
 
 
 def _read_typed(
-    write: WritePrompt, what: str, ends_s: float | None, alarms: Alarms, ahead: bool = False
+    write: WritePrompt, what: str, deadline_s: float | None, alarms: Alarms, ahead: bool = False
 ) -> str:
     """Read typed input without surrounding space; repeat after a blank line.
 
     Empty if time is out or the terminal is gone. Input typed before the question, or before a device was
     reported in fault, is discarded, unless it may be typed `ahead`.
     """
-    news = alarms.new()
+    news = alarms.take_new_lines()
     if news or not ahead:
         forget_typed()
     while True:
-        for said in news:
-            _say(said)
+        for fault_line in news:
+            _say(fault_line)
         write(f"Type {what}{alarms.note}: ")
-        ready, news = awaited(alarms, ends_s)
+        ready, news = await_input(alarms, deadline_s)
         if news:
             continue
         line = sys.stdin.readline() if ready else ""

@@ -112,22 +112,24 @@ class TheatreOptions:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
             raise UsageMistake("choose one: --sim, or --config FILE")
-        if self.config is not None and (given := self._changed_options(SIMULATED)):
+        if self.config is not None and (given := self._list_changed_options(SIMULATED)):
             raise UsageMistake(
                 f"{given} and --config cannot be combined",
                 action="Omit it: the theatre file names the devices of the theatre.",
             )
-        if Path(self.scene).suffix and (given := self._changed_options(DRAWN)):
+        if Path(self.scene).suffix and (given := self._list_changed_options(DRAWN)):
             raise UsageMistake(
                 f"{given} and a scene file cannot be combined", action="The scene file defines its own."
             )
         if self.sim:
             self.choice.check()
 
-    def _changed_options(self, names: Sequence[str]) -> str:
+    def _list_changed_options(self, names: Sequence[str]) -> str:
         """Return the options that differ from the default, as they are typed."""
         changed = (
-            one.name for one in fields(self) if one.name in names and getattr(self, one.name) != one.default
+            option.name
+            for option in fields(self)
+            if option.name in names and getattr(self, option.name) != option.default
         )
         return ", ".join(f"--{name.replace('_', '-')}" for name in changed)
 

@@ -31,7 +31,7 @@ class PipedLines:
         """Begin to read, with `stop` for this engine."""
         threading.Thread(target=self._read, args=(engine,), name="standard input", daemon=True).start()
 
-    def ready(self, timeout_s: float) -> bool:
+    def wait_for_line(self, timeout_s: float) -> bool:
         """Whether a line, or the end, can be read within that host time."""
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._lines), timeout_s)
@@ -50,11 +50,11 @@ class PipedLines:
         for line in chain(lines_from(sys.stdin.fileno()), [""]):
             with self._changed:
                 self._changed.wait_for(lambda: len(self._lines) < READ_AHEAD)
-                overtakes = line.strip() == STOP and not (self._idle and not self._lines)
-                if not overtakes:
+                is_overtaking = line.strip() == STOP and not (self._idle and not self._lines)
+                if not is_overtaking:
                     self._lines.append(line)
                     self._changed.notify_all()
-            if overtakes:
+            if is_overtaking:
                 engine.checkpoint.pause("a stop was ordered on the standard input")
                 engine.setting.workcell.stop()
 

@@ -9,7 +9,7 @@ from difflib import get_close_matches
 from typing import TYPE_CHECKING
 
 from procedures.cli.case.commands import Say, carry_out, read_command, why_not_skipped
-from procedures.cli.case.operators import Alarms, Asking, WritePrompt, awaited, forget_typed, undisturbed
+from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_input, forget_typed, plain_prompt
 from procedures.engine.errors import UnknownStep
 from procedures.engine.machine import ABORTED
 from procedures.engine.machine import HELD as MACHINE_HELD
@@ -42,7 +42,7 @@ AT_PAUSE_CHOICES = " | ".join(
         *(f"{name} {rule.argument}".strip() for name, rule in AT_PAUSE.items() if name not in ENDING_PAUSE),
     )
 )
-MEANT = {"exit": "quit", "continue": "resume"}  # without these the nearest match might move the arm
+SYNONYMS = {"exit": "quit", "continue": "resume"}  # without these the nearest match might move the arm
 NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
@@ -54,7 +54,7 @@ class Prompt:
         words: str,
         say: Say,
         *,
-        asking: Asking = undisturbed,
+        asking: Asking = plain_prompt,
         after: Callable[[], object] = lambda: None,
         resumes: bool = False,
         meanwhile: Callable[[Engine], None] | None = None,
@@ -90,17 +90,17 @@ class Prompt:
         commands. Raises the error that ended the case.
         """
         self.attach(engine)
-        while (line := self._command(engine)) is not None:
+        while (line := self._read_command(engine)) is not None:
             name, argument = _command_of(line)
             if name not in COMMANDS:
                 self._say(self._unknown(name, argument, COMMANDS, "help lists the commands"))
                 continue
             order = COMMANDS[name].order
-            if _too_much(name, argument):
+            if _has_surplus_argument(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
             elif order is Quit:
                 if engine.instrument_in is None:
-                    self._tell_way_on(engine)
+                    self._print_resume_hint(engine)
                     return False
                 self._say(
                     f"an instrument is in {engine.instrument_in}: home asks for its removal, then parks"
@@ -119,9 +119,9 @@ class Prompt:
             forget_typed()
         self._say(f"{question.subject}; {question.value}")
         self._say(AT_PAUSE_CHOICES)
-        while (line := self._line("paused> ")) is not None:
+        while (line := self._read_line("paused> ")) is not None:
             name, argument = _command_of(line)
-            if _too_much(name, argument):
+            if _has_surplus_argument(name, argument):
                 self._say(f"{name} takes no argument; nothing was done")
             elif name in ENDING_PAUSE:
                 return Answer(ENDING_PAUSE[name])
@@ -146,10 +146,14 @@ class Prompt:
             except RonnaError as mistake:
                 return f"there is no command 'skip': {mistake}"
         words = list(known)
-        meant = name.lower()
-        near = [MEANT[meant]] if MEANT.get(meant) in words else get_close_matches(meant, words, n=1)
-        said = f"there is no command {name!r}" if name else "nothing was typed"
-        return f"{said}; did you mean {near[0]}?" if near else f"{said}; {choices}"
+        typed_name = name.lower()
+        suggestions = (
+            [SYNONYMS[typed_name]]
+            if SYNONYMS.get(typed_name) in words
+            else get_close_matches(typed_name, words, n=1)
+        )
+        message = f"there is no command {name!r}" if name else "nothing was typed"
+        return f"{message}; did you mean {suggestions[0]}?" if suggestions else f"{message}; {choices}"
 
     def _carry_out(self, engine: Engine, name: str, argument: str) -> None:
         order = COMMANDS[name].order
@@ -168,39 +172,39 @@ class Prompt:
                 fail_with(error)
         else:
             if order is Acknowledge and not engine.faults.now:
-                self._say(f"the arm is at rest; {self._way_on}")
+                self._say(f"the arm is at rest; {self._continue_hint}")
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
         """Show what holds the case and how to continue; for a device in fault, its present state."""
-        faults = engine.faults.described
+        faults = engine.faults.descriptions
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
             if fault not in str(error):
                 self._say(fault)
-        self._alarms.new()  # shown here already
-        self._say(f"{HELD}; {self._way_on}")
+        self._alarms.take_new_lines()  # shown here already
+        self._say(f"{HELD}; {self._continue_hint}")
 
     @property
-    def _way_on(self) -> str:
+    def _continue_hint(self) -> str:
         """The command that continues the case here; `next` does everywhere."""
         return "resume continues, next does one step" if self._resumes else "next continues"
 
-    def _tell_way_on(self, engine: Engine) -> None:
+    def _print_resume_hint(self, engine: Engine) -> None:
         if not engine.machine.ended:
             run = shlex.quote(str(engine.case.folder))
             self._say(f"the case is left as it is; to continue: ronna-procedure resume {run}")
 
-    def _command(self, engine: Engine) -> str | None:
+    def _read_command(self, engine: Engine) -> str | None:
         if self._meanwhile is None:
-            return self._line(self._words)
+            return self._read_line(self._words)
         if on_terminal(sys.stdin):
             sys.stderr.write(self._words)
             sys.stderr.flush()
         self._meanwhile(engine)
-        return self._line("")
+        return self._read_line("")
 
-    def _line(self, words: str) -> str | None:
+    def _read_line(self, words: str) -> str | None:
         with self._asking() as write:
             if on_terminal(sys.stdin):
                 self._await_line(words, write)
@@ -210,15 +214,15 @@ class Prompt:
 
     def _await_line(self, words: str, write: WritePrompt) -> None:
         """Show the prompt until a line is typed, and new faults first."""
-        is_typed, news = False, self._alarms.new()
+        is_typed, news = False, self._alarms.take_new_lines()
         if news:
             forget_typed()
             words = words or self._words  # it was shown before
         while not is_typed:
-            for said in news:
-                self._say(said)
+            for message in news:
+                self._say(message)
             write(words)
-            is_typed, news = awaited(self._alarms)
+            is_typed, news = await_input(self._alarms)
             is_typed = is_typed and not news
 
 
@@ -228,6 +232,6 @@ def _command_of(line: str) -> tuple[str, str]:
     return "quit" if name == "q" else name, argument.strip()
 
 
-def _too_much(name: str, argument: str) -> bool:
+def _has_surplus_argument(name: str, argument: str) -> bool:
     """Whether words follow a command that takes no argument."""
     return bool(argument) and (name in ENDING_PAUSE or (name in COMMANDS and not COMMANDS[name].argument))

@@ -64,9 +64,9 @@ def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None 
         )
         with contextlib.ExitStack() as stack:
             if executor is not None and console is not None:
-                from procedures.runs.console_link import attached
+                from procedures.runs.console_link import serve_console
 
-                link = stack.enter_context(attached(executor, folder, console))
+                link = stack.enter_context(serve_console(executor, folder, console))
             engine = stack.enter_context(open_run(request, folder, observers))
             followers.append(EventFollower(engine.events, partial(write_lines, say)))
             followers[0].start()
@@ -91,4 +91,4 @@ def _executor(request: RunRequest, piped: PipedLines | None) -> OrderExecutor:
     station = OperatorStation(waits=request.config is not None)
     if piped is None:
         return OrderExecutor(station, runs=False)
-    return OrderExecutor(station, runs=False, typed=piped.ready)
+    return OrderExecutor(station, runs=False, input_ready=piped.wait_for_line)

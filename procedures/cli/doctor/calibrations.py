@@ -8,7 +8,7 @@ from datetime import datetime, timedelta
 from pathlib import Path
 
 from procedures.calibration.errors import ArmOlderThanHead, OfAnotherTheatre
-from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_together
+from procedures.calibration.validity import MADE_BY_COMMAND, options_of, require_consistent_arm
 from procedures.planning.tool_records import GUIDE, RENEW, ToolRecords
 from ronna_hw.calibrated_arm.error_budget import (
     LINK_TRANSLATION_MM,
@@ -22,7 +22,7 @@ from ronna_hw.devices.probing import Diagnostic, refusal
 from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, ToolRecord
 
-SOON = timedelta(days=3)  # before its expiry a record is mentioned
+EXPIRY_NOTICE = timedelta(days=3)  # before its expiry a record is mentioned
 
 
 def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> Iterator[Diagnostic]:
@@ -37,22 +37,22 @@ def calibration_diagnostics(theatre: TheatreFile, path: Path, now: datetime) -> 
         return
     records = theatre.calibration.records
     for name, record in ((name, records[name]) for name in MADE_BY_COMMAND if name in records):
-        subject, make = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} {options_of(path)}."
+        subject, renewal = f"calibration {name}", f"Run {MADE_BY_COMMAND[name]} {options_of(path)}."
         if name == "tool_tip" and theatre.tools:
-            make += f" Afterwards: {RENEW}"
+            renewal += f" Afterwards: {RENEW}"
         try:
             record.check_valid_at(now)
         except CalibrationExpired as error:
-            advice = error.advice if record.created > now else make
+            advice = error.advice if record.created > now else renewal
             yield Diagnostic(subject, False, f"{error.code} {error.summary}", advice)
             continue
         if name == "arm":
             try:
-                require_together(theatre.calibration, options_of(path))
+                require_consistent_arm(theatre.calibration, options_of(path))
             except (ArmOlderThanHead, OfAnotherTheatre) as error:
                 yield refusal(subject, error)
                 continue
-        soon = make if record.expires - now < SOON else ""
+        soon = renewal if record.expires - now < EXPIRY_NOTICE else ""
         yield Diagnostic(
             subject, True, f"{record.identifier}, valid until {record.expires:%Y-%m-%d %H:%M %Z}", soon
         )
@@ -69,9 +69,11 @@ def setting_diagnostics(theatre: TheatreFile) -> Iterator[Diagnostic]:
         f"frames by {LINK_TRANSLATION_MM:g} mm: errors are predicted with that, not with less in "
         "[procedure]. Calibrate the arm."
     )
-    too_good = used_mm > settings.arm_error_mm or sizes.tool_mm > settings.tool_error_mm
-    said = f"{used_mm:.2g} mm per axis, of the tool frame {sizes.tool_mm:.2g} mm"
-    yield Diagnostic("error of the arm", True, said, advice if arm is None and too_good else "")
+    is_too_optimistic = used_mm > settings.arm_error_mm or sizes.tool_mm > settings.tool_error_mm
+    description = f"{used_mm:.2g} mm per axis, of the tool frame {sizes.tool_mm:.2g} mm"
+    yield Diagnostic(
+        "error of the arm", True, description, advice if arm is None and is_too_optimistic else ""
+    )
 
 
 def tool_diagnostics(theatre: TheatreFile, now: datetime) -> Iterator[Diagnostic]:

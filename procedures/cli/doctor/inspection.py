@@ -11,7 +11,7 @@ from dataclasses import replace
 from functools import partial
 
 from procedures.cli.doctor.pictures import pair_diagnostics
-from procedures.cli.doctor.theatre_checks import TOOL, checked
+from procedures.cli.doctor.theatre_checks import TOOL, run_check
 from procedures.planning.tool_records import ToolRecords
 from procedures.relocalization.triangulation import check_serial
 from procedures.workcell.stereo_look import FURTHER_TRIES
@@ -25,7 +25,7 @@ from ronna_hw.devices.probing import Diagnostic, fact_diagnostics, picture_diagn
 from ronna_hw.devices.readings import Validity
 from ronna_hw.devices.robot import ConfirmedStart
 from ronna_hw.errors import RonnaError
-from ronna_hw.theatre import interface_of, require_interface
+from ronna_hw.theatre import require_interface, required_interface
 
 SIDES = ("left", "right")
 FRAMES_LOOKED_AT = 30  # half a second of tracking
@@ -57,16 +57,16 @@ def advise_on_serials(
             verdicts[endpoint] = _verdict(side, endpoint, replied, device, head)
     first = next((verdict for verdict in verdicts.values() if verdict), "")
     cameras_well = all(one.well for one in found if one.serials)
-    given: dict[str, str] = {}  # the driver's advice -> ours
+    replacements: dict[str, str] = {}  # the driver's advice -> ours
     advised = []
     for one in found:
         advice = next((verdicts[each] for each in one.serials if each in verdicts), "")
         if None in one.serials.values():  # only the driver knows why
             advice = f"{advice} {one.advice}".rstrip()
         if not one.serials:
-            advice = first if cameras_well else given.get(one.advice, "")
+            advice = first if cameras_well else replacements.get(one.advice, "")
         if not one.well and advice:
-            given[one.advice] = advice
+            replacements[one.advice] = advice
             advised.append(replace(one, advice=advice))
         else:
             advised.append(one)
@@ -81,30 +81,30 @@ def _verdict(
     head: StereoHeadCalibration,
 ) -> str:
     """Describe the fault of a side's camera; empty if there is none, or if the driver locates it."""
-    there = replied[endpoint]
+    actual = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
     configured = str(device.options.get(f"{side}_serial") or recorded[side])
     others = {serial: at for at, serial in replied.items() if serial is not None and at != endpoint}
-    found = ", ".join(dict.fromkeys([*filter(None, [there]), *others])) or "none"
+    found = ", ".join(dict.fromkeys([*filter(None, [actual]), *others])) or "none"
     not_found = f"was not found (serial numbers found: {found})"
-    if there is None:
+    if actual is None:
         return f"The {side} camera {configured} {not_found}."
-    swapped = there != recorded[side] and there in recorded.values()
-    if swapped or (there != configured and configured in others):
+    is_swapped = actual != recorded[side] and actual in recorded.values()
+    if is_swapped or (actual != configured and configured in others):
         return ""
-    if there == configured == recorded[side]:
+    if actual == configured == recorded[side]:
         return ""
-    if there == recorded[side]:
-        cause = "is probably mistyped" if _differ_by_a_typing_error(configured, there) else not_found
+    if actual == recorded[side]:
+        cause = "is probably mistyped" if _differ_by_a_typing_error(configured, actual) else not_found
         return (
-            f'{side}_serial = "{configured}" {cause}: camera {there} replied in its place and is the one in '
+            f'{side}_serial = "{configured}" {cause}: camera {actual} replied in its place and is the one in '
             f"the calibration record. Correct it in the theatre file."
         )
-    where = f"replied at {others[recorded[side]]}" if recorded[side] in others else "was not found"
-    set_it = "" if there == configured else f' and set {side}_serial = "{there}"'
+    location = f"replied at {others[recorded[side]]}" if recorded[side] in others else "was not found"
+    serial_advice = "" if actual == configured else f' and set {side}_serial = "{actual}"'
     return (
-        f"The {side} camera was exchanged: {there} replied, the calibration record is of {recorded[side]}, "
-        f"which {where}. Mount {recorded[side]} again, or calibrate the head with {there}{set_it}."
+        f"The {side} camera was exchanged: {actual} replied, the calibration record is of {recorded[side]}, "
+        f"which {location}. Mount {recorded[side]} again, or calibrate the head with {actual}{serial_advice}."
     )
 
 
@@ -124,17 +124,19 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 
     def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
         subject = f"{name}: "
-        of_its_kind = checked(
-            f"{subject}driver", driver, lambda: require_interface(name, driver, device, interface_of(name))
+        driver_check = run_check(
+            f"{subject}driver",
+            driver,
+            lambda: require_interface(name, driver, device, required_interface(name)),
         )
-        if not of_its_kind.well:
-            yield of_its_kind
+        if not driver_check.well:
+            yield driver_check
             return
         if isinstance(device, TellsReadiness):
             yield from fact_diagnostics(subject, device)
         if calibrations is not None:
             yield from _check_records(name, device, identity.serial, calibrations, theatre)
-        configured = checked(f"{subject}configured", "", device.configure)
+        configured = run_check(f"{subject}configured", "", device.configure)
         if not configured.well:
             yield configured
             return
@@ -144,8 +146,8 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
             yield from _check_visibility(subject, device, theatre)
         elif isinstance(device, StereoPair):
             head = None if calibrations is None else calibrations.stereo_head
-            judged = partial(pair_diagnostics, subject, head=head)
-            yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT, 1 + FURTHER_TRIES, judged)
+            judge_pair = partial(pair_diagnostics, subject, head=head)
+            yield from picture_diagnostics(subject, device, PAIRS_LOOKED_AT, 1 + FURTHER_TRIES, judge_pair)
         if isinstance(device, ConfirmedStart) and (words := device.to_confirm) is not None:
             yield Diagnostic(f"{subject}start", True, f"a person will be asked to confirm: {words}")
 
@@ -159,12 +161,12 @@ def _check_records(
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
         check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, device.tools)
-        yield checked(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
+        yield run_check(f"{subject}frames named in records", ", ".join(device.tools), check_frames)
     if isinstance(device, StereoPair):
         records = (calibrations.stereo_head.left, calibrations.stereo_head.right)
         for side, record, serial in zip(SIDES, records, device.serials, strict=True):
-            of_camera = f"{subject}calibration of the {side} camera"
-            found = checked(of_camera, serial, partial(check_serial, record, serial))
+            camera_subject = f"{subject}calibration of the {side} camera"
+            found = run_check(camera_subject, serial, partial(check_serial, record, serial))
             yield replace(found, serials={camera_endpoint(theatre.devices[name], side): serial})
     if isinstance(device, RobotArm):
         kinematics, arm = device.kinematics, calibrations.arm
@@ -173,14 +175,14 @@ def _check_records(
             calibrated_arm(kinematics, arm)
             require_this_arm(arm, serial)
 
-        of_arm = checked(
+        arm_check = run_check(
             f"{subject}calibration of the arm", f"{kinematics.name} {serial}".rstrip(), check_arm
         )
-        unknown = arm is not None and not (arm.serial and serial)
-        yield replace(of_arm, advice=OF_THIS_ARM) if unknown and of_arm.well else of_arm
+        is_unverified = arm is not None and not (arm.serial and serial)
+        yield replace(arm_check, advice=OF_THIS_ARM) if is_unverified and arm_check.well else arm_check
         mount = ToolMount(lambda: device.read_tool_identity().number, calibrations)
         mounted = MountedTool.STEREO_HEAD
-        yield checked(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
+        yield run_check(f"{subject}{TOOL}", str(mounted), partial(mount.check, mounted))
 
 
 def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:

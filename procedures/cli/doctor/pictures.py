@@ -38,8 +38,10 @@ def pair_diagnostics(
     found = [_sphere_near_tool(image, record) for image, record in zip(images, records, strict=True)]
     for number, (side, image) in enumerate(zip(("left", "right"), images, strict=True)):
         if image is not None:
-            in_both = _shows_central_sphere(images[1 - number], found[1 - number])
-            yield _judge_camera(f"{subject}exposure of the {side} camera", image, found[number], in_both)
+            other_sees_sphere = _shows_central_sphere(images[1 - number], found[1 - number])
+            yield _judge_camera(
+                f"{subject}exposure of the {side} camera", image, found[number], other_sees_sphere
+            )
 
 
 def _sphere_near_tool(
@@ -57,17 +59,17 @@ def _sphere_near_tool(
         return error
 
 
-def _shows_central_sphere(image: CameraImage | None, seen: SphereImage | RonnaError | None) -> bool:
+def _shows_central_sphere(image: CameraImage | None, finding: SphereImage | RonnaError | None) -> bool:
     """Whether one camera sees a sphere where the other must see some of it."""
-    if image is None or not isinstance(seen, SphereImage):
+    if image is None or not isinstance(finding, SphereImage):
         return False
     rows, columns = image.pixels.shape
-    x, y = seen.centre_px
+    x, y = finding.centre_px
     return bool(0.25 < x / columns < 0.75 and 0.25 < y / rows < 0.75)
 
 
 def _judge_camera(
-    subject: str, image: CameraImage, seen: SphereImage | RonnaError | None, in_both: bool
+    subject: str, image: CameraImage, finding: SphereImage | RonnaError | None, other_sees_sphere: bool
 ) -> Diagnostic:
     largest = LARGEST_GREY[image.pixels.dtype.itemsize]
     saturated = float((image.pixels >= largest).mean())
@@ -76,18 +78,18 @@ def _judge_camera(
     if saturated > MOST_SATURATED:
         advice = "Reduce exposure_us, or remove the lamp that shines into the lens."
         return Diagnostic(subject, False, f"too bright: {figures}", advice)
-    if isinstance(seen, NoContrast) and in_both:
+    if isinstance(finding, NoContrast) and other_sees_sphere:
         return Diagnostic(subject, False, f"too dark: {figures}", DARK)
-    if not isinstance(seen, SphereImage):
-        why = "without a calibration record" if seen is None else "no sphere near the tool centre"
+    if not isinstance(finding, SphereImage):
+        why = "without a calibration record" if finding is None else "no sphere near the tool centre"
         return Diagnostic(subject, True, f"{figures}; {NOT_JUDGED.format(why)}", SHOW_A_SPHERE)
-    sigma_px = math.sqrt(max(seen.covariance_px2[0][0], seen.covariance_px2[1][1]))
-    figures += f"; a sphere to {sigma_px:.2f} px, its rim {seen.blur_px:.1f} px soft"
-    if seen.blur_px > MOST_BLUR_PX:
+    sigma_px = math.sqrt(max(finding.covariance_px2[0][0], finding.covariance_px2[1][1]))
+    figures += f"; a sphere to {sigma_px:.2f} px, its rim {finding.blur_px:.1f} px soft"
+    if finding.blur_px > MOST_BLUR_PX:
         return Diagnostic(subject, False, f"not sharp: {figures}", UNSHARP)
-    if seen.doubt == TOO_FAINT or (seen.status is SphereStatus.OK and sigma_px > MOST_SIGMA_PX):
+    if finding.doubt == TOO_FAINT or (finding.status is SphereStatus.OK and sigma_px > MOST_SIGMA_PX):
         advice = "Lengthen exposure_us, check the ring light, clean lens and sphere."
         return Diagnostic(subject, False, f"too dark: {figures}", advice)
-    if seen.doubt:
-        return Diagnostic(subject, True, f"{figures}; {NOT_JUDGED.format(seen.doubt)}", SHOW_A_SPHERE)
+    if finding.doubt:
+        return Diagnostic(subject, True, f"{figures}; {NOT_JUDGED.format(finding.doubt)}", SHOW_A_SPHERE)
     return Diagnostic(subject, True, figures)

@@ -115,18 +115,20 @@ def examine(
                 examinations[name] = partial(_probe, name, device, file)
     computer = tuple(computer_diagnostics())
     found: dict[str, Sequence[Diagnostic]] = {}
-    for number, (name, look) in enumerate(examinations.items()):
+    for number, (name, examination) in enumerate(examinations.items()):
 
         def advance(share: float, before: int = number) -> None:
             progress((before + share) / len(examinations))
 
-        found[name] = look(advance)
+        found[name] = examination(advance)
         if config is not None and name in devices:
             found[name] = advise_on_unfinished_run(config, found[name])
         advance(1.0)
     of_devices = {name: found[name] for name in devices}
-    judged = () if config is None else tuple(verdicts(case + calibrations, of_devices))
-    return Report(computer, tuple(one for each in found.values() for one in each), calibrations, case, judged)
+    case_verdicts = () if config is None else tuple(verdicts(case + calibrations, of_devices))
+    return Report(
+        computer, tuple(one for each in found.values() for one in each), calibrations, case, case_verdicts
+    )
 
 
 def show(report: Report, *, as_json: bool) -> None:
@@ -186,7 +188,7 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
         return
     probes = endpoint_probes()
     schemes = sorted({scheme for probe in probes.values() for scheme in probe.endpoint_schemes})
-    asked: dict[str, list[Endpoint]] = {}
+    by_driver: dict[str, list[Endpoint]] = {}
     for endpoint in endpoints:
         endpoint.require(*schemes)
         drivers = [name for name, probe in probes.items() if endpoint.scheme in probe.endpoint_schemes]
@@ -195,9 +197,9 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
                 f"{endpoint}: {' and '.join(drivers)} can check this kind of endpoint",
                 action="Name the driver in a theatre file, and use --config.",
             )
-        asked.setdefault(drivers[0], []).append(endpoint)
-    for driver, its_own in asked.items():
-        yield f"endpoints of {driver}", partial(probes[driver].look_at, its_own)
+        by_driver.setdefault(drivers[0], []).append(endpoint)
+    for driver, driver_endpoints in by_driver.items():
+        yield f"endpoints of {driver}", partial(probes[driver].probe_endpoints, driver_endpoints)
 
 
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:

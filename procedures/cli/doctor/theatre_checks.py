@@ -12,8 +12,8 @@ from pathlib import Path
 
 from procedures.guards.default_guards import DiskSpace
 from procedures.runs.reopening import resumable_run
-from procedures.runs.theatre_lock import last_moved, theatre_user, unwritable_note
-from procedures.runs.theatre_note import arm_not_home, instrument_not_out
+from procedures.runs.theatre_lock import find_theatre_user, find_unwritable_note, read_last_note
+from procedures.runs.theatre_note import arm_not_home, find_instrument_inside
 from ronna_hw.clock import SharedClock, open_clock
 from ronna_hw.config import MASTER, TheatreFile
 from ronna_hw.devices.capabilities import MESSAGES
@@ -36,8 +36,8 @@ RECEIVE_BUFFER_WANTED = 4 * 1024 * 1024  # bytes; a full frame of both cameras a
 def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
     """Return all obstacles to a case in a folder of `out`, whatever its devices and records."""
     kind = "all simulated" if is_simulated(theatre) else "all real"
-    yield checked("theatre file", kind, lambda: require_one_kind(theatre))
-    yield checked(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
+    yield run_check("theatre file", kind, lambda: require_one_kind(theatre))
+    yield run_check(CLOCK, f"{theatre.clock.endpoint}", lambda: _read_clock(theatre))
     missing = [name for name in NEEDED if name not in theatre.devices]
     yield Diagnostic(
         "devices of a case",
@@ -46,12 +46,12 @@ def case_diagnostics(theatre: TheatreFile, out: Path) -> Iterator[Diagnostic]:
         f"Add {' and '.join(f'[{name}]' for name in missing)} to the theatre file." if missing else "",
     )
     allowed = f"at least {CASE_OPEN_FILES} allowed"
-    yield checked("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
-    whole = out.resolve()
-    folder = next(path for path in (whole, *whole.parents) if path.exists())  # a run makes the others
-    full = DiskSpace(folder).unmet()
-    found = f"{folder}: {full or 'enough for a case'}"
-    yield Diagnostic("disk", full is None, found, "" if full is None else "Free some space.")
+    yield run_check("open files", allowed, lambda: require_open_files(CASE_OPEN_FILES))
+    resolved = out.resolve()
+    folder = next(path for path in (resolved, *resolved.parents) if path.exists())  # a run makes the others
+    shortage = DiskSpace(folder).unmet()
+    found = f"{folder}: {shortage or 'enough for a case'}"
+    yield Diagnostic("disk", shortage is None, found, "" if shortage is None else "Free some space.")
 
 
 def _read_clock(theatre: TheatreFile) -> None:
@@ -61,7 +61,7 @@ def _read_clock(theatre: TheatreFile) -> None:
         clock.close()
 
 
-def checked(subject: str, found: str, require: Callable[[], object]) -> Diagnostic:
+def run_check(subject: str, found: str, require: Callable[[], object]) -> Diagnostic:
     """Return what was `found`, or the error that `require` raised instead."""
     try:
         require()
@@ -72,36 +72,36 @@ def checked(subject: str, found: str, require: Callable[[], object]) -> Diagnost
 
 def use_diagnostics(theatre: Path) -> Iterator[Diagnostic]:
     """Return obstacles to a new case from the use of a theatre; the subject is `RUN` while it is in use."""
-    if (user := theatre_user(theatre)) is not None:
+    if (user := find_theatre_user(theatre)) is not None:
         seen = f"{user.seen}: its devices were not checked"
         yield Diagnostic(RUN, False, seen, user.advice("check again"))
         return
-    last = last_moved(theatre)
-    if (left := instrument_not_out(last)) is not None:
-        run, inside = left
+    last = read_last_note(theatre)
+    if (instrument_left := find_instrument_inside(last)) is not None:
+        run, inside = instrument_left
         advice = (
             "Touch neither the tool nor the arm, and start no other run: "
             f"ronna-procedure home {shlex.quote(str(run))} asks for the removal, then brings the arm home."
         )
         seen = f"run {run.name} is unfinished: {inside}"
         yield Diagnostic(INSTRUMENT, False, seen, advice)
-    if (away := arm_not_home(last, None)) is not None:
-        ask = "" if left else "A new case asks whether to take where the arm stands as its home."
-        yield Diagnostic("home of the arm", False, away, ask)
-    if (note := unwritable_note(theatre)) is not None:
+    if (away_reason := arm_not_home(last, None)) is not None:
+        hint = "" if instrument_left else "A new case asks whether to take where the arm stands as its home."
+        yield Diagnostic("home of the arm", False, away_reason, hint)
+    if (note := find_unwritable_note(theatre)) is not None:
         advice = "Give this user the right to write it: it tells a later run what this one left."
         yield Diagnostic("note of the last run", False, f"{note} cannot be written", advice)
 
 
 def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list[Diagnostic]:
     """Return findings at the devices with advice that fits an unfinished run there."""
-    run, left = resumable_run(theatre), instrument_not_out(last_moved(theatre))
+    run, instrument_left = resumable_run(theatre), find_instrument_inside(read_last_note(theatre))
     advised = list(found)
     for place, one in enumerate(found):
         if one.well:
             continue
-        if left is not None and one.subject.endswith(f": {TOOL}"):
-            advised[place] = replace(one, advice=f"Do not touch the tool: {left[1]}.")
+        if instrument_left is not None and one.subject.endswith(f": {TOOL}"):
+            advised[place] = replace(one, advice=f"Do not touch the tool: {instrument_left[1]}.")
         elif run is not None and one.subject.endswith(f": {MESSAGES}"):
             name = f"ronna-procedure acknowledge {shlex.quote(str(run))} --by 'YOUR NAME'"
             advised[place] = replace(one, advice=f"Remove its cause; then {name}.")
@@ -110,10 +110,10 @@ def advise_on_unfinished_run(theatre: Path, found: Sequence[Diagnostic]) -> list
 
 def computer_diagnostics() -> Iterator[Diagnostic]:
     """Return all checks that need no device."""
-    from ronna_hw.host.process import foreign_packages
+    from ronna_hw.host.process import find_foreign_packages
 
     yield Diagnostic("Python", sys.version_info >= (3, 11), sys.version.split()[0])
-    if foreign := foreign_packages():
+    if foreign := find_foreign_packages():
         advice = "Use an environment in which no other package has these names."
         yield Diagnostic("packages", False, f"foreign: {', '.join(foreign)}", advice)
     else:
@@ -149,7 +149,7 @@ def _real_time() -> Diagnostic:
 def _serial_ports() -> Iterator[Diagnostic]:
     from serial.tools import list_ports
 
-    from ronna_hw.host.port_users import permission_advice, permissions, users_of_serial_port
+    from ronna_hw.host.port_users import advise_on_permission, describe_permissions, find_serial_port_users
 
     ports = sorted(list_ports.comports(), key=lambda port: str(port.device))
     if not ports:
@@ -157,10 +157,10 @@ def _serial_ports() -> Iterator[Diagnostic]:
     for port in ports:
         description = "no description" if port.description == "n/a" else str(port.description)
         path = str(port.device)
-        subject, seen = f"serial port {path}", f"{description}; {permissions(path)}"
+        subject, seen = f"serial port {path}", f"{description}; {describe_permissions(path)}"
         if not os.access(path, os.R_OK | os.W_OK):
-            yield Diagnostic(subject, False, f"{seen}; permission denied", permission_advice(path))
+            yield Diagnostic(subject, False, f"{seen}; permission denied", advise_on_permission(path))
             continue
-        if users := users_of_serial_port(path):
+        if users := find_serial_port_users(path):
             seen += "; in use by " + " and ".join(map(str, users))
         yield Diagnostic(subject, True, seen)

@@ -15,7 +15,7 @@ from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import require_new
 
 if TYPE_CHECKING:
-    from procedures.cli.new_theatre.searching import Found
+    from procedures.cli.new_theatre.searching import DeviceTable
 
 NO_CARD = "none"
 REHEARSAL = "REHEARSAL: EVERY DEVICE IS ON THIS COMPUTER"  # where only simulators can be
@@ -94,8 +94,8 @@ def new_theatre(
     from ronna_hw.config import parse_theatre
     from ronna_hw.devices.probing import Search
     from ronna_hw.errors import EXIT_NOT_FOUND
-    from ronna_hw.records import write_whole
-    from ronna_hw.registry import finders
+    from ronna_hw.records import write_atomically
+    from ronna_hw.registry import load_finders
     from ronna_hw.theatre_kind import is_simulated
 
     copied = writing.CopiedRecords() if records is None else writing.read_records(records)
@@ -107,27 +107,27 @@ def new_theatre(
     )
     searching.endpoint_of("--clock", clock)
     with terminal.progress_bar("looking for the devices") as advance:
-        found = searching.search_all(finders().values(), search, (left, right), _choose, advance)
+        found = searching.search_all(load_finders().values(), search, (left, right), _choose, advance)
     found = writing.with_options(writing.with_tools(found, copied.tools), option or ())
     name = name or out.stem
     text = writing.theatre_text(name, found, clock, copied.tables)
     if is_simulated(parse_theatre(tomllib.loads(text), (records or out).name)):
         text = writing.theatre_text(name, found, clock, copied.tables, REHEARSAL)
-    write_whole(out, text.encode(), exclusive=True)
+    write_atomically(out, text.encode(), exclusive=True)
     ready = _report_devices(out, found, check=check, as_json=as_json)
     if not ready:
         raise typer.Exit(EXIT_NOT_FOUND)
 
 
-def _report_devices(out: Path, found: Sequence[Found], *, check: bool, as_json: bool) -> bool:
+def _report_devices(out: Path, found: Sequence[DeviceTable], *, check: bool, as_json: bool) -> bool:
     """Report the devices found and the doctor's verdict; True if every device is there and ready."""
     from procedures.cli.doctor.report import examine, show_findings
 
     for one in found:
         addresses = ", ".join(one.proposal.endpoints.values())
-        what = f"{one.proposal.what} at {addresses}" if one.there else one.proposal.absent or "not found"
+        what = f"{one.proposal.what} at {addresses}" if one.is_found else one.proposal.absent or "not found"
         terminal.tell(f"{one.table}: {what}")
-    complete = all(one.there for one in found)
+    complete = all(one.is_found for one in found)
     if not check:
         terminal.tell(f"{out} was written; check it with ronna-procedure doctor --config {out}")
         return complete

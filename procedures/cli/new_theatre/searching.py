@@ -16,12 +16,12 @@ Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where
 
 
 @dataclass(frozen=True)
-class Found:
+class DeviceTable:
     """One table of the theatre file: a device that was found, or an example of one."""
 
     table: str
     proposal: Proposal
-    there: bool
+    is_found: bool
 
 
 def find_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
@@ -92,7 +92,7 @@ def search_all(
     cameras: tuple[str | None, str | None],
     choose: Choose,
     progress: Progress,
-) -> tuple[Found, ...]:
+) -> tuple[DeviceTable, ...]:
     """Let every finder search, and choose among several. Raises CLI-001 if nobody chooses."""
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
@@ -106,8 +106,8 @@ def search_all(
             proposals = _select_pairs(proposals, cameras)
         connected = [one for one in proposals if not one.absent]
         chosen = _choose_proposal(finder.table, connected, choose)
-        instead = proposals[0] if proposals else finder.example(search)
-        found.append(Found(finder.table, chosen or instead, chosen is not None))
+        fallback = proposals[0] if proposals else finder.example(search)
+        found.append(DeviceTable(finder.table, chosen or fallback, chosen is not None))
         advance(1.0)
     return tuple(found)
 

@@ -13,13 +13,13 @@ from typing import Any
 from pydantic import BaseModel, ValidationError
 
 from procedures.calibration.validity import MADE_BY_COMMAND
-from procedures.cli.new_theatre.searching import Found
+from procedures.cli.new_theatre.searching import DeviceTable
 from ronna_hw.bounded_input import parse_toml, read_toml
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.config import BadTheatreFile, Calibrations, parse_theatre
 from ronna_hw.devices.probing import ONLY, Option, Proposal
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 WIDTH = 110
 TABLE_NAMES = {"robot": "robot.master"}  # the name under which the procedure uses an arm
@@ -40,7 +40,7 @@ ANY_KIND = {"clock": {"endpoint": "shm:///any"}}
 
 
 def theatre_text(
-    name: str, found: Sequence[Found], clock: str, copied: Mapping[str, Any], banner: str = ""
+    name: str, found: Sequence[DeviceTable], clock: str, copied: Mapping[str, Any], banner: str = ""
 ) -> str:
     """Return a new theatre file as TOML with comments; `copied` are tables of another file."""
     lines = [*_comment(HEAD), "", "schema = 1", _line("theatre", name)]
@@ -57,16 +57,16 @@ def theatre_text(
     return "\n".join(lines) + "\n" + ("\n" + _toml(rest) if rest else "")
 
 
-def _device_lines(found: Found) -> Iterator[str]:
+def _device_lines(found: DeviceTable) -> Iterator[str]:
     proposal, table = found.proposal, TABLE_NAMES.get(found.table, found.table)
-    title = f"{table}: {proposal.what}" if found.there else f"{table}: {NOT_FOUND}"
+    title = f"{table}: {proposal.what}" if found.is_found else f"{table}: {NOT_FOUND}"
     if proposal.absent:
         title += f" Searched for it: {proposal.absent}."
     yield from _comment(title)
     for remark in proposal.remarks:
         yield from _comment(f"- {remark}")
     body = list(_table_lines(table, proposal))
-    yield from body if found.there else (f"# {line}".rstrip() for line in body)
+    yield from body if found.is_found else (f"# {line}".rstrip() for line in body)
 
 
 def _table_lines(table: str, proposal: Proposal) -> Iterator[str]:
@@ -181,25 +181,25 @@ def read_records(source: Path) -> CopiedRecords:
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise BadTheatreFile(
-            f"{source.name} has {counted(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
+            f"{source.name} has {format_count(len(mistakes), 'mistake')}: {'; '.join(mistakes)}"
         ) from error
     folder = source.resolve().parent
-    whole = []
+    resolved_tools = []
     for tool in tools:
-        beside = folder / tool.rom  # else a definition of the driver, by its name
-        rom = str(beside) if beside.is_file() else tool.rom
-        whole.append({**(tool.model_extra or {}), "rom": rom})
-    return CopiedRecords(tables, whole)
+        rom_path = folder / tool.rom  # else a definition of the driver, by its name
+        rom = str(rom_path) if rom_path.is_file() else tool.rom
+        resolved_tools.append({**(tool.model_extra or {}), "rom": rom})
+    return CopiedRecords(tables, resolved_tools)
 
 
-def with_tools(found: Sequence[Found], tools: Sequence[Mapping[str, Any]]) -> tuple[Found, ...]:
+def with_tools(found: Sequence[DeviceTable], tools: Sequence[Mapping[str, Any]]) -> tuple[DeviceTable, ...]:
     """Return the tracker with the tool definitions of another theatre file, if that names some."""
     if not tools:
         return tuple(found)
     return tuple(_apply_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
-def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, ...]:
+def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[DeviceTable, ...]:
     """Return devices with options such as `stereo.exposure_us=1500`, values as TOML. Raises CLI-001."""
     changed = list(found)
     for text in given:
@@ -220,7 +220,7 @@ def with_options(found: Sequence[Found], given: Sequence[str]) -> tuple[Found, .
     return tuple(changed)
 
 
-def _require_fitting(text: str, found: Found) -> None:
+def _require_fitting(text: str, found: DeviceTable) -> None:
     """Raise CLI-001 if the driver would not take its options with this one."""
     options = found.proposal.options
     chosen = {option.key: option.value for option in options if option.chosen}
@@ -234,7 +234,7 @@ def _require_fitting(text: str, found: Found) -> None:
             ) from error
 
 
-def _apply_values(found: Found, values: Mapping[str, Any]) -> Found:
+def _apply_values(found: DeviceTable, values: Mapping[str, Any]) -> DeviceTable:
     options = tuple(
         replace(one, value=values[one.key], chosen=True) if one.key in values else one
         for one in found.proposal.options

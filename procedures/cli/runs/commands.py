@@ -13,7 +13,7 @@ from procedures.cli.case.options import ConsoleOptions
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.options import with_option_records
 from ronna_hw.command_line.terminal import JsonOption
-from ronna_hw.text import without_controls
+from ronna_hw.text import escape_controls
 
 
 def _run_folder(folder: Path) -> Path:
@@ -140,14 +140,14 @@ def show_command(run_folder: RunArgument, as_json: JsonOption = False) -> None:
 
 def report_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
     """Rebuild the report of a run from its folder: report.html, with pictures and data in report/."""
-    from procedures.runs.finishing import make_report
+    from procedures.runs.finishing import rebuild_report
     from ronna_hw.command_line.terminal import print_json
 
-    path = make_report(run_folder, out)
+    path = rebuild_report(run_folder, out)
     if as_json:
         print_json({"report": str(path)})
     else:
-        sys.stdout.write(f"{without_controls(str(path))}\n")
+        sys.stdout.write(f"{escape_controls(str(path))}\n")
 
 
 def export_command(run_folder: RunArgument, out: FolderOption = None, as_json: JsonOption = False) -> None:
@@ -221,9 +221,9 @@ def raw_command(
     """
     from procedures.exchange.raw_readings import write_raw
     from ronna_hw.command_line.terminal import print_json, tell
-    from ronna_hw.evidence.inspection import inspected
+    from ronna_hw.evidence.inspection import inspect_run
 
-    inspected(run_folder).require_unchanged()
+    inspect_run(run_folder).require_unchanged()
     folder, whole = write_raw(run_folder, out)
     if as_json:
         print_json({"folder": str(folder), "whole": whole})

@@ -17,26 +17,26 @@ from procedures.engine.errors import NotRecorded, ReplayDiffers
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import CalibrationOpening, RecordedAnswers, read_answers
 from procedures.engine.replay.replay import ReplayInput, Verdict, replay
-from procedures.engine.run_folder import RunFolder, run_of, typed
+from procedures.engine.run_folder import RunFolder, parse_record, run_of
 from procedures.engine.setting import ClinicalInput
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
 from procedures.planning.plan_file import read_plan
 from procedures.steps.calibration.recipe import Recipe
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.command_line.terminal import print_json, print_table, progress_bar, say, tell
 from ronna_hw.config import Calibrations, read_theatre_file
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import EXIT_REFUSED, EXIT_UNCONFIRMED
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.evidence.manifest import files_of, unchecked_folders
-from ronna_hw.evidence.unsealed import unsealed_sentences
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.evidence.manifest import iterate_files, list_unchecked_folders
+from ronna_hw.evidence.unsealed import describe_unsealed_files
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, links_of, read_link
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, LinkLine, list_links, read_link
 from ronna_hw.recording.reading_tape import READINGS_FILE
-from ronna_hw.text import counted, printable
+from ronna_hw.text import format_count, printable
 
 CONFIRMED = (Verdict.EQUAL, Verdict.ROUNDED)
 ROW_BYTES = 16
@@ -48,17 +48,17 @@ def verify(folder: Path, *, as_json: bool) -> None:
 
     Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
     """
-    found = inspected(folder)
+    found = inspect_run(folder)
     problems, missing = found.problems, missing_in_raw(folder, found.chain.lines)
-    not_vouched_for = list(unsealed_sentences(found.chain.lines))
-    unchecked = unchecked_folders(folder)
-    checked = sum(1 for _ in files_of(folder))
+    not_vouched_for = list(describe_unsealed_files(found.chain.lines))
+    unchecked = list_unchecked_folders(folder)
+    file_count = sum(1 for _ in iterate_files(folder))
     if as_json:
         print_json(
             {
                 "run": folder.resolve().name,
                 "whole": not problems,
-                "files": checked,
+                "files": file_count,
                 "problems": [asdict(one) for one in problems],
                 "not_vouched_for": not_vouched_for,
                 "not_checked": unchecked,
@@ -73,11 +73,11 @@ def verify(folder: Path, *, as_json: bool) -> None:
             intact, since = "intact", ""
             if not_vouched_for:
                 intact, since = "intact as far as can be said", ", or as they lay when it was resumed"
-            say(f"{folder.resolve().name}: {intact}, {checked} files are as the run left them{since}")
+            say(f"{folder.resolve().name}: {intact}, {file_count} files are as the run left them{since}")
         for sentence in not_vouched_for:
             say(sentence)
         if absent := found.out_of_reach:
-            inputs = counted(len(absent), "input")
+            inputs = format_count(len(absent), "input")
             say(f"not compared: {inputs} outside the run, whose folder is not there: {printable(absent[0])}")
         if unchecked:
             say(f"not part of the run, and not checked: {', '.join(unchecked)}")
@@ -95,11 +95,11 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     Raises PRO-024, and PRO-025 for records that are not confirmed.
     """
     # For edited readings a replay tells more: which results they change.
-    run = run_of(inspected(run_folder, every_file=False).require_unchanged())
+    run = run_of(inspect_run(run_folder, every_file=False).require_unchanged())
     answers = read_answers(run_folder)
-    given = _default_to_recorded_set_up(run, _replay_input(run_folder, answers))
+    replay_input = _default_to_recorded_set_up(run, _replay_input(run_folder, answers))
     with progress_bar(f"recomputing {len(run.records)} results") as show:
-        results = replay(run, given, answers, lambda done, of: show(done / of))
+        results = replay(run, replay_input, answers, lambda done, of: show(done / of))
     counts = Counter(result.verdict for result in results)
     if as_json:
         totals = {str(verdict).replace(" ", "_"): counts[verdict] for verdict in Verdict}
@@ -107,40 +107,46 @@ def replay_run(run_folder: Path, *, as_json: bool) -> None:
     else:
         rows = [(one.record, one.verdict, "; ".join(one.why)) for one in results]
         print_table("Recomputed results", ("record", "verdict", "why"), rows)
-    unlike = [one.record for one in results if one.verdict not in CONFIRMED]
-    if unlike:
-        raise ReplayDiffers(f"{len(unlike)} of {len(results)} records are not confirmed: {', '.join(unlike)}")
+    unconfirmed = [one.record for one in results if one.verdict not in CONFIRMED]
+    if unconfirmed:
+        raise ReplayDiffers(
+            f"{len(unconfirmed)} of {len(results)} records are not confirmed: {', '.join(unconfirmed)}"
+        )
 
 
 def _replay_input(run_folder: Path, answers: RecordedAnswers) -> ReplayInput:
     opening = answers.opening
 
-    def placed(path: str | None) -> Path:
+    def resolve_path(path: str | None) -> Path:
         if path is None:
             raise NotRecorded(f"the first line of {READINGS_FILE} does not say what the run was begun with")
         return run_folder / path  # an absolute path stays what it is
 
     if opening.series is None:
-        return _calibration_input(opening.calibration, placed(opening.theatre_file))
-    plan = placed(opening.plan)
-    strategy = strategy_named(opening.strategy or "")
+        return _calibration_input(opening.calibration, resolve_path(opening.theatre_file))
+    plan = resolve_path(opening.plan)
+    strategy = find_strategy(opening.strategy or "")
     order = order_of(
         clinical_steps(measure_targets=opening.measure_targets),
         [trajectory.id for trajectory in read_plan(plan).trajectories],
         localizes_per_trajectory=strategy.localizes_per_trajectory,
     )
-    clinical = ClinicalInput(placed(opening.series), plan, strategy, opening.measure_targets)
-    return ReplayInput(order, clinical, read_theatre_file(placed(opening.theatre_file)))
+    clinical = ClinicalInput(resolve_path(opening.series), plan, strategy, opening.measure_targets)
+    return ReplayInput(order, clinical, read_theatre_file(resolve_path(opening.theatre_file)))
 
 
-def _default_to_recorded_set_up(run: RunFolder, given: ReplayInput) -> ReplayInput:
+def _default_to_recorded_set_up(run: RunFolder, replay_input: ReplayInput) -> ReplayInput:
     recorded = next((record for record in run.records if record.kind == CheckedSetUp.kind), None)
     if recorded is None:
-        return given
-    then = typed(recorded, CheckedSetUp)
-    tables = {"calibration": then.calibrations, "tools": then.tools, "flange": then.flange}
-    tables |= {"cell": then.cell, "procedure": then.settings}
-    return replace(given, theatre=given.theatre.model_copy(update=tables))
+        return replay_input
+    recorded_set_up = parse_record(recorded, CheckedSetUp)
+    tables = {
+        "calibration": recorded_set_up.calibrations,
+        "tools": recorded_set_up.tools,
+        "flange": recorded_set_up.flange,
+    }
+    tables |= {"cell": recorded_set_up.cell, "procedure": recorded_set_up.settings}
+    return replace(replay_input, theatre=replay_input.theatre.model_copy(update=tables))
 
 
 def _calibration_input(calibration: CalibrationOpening | None, theatre_file: Path) -> ReplayInput:
@@ -165,7 +171,7 @@ def print_bytes(
     Raises CLI-005 without bytes, CLI-001 for a wrong link or window.
     """
     folder = run_folder / BYTES_FOLDER
-    links = links_of(folder)
+    links = list_links(folder)
     if not links:
         raise PathProblem(f"{folder} has no recorded link bytes", expected="the folder of a run")
     wanted = [name for name in links if link is None or name == link or name.startswith(f"{link}.")]
@@ -174,7 +180,7 @@ def print_bytes(
     begin_s, end_s = from_s if from_s is not None else -math.inf, to_s if to_s is not None else math.inf
     if begin_s > end_s:
         raise UsageMistake("the window ends before it begins", got=f"--from {begin_s:g} --to {end_s:g}")
-    for change in inspected(run_folder).changes:
+    for change in inspect_run(run_folder).changes:
         tell(f"NOT AS THE RUN LEFT IT: {change}")
     merged = heapq.merge(*(read_link(folder, name) for name in wanted), key=lambda line: line.host_time)
     first_s, last_s, printed = math.inf, -math.inf, False
@@ -184,8 +190,8 @@ def print_bytes(
             printed = True
             sys.stdout.write(_as_json(line) if as_json else _as_dump(line))
     if not printed:
-        kept = f"{first_s:.1f} to {last_s:.1f} s" if first_s <= last_s else "nothing"
-        tell(f"no bytes in this window; {', '.join(wanted)} recorded {kept}")
+        extent = f"{first_s:.1f} to {last_s:.1f} s" if first_s <= last_s else "nothing"
+        tell(f"no bytes in this window; {', '.join(wanted)} recorded {extent}")
 
 
 def _as_json(line: LinkLine) -> str:

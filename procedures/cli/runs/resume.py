@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, Literal
 
 import typer
 
-from procedures.cli.case.display import follow, following, show_outcome
-from procedures.engine.device_faults import acknowledged
+from procedures.cli.case.display import follow, observe_run, show_outcome
+from procedures.engine.device_faults import recover_faults
 from procedures.engine.errors import FaultOfRun, RecoveryRefused
 from procedures.runs.case_outcome import finish_case, outcome_as_recorded, with_report
 from procedures.runs.finishing import complete_seal, finalize_run
@@ -21,13 +21,13 @@ from procedures.runs.lifecycle import open_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.reopening import (
     hold_interrupted_run,
-    make_ready,
+    prepare_folder,
     read_reopened_request,
     require_free_devices,
     resumable_run,
 )
 from procedures.runs.request import CalibrationProcedure, RunRequest
-from procedures.runs.theatre_lock import last_moved
+from procedures.runs.theatre_lock import read_last_note
 from procedures.runs.theatre_note import arm_not_home
 from ronna_hw.command_line.errors import UsageMistake
 from ronna_hw.command_line.terminal import on_terminal, print_json, say, tell
@@ -52,7 +52,7 @@ def resume(
     With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
     PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
     """
-    request = read_reopened_request(folder, accept=accept, answers=answers, as_before=True)
+    request = read_reopened_request(folder, accept=accept, answers=answers, reuse_answers=True)
     with hold_interrupted_run(folder) as interrupted:
         if isinstance(request.procedure, CalibrationProcedure):
             if console is not None:
@@ -69,7 +69,7 @@ def resume(
             show_outcome(with_report(outcome, interrupted.folder), as_json=as_json)
         else:
             require_free_devices(request)
-            make_ready(interrupted)
+            prepare_folder(interrupted)
             finish = partial(finish_case, request, interrupted, accepted=accept)
             follow(request, interrupted.folder, finish, console, as_json=as_json, waits=not accept)
 
@@ -81,15 +81,15 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
     """
     request = read_reopened_request(folder, accept=accept, answers=answers)
     with hold_interrupted_run(folder, only_leaving=True) as interrupted:
-        if (nothing := interrupted.nothing_to_bring_home) is not None:
-            _require_not_left_by_another(interrupted, request)
+        if (nothing := interrupted.why_home_needs_no_device) is not None:
+            _require_last_run(interrupted, request)
             _print_outcome(
                 interrupted, nothing, home=interrupted.parked or None, moved=False, as_json=as_json
             )
             return
         require_free_devices(request)
-        make_ready(interrupted)
-        with finalize_run(interrupted.folder), following(quiet=as_json) as observers:
+        prepare_folder(interrupted)
+        with finalize_run(interrupted.folder), observe_run(quiet=as_json) as observers:
             from procedures.runs.recovery import bring_home
 
             resumption = Resumption(interrupted, accept, only_leaving=True)
@@ -99,10 +99,13 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
         _print_outcome(interrupted, words, moved=moved, as_json=as_json)
 
 
-def _require_not_left_by_another(interrupted: InterruptedRun, request: RunRequest) -> None:
+def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
     """Raise PRO-032 with the run whose `home` brings the arm there, PRO-043 while that one still runs."""
     theatre = request.config
-    if theatre is not None and (away := arm_not_home(last_moved(theatre), interrupted.folder)) is not None:
+    if (
+        theatre is not None
+        and (away := arm_not_home(read_last_note(theatre), interrupted.folder)) is not None
+    ):
         require_free_devices(request)
         raise RecoveryRefused(away, action="Nothing was moved.")
 
@@ -132,7 +135,7 @@ def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
         require_free_devices(request)
         if request.config is not None:
             _require_own_fault(request.config, path)
-        make_ready(interrupted)
+        prepare_folder(interrupted)
         resumption = Resumption(interrupted, False, only_leaving=True, asks=False)
         with finalize_run(path), open_run(request, path, RunObservers(), resumption) as engine:
             _recover_all(
@@ -159,7 +162,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
         devices = theatre.devices
         _recover_all(
             devices,
-            lambda: dict(acknowledged(devices, lambda name: devices[name].recover(by))),
+            lambda: dict(recover_faults(devices, lambda name: devices[name].recover(by))),
             by,
             as_json=as_json,
             theatre=theatre.file.theatre,

@@ -7,7 +7,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from procedures.cli.case.case_view import describe_loss, entry_of, in_words
+from procedures.cli.case.case_view import describe_loss, describe_state, entry_of
 from procedures.engine.events import CaseState, Event, Questioned, Refusal, SignalsLost
 from procedures.engine.events.event_file import FollowedRun
 from procedures.exchange.raw_readings import WRITES_ALL, missing_in_raw
@@ -16,10 +16,10 @@ from procedures.reporting.ending import Ending, resumes, run_ending
 from procedures.reporting.files import KEPT_TRUTH, load_truth
 from procedures.reporting.outcome import Truth
 from procedures.reporting.run_reading import RunReading, read_for_report
-from procedures.runs.folders import holder_of_run, runs_in
+from procedures.runs.folders import find_run_holder, find_runs
 from ronna_hw.command_line.terminal import message_console, on_terminal, print_json, print_table, say, tell
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.text import counted, printable
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.text import format_count, printable
 
 
 def list_runs(folder: Path, *, as_json: bool) -> None:
@@ -27,7 +27,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
     Only the sources of the rows are compared; an error from a changed file is omitted.
     """
-    rows = [_list_entry(run) for run in runs_in(folder)]
+    rows = [_summarize_run(run) for run in find_runs(folder)]
     if as_json:
         print_json({"runs": rows})
         return
@@ -65,11 +65,13 @@ def show_run(folder: Path, *, as_json: bool) -> None:
     say(f"{row['run']}: {theatre}{seed}, strategy {row['strategy'] or '-'}")
     say(f"began {row['began'] or '-'}; {row['sentence']}")
     if row["resumes"]:
-        say(f"resumed {counted(row['resumes'], 'time')}")
+        say(f"resumed {format_count(row['resumes'], 'time')}")
     if (in_vain := row["restarts"] - row["only_leaving"] - row["resumes"]) > 0:
-        say(f"taken up {counted(in_vain, 'time')} without going on from what was left")
+        say(f"taken up {format_count(in_vain, 'time')} without going on from what was left")
     if row["only_leaving"]:
-        say(f"taken up {counted(row['only_leaving'], 'time')} only to go home, or to acknowledge a fault")
+        say(
+            f"taken up {format_count(row['only_leaving'], 'time')} only to go home, or to acknowledge a fault"
+        )
     if row["instrument_in"]:
         say(f"the instrument was still in {row['instrument_in']}")
     say(f"done: {', '.join(row['done']) or 'nothing'}")
@@ -93,10 +95,10 @@ def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
     say((lineage_mermaid(run) if as_mermaid else lineage_text(run)).rstrip("\n"))
 
 
-def _list_entry(folder: Path) -> dict[str, Any]:
+def _summarize_run(folder: Path) -> dict[str, Any]:
     reading = read_for_report(folder, every_file=False, files=(KEPT_TRUTH,))
-    kept = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
-    row = _summary(reading, load_truth(folder) if kept else None)
+    truth_is_intact = not any(change.startswith(f"{KEPT_TRUTH}:") for change in reading.changes)
+    row = _summary(reading, load_truth(folder) if truth_is_intact else None)
     return row | {"problems": [*reading.changes, *reading.problems]}
 
 
@@ -111,7 +113,7 @@ def _largest_error(row: dict[str, Any]) -> str:
 def _summary(reading: RunReading, truth: Truth | None) -> dict[str, Any]:
     run = reading.run
     ending = run_ending(run.journal)
-    running = holder_of_run(reading.folder) if ending.word == "killed" else None
+    running = find_run_holder(reading.folder) if ending.word == "killed" else None
     if running is not None:
         ending = Ending("running", f"{running} has it open.")
     errors_mm = {} if truth is None else {one.id: one.application_error_mm for one in truth.targets}
@@ -149,10 +151,10 @@ def watch(run: Path, *, as_json: bool) -> None:
     """
     followed = FollowedRun(run)
     if followed.over:
-        for change in inspected(run).changes:
+        for change in inspect_run(run).changes:
             tell(f"NOT AS THE RUN LEFT IT: {change}")
     if as_json:
-        _write(followed, lambda event: event.model_dump_json(ensure_ascii=True))
+        _write_lines(followed, lambda event: event.model_dump_json(ensure_ascii=True))
     elif on_terminal(sys.stderr):
         from procedures.cli.case.live_display import LiveDisplay
 
@@ -163,12 +165,12 @@ def watch(run: Path, *, as_json: bool) -> None:
         for _style, line in display.view.lines():
             tell(line)
     else:
-        _write(followed, line_of)
+        _write_lines(followed, line_of)
     if not followed.closed:
         tell("the run was ended without being closed")
 
 
-def _write(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> None:
+def _write_lines(followed: FollowedRun, line_of: Callable[[Event], str | None]) -> None:
     for events in followed.batches():
         for event in events:
             if (line := line_of(event)) is not None:
@@ -187,7 +189,7 @@ def _line(event: Event) -> str | None:
         return f"{entry.mark} {entry.text}"
     match event.what:
         case CaseState() as case:
-            return in_words(case)
+            return describe_state(case)
         case SignalsLost() as lost:
             return describe_loss(lost)
         case Questioned(subject=subject, value=value):

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, finite_ball
+from procedures.cli.calibrating.options import CalibrationOptions, MeasuringOptions, require_finite_ball
 from ronna_hw.command_line import terminal
 from ronna_hw.command_line.options import with_option_records
 
@@ -48,7 +48,7 @@ def stereo() -> None:
 @with_option_records
 def calibrate_head(
     context: typer.Context,
-    asked: CalibrationOptions,
+    command_options: CalibrationOptions,
     ball: BallOption = None,
     poses: Annotated[
         int, typer.Option(min=60, max=400, help="Poses to measure from, besides those of the check.")
@@ -60,14 +60,14 @@ def calibrate_head(
     The arm moves after a confirmation. Exit codes: 0 done, 1 the observations do not yield a calibration,
     2 usage, 3 refused, 4 device not found, 5 link lost, 6 safety stop, 7 not confirmed, 130 interrupted.
     """
-    finite_ball(ball)
-    theatre = asked.source(context)
+    require_finite_ball(ball)
+    theatre = command_options.source(context)
     from procedures.cli.calibrating.calibration import calibrate
     from procedures.runs.calibrations import STEREO_HEAD
     from procedures.steps.calibration.recipe import Calibrated, Recipe
 
     recipe = Recipe(of=Calibrated.HEAD, looks=poses, more=visits, ball_mm=ball)
-    calibrate(STEREO_HEAD, recipe, asked, theatre)
+    calibrate(STEREO_HEAD, recipe, command_options, theatre)
 
 
 @app.command()
@@ -76,7 +76,7 @@ def check(
     baseline: Annotated[
         Path, typer.Option(metavar="FOLDER", help="Folder that `calibrate` wrote, or its baseline.json.")
     ],
-    asked: MeasuringOptions,
+    command_options: MeasuringOptions,
     visits: Annotated[int, typer.Option(min=2, max=20, help="Visits of each orientation.")] = 3,
 ) -> None:
     """Measure the ball again from the eight orientations of the calibration: has a camera or mount moved?
@@ -85,7 +85,7 @@ def check(
     baseline's calibration. Exit codes: 0 the head is unchanged, 3 it has changed or its
     calibration must not be used, 1 the ball is not in view, others as in `calibrate`.
     """
-    theatre = asked.theatre()
+    theatre = command_options.theatre()
     from procedures.calibration import Baseline, compare_with_baseline
     from procedures.calibration.errors import NotTheBaseline
     from procedures.calibration.observations import read_strict
@@ -97,8 +97,8 @@ def check(
             f"{baseline} has no {BASELINE_FILE}",
             action="Give the folder of a calibration that measured every orientation of the check twice.",
         )
-    then = read_strict(Baseline, file)
-    then.require_complete()
+    recorded = read_strict(Baseline, file)
+    recorded.require_complete()
     from procedures.cli.calibrating.calibration import check_calibration
     from procedures.cli.stereo.display import print_check
     from procedures.runs.calibrations import head_check_figures
@@ -106,26 +106,28 @@ def check(
     from procedures.steps.calibration.head_looks import VisitedBaseline
     from procedures.steps.calibration.recipe import head_check
 
-    def in_use(of_theatre: Calibrations) -> Calibrations:
-        if asked.sim and not asked.calibration:
-            return of_theatre.model_copy(update={"stereo_head": then.stereo_head})
-        return of_theatre
+    def in_use(theatre_records: Calibrations) -> Calibrations:
+        if command_options.sim and not command_options.calibration:
+            return theatre_records.model_copy(update={"stereo_head": recorded.stereo_head})
+        return theatre_records
 
     def judge(case: Case) -> tuple[HeadCheckFigures, Callable[[], None]]:
-        result = compare_with_baseline(case.get(VisitedBaseline).result.looks, then)
-        return head_check_figures(result, then), result.require
+        result = compare_with_baseline(case.get(VisitedBaseline).result.looks, recorded)
+        return head_check_figures(result, recorded), result.require
 
-    steps = head_check(then, visits)
+    steps = head_check(recorded, visits)
     measurement = Measurement(steps=steps, title="Check of the stereo head", in_use=in_use)
     request = replace(theatre, procedure=measurement)
     activity = "measuring the ball"
-    check_calibration(request, asked.out, activity, judge, print_check, as_json=asked.as_json)
+    check_calibration(
+        request, command_options.out, activity, judge, print_check, as_json=command_options.as_json
+    )
 
 
 @app.command()
 @with_option_records
 def measure(
-    asked: MeasuringOptions,
+    command_options: MeasuringOptions,
     find: Annotated[
         bool, typer.Option("--find", help="First move the head over the ball; always with --sim.")
     ] = False,
@@ -140,31 +142,35 @@ def measure(
     Without --find and --ball nothing moves. Exit codes: 0 measured, 1 no ball in view, others as in
     `calibrate`.
     """
-    theatre = asked.theatre()
+    theatre = command_options.theatre()
     from procedures.cli.calibrating.calibration import run_with_bar
     from procedures.runs.finishing import finalize_run
     from procedures.runs.folders import new_run_folder
     from procedures.runs.request import Measurement
-    from procedures.steps.calibration.recipe import head_look, look_where_it_stands
+    from procedures.steps.calibration.recipe import head_look, look_in_place
     from procedures.workcell.stereo_look import Look
 
-    steps = head_look(finite_ball(ball)) if find or asked.sim or ball is not None else look_where_it_stands()
+    steps = (
+        head_look(require_finite_ball(ball))
+        if find or command_options.sim or ball is not None
+        else look_in_place()
+    )
     measurement = Measurement(steps=steps, title="A measurement of the stereo head")
     request = replace(theatre, procedure=measurement)
-    folder = new_run_folder(request, asked.out, "measure")
+    folder = new_run_folder(request, command_options.out, "measure")
     with finalize_run(folder, with_truth=False):
         engine = run_with_bar(request, folder, "measuring with the stereo head")
-        seen = engine.setting.memory.find(Look)
-        assert seen is not None, "the last step keeps its measurement"
+        measured_look = engine.setting.memory.find(Look)
+        assert measured_look is not None, "the last step keeps its measurement"
         if picture is not None:
             from procedures.workcell.stereo_look import pair_picture
-            from ronna_hw.records import write_whole
+            from ronna_hw.records import write_atomically
 
-            write_whole(picture, pair_picture(seen, height_px=LARGE_PICTURE_PX))
+            write_atomically(picture, pair_picture(measured_look, height_px=LARGE_PICTURE_PX))
         from procedures.cli.stereo.display import show_look
         from procedures.reporting.calibration_figures import write_figures
 
-        write_figures(show_look(seen, as_json=asked.as_json), folder)
+        write_figures(show_look(measured_look, as_json=command_options.as_json), folder)
 
 
 def main() -> None:

@@ -29,25 +29,25 @@ def print_check(figures: HeadCheckFigures) -> None:
     )
 
 
-def show_look(seen: Look, *, as_json: bool) -> BallFigures:
+def show_look(view: Look, *, as_json: bool) -> BallFigures:
     """Print the ball in both images and in the tool frame; return the figures.
 
     Raises the look's error if it has no point.
     """
-    point = seen.point
-    if seen.left is None or seen.right is None:
-        raise seen.problem or NoSphere("no ball was measured in this image pair")
+    point = view.point
+    if view.left is None or view.right is None:
+        raise view.problem or NoSphere("no ball was measured in this image pair")
     if not as_json:
-        _print_outlines({"left": seen.left, "right": seen.right})
+        _print_outlines({"left": view.left, "right": view.right})
     if point is None:
-        raise seen.problem or NotTrusted("no ball was measured in this image pair")
+        raise view.problem or NotTrusted("no ball was measured in this image pair")
     figures = BallFigures(
         position_mm=point.position_mm.tolist(),
         covariance_mm2=point.covariance_mm2.tolist(),
         ray_gap_mm=point.ray_gap_mm,
         radius_mm=point.radius_mm,
-        left=OutlineFigures.model_validate(seen.left),
-        right=OutlineFigures.model_validate(seen.right),
+        left=OutlineFigures.model_validate(view.left),
+        right=OutlineFigures.model_validate(view.right),
     )
     if as_json:
         terminal.print_json(figures.as_json())

@@ -84,7 +84,7 @@ def define(
     _require_another_file(config, write)
     signed = _identity_fields(name, by, days)
     guide = {"reach_mm": reach_mm, "length_mm": bore_mm, "play_mm": play_mm}
-    record, lost = record_of(
+    record, dropped = record_of(
         config,
         {
             **signed,
@@ -99,9 +99,9 @@ def define(
         name,
         gauge_mm,
     )
-    if lost:
+    if dropped:
         terminal.tell(
-            f"the former record of {name} had {', '.join(lost)}, which the new one has not: "
+            f"the former record of {name} had {', '.join(dropped)}, which the new one has not: "
             "copy what this tool still has, or the case does without"
         )
     _write(config, write, name, record, as_json=as_json)
@@ -122,10 +122,10 @@ def renew(
     A calibration does not change the record: a person must confirm, with the gauge, that this tool is the one
     whose tip was calibrated. Exit codes as in `define`.
     """
-    from procedures.cli.tool.records import renewed
+    from procedures.cli.tool.records import renew_record
 
     _require_another_file(config, write)
-    record, remarks = renewed(config, name, _identity_fields(name, by, days), gauge_mm)
+    record, remarks = renew_record(config, name, _identity_fields(name, by, days), gauge_mm)
     for remark in remarks:
         terminal.tell(remark)
     _write(config, write, name, record, as_json=as_json)

@@ -37,30 +37,32 @@ APART_MM = 0.1
 def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
     """Return mean and spread of gauge readings, as fields of the gauge. Raises CLI-001."""
     lines = read_bounded(path, LARGEST_BYTES).decode("utf-8-sig", "replace").splitlines()
-    read = [_numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()]
-    if len(read) < GAUGE_APPROACHES:
+    lines_read = [
+        _numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()
+    ]
+    if len(lines_read) < GAUGE_APPROACHES:
         raise UsageMistake(
-            f"--gauge-mm: {path.name} has {len(read)} approaches",
+            f"--gauge-mm: {path.name} has {len(lines_read)} approaches",
             expected=f"at least {GAUGE_APPROACHES}, in {GAUGE_MOUNTINGS} mountings",
             action="One line for each approach: the five dials in mm.",
         )
     lowest_mm, highest_mm = gauge.plausible_mm
-    middle = np.median([numbers for _, numbers in read], axis=0).tolist()
-    for where, numbers in read:
+    middle = np.median([numbers for _, numbers in lines_read], axis=0).tolist()
+    for source, numbers in lines_read:
         for dial, reading_mm, usual_mm in zip(DIALS, numbers, middle, strict=True):
             if not lowest_mm <= reading_mm <= highest_mm:
                 raise UsageMistake(
-                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    f"--gauge-mm: {source}: {dial} is {reading_mm:g}",
                     expected=f"{lowest_mm:g} to {highest_mm:g} mm: a dial travels {gauge.travel_mm:g} mm",
                     action="Read the dials again; if their travel differs, set `travel_mm` of the gauge.",
                 )
             if abs(reading_mm - usual_mm) > APART_MM:
                 raise UsageMistake(
-                    f"--gauge-mm: {where}: {dial} is {reading_mm:g}",
+                    f"--gauge-mm: {source}: {dial} is {reading_mm:g}",
                     expected=f"within {APART_MM:g} mm of the others, whose median is {usual_mm:g}",
                     action="Seat tool and mandrel anew, and read all approaches again.",
                 )
-    values = np.array([numbers for _, numbers in read])
+    values = np.array([numbers for _, numbers in lines_read])
     x, y, z, upper_x, upper_y = values.mean(axis=0).round(6).tolist()
     return {
         "reading_mm": [x, y, z],
@@ -70,7 +72,7 @@ def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
     }
 
 
-def _numbers(where: str, line: str) -> tuple[str, list[float]]:
+def _numbers(source: str, line: str) -> tuple[str, list[float]]:
     """Return the numbers of one line, named for messages; none may be outside every dial's travel."""
     try:
         numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
@@ -78,11 +80,11 @@ def _numbers(where: str, line: str) -> tuple[str, list[float]]:
         numbers = []
     if len(numbers) != len(DIALS):
         raise UsageMistake(
-            f"--gauge-mm: {where}: {line.strip()[:40]!r}",
+            f"--gauge-mm: {source}: {line.strip()[:40]!r}",
             expected=f"five numbers, {' '.join(DIALS)}",
             action="Write them with decimal points, and spaces between them.",
         )
-    return where, numbers
+    return source, numbers
 
 
 def record_of(
@@ -99,7 +101,7 @@ def record_of(
     record = {key: value for key, value in given.items() if value not in (None, {})}
     record.setdefault("flange", theatre.flange)
     if given["purpose"] in {one.value for one in WITH_TIP} and theatre.calibration is not None:
-        record |= _tip_of(theatre.calibration)
+        record |= _tip_fields(theatre.calibration)
     for known in theatre.tools:
         if known != name and known.casefold() == name.casefold():
             raise UsageMistake(
@@ -111,7 +113,7 @@ def record_of(
     content["tools"] = {**content.get("tools", {}), name: record}
     out_of_range = _out_of_range(record.get("gauge", {}).get("joints_deg"), theatre)
     try:
-        written = parse_theatre(content, f"{config.name} with tool {name}")
+        parsed = parse_theatre(content, f"{config.name} with tool {name}")
     except BadTheatreFile as error:
         if out_of_range is None:
             raise
@@ -119,14 +121,14 @@ def record_of(
     if out_of_range is not None:
         raise out_of_range
     if name == GUIDE:
-        _ = ToolRecords.of(written).guide  # no case would start without one
-    gauge = written.tools[name].gauge
+        _ = ToolRecords.of(parsed).guide  # no case would start without one
+    gauge = parsed.tools[name].gauge
     if gauge is not None and readings is not None:
         record["gauge"] |= read_gauge(readings, gauge)
     return record, [f"[tools.{name}.{key}]" for key in former if key not in record]
 
 
-def _tip_of(calibrations: Calibrations) -> dict[str, Any]:
+def _tip_fields(calibrations: Calibrations) -> dict[str, Any]:
     return {
         "tip": calibrations.tool_tip.identifier,
         "tip_in_head": calibrations.tip_in_head.model_dump(mode="json"),
@@ -154,7 +156,7 @@ def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> U
     return None
 
 
-def renewed(
+def renew_record(
     config: Path, name: str, signed: dict[str, Any], readings: Path
 ) -> tuple[dict[str, Any], list[str]]:
     """Return a tool's record for the present tip calibration, and how far it is from the former one.
@@ -166,18 +168,18 @@ def renewed(
     with_gauge = {known: tool.gauge for known, tool in theatre.tools.items() if tool.gauge is not None}
     gauge = with_gauge.get(name)
     if gauge is None:
-        alike = get_close_matches(name, with_gauge, n=1)
+        near_names = get_close_matches(name, with_gauge, n=1)
         raise NoToolRecord(
             f"{config.name} has no tool {name!r} with a gauge",
             expected=", ".join(with_gauge) or "one with [tools.NAME.gauge]",
-            action=f"Did you mean {alike[0]}?" if alike else None,
+            action=f"Did you mean {near_names[0]}?" if near_names else None,
         )
     if theatre.calibration is None:
         raise NoToolRecord(f"{config.name} has no calibration to renew {name} for")
     content = read_toml(config, BadTheatreFile)
-    kept = content["tools"][name]
-    new = {**kept, **signed, **_tip_of(theatre.calibration)}
-    new["gauge"] = {**kept["gauge"], **read_gauge(readings, gauge)}
+    former_record = content["tools"][name]
+    new = {**former_record, **signed, **_tip_fields(theatre.calibration)}
+    new["gauge"] = {**former_record["gauge"], **read_gauge(readings, gauge)}
     content["tools"][name] = new
     parse_theatre(content, f"{config.name} with tool {name}")
     remarks = []

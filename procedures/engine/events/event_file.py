@@ -19,7 +19,7 @@ from procedures.engine.errors import EventsUnreadable
 from procedures.engine.events.event_types import VERSION, Event, JournalLine, SignalsLost
 from procedures.engine.events.stream import CurrentState, EventStream
 from procedures.journal.journal import Entry
-from ronna_hw.bounded_input import check_json, values_in
+from ronna_hw.bounded_input import check_json, count_values
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.logs import logger
 
@@ -44,12 +44,12 @@ class EventFile:
         self._reader = events.subscribe()
         self._signals_left = signals_bytes
         self._written_s: dict[str, float] = {}  # monotonic, of signals by subject
-        self._held: dict[str, Event] = {}  # signals that came too soon
+        self._deferred: dict[str, Event] = {}  # signals that came too soon
         self._lost = self._lost_reported = 0  # signals that are not in the file
         self._lost_reported_s = time.monotonic()
         self._last: Event | None = None
         self._waiting: list[bytes] = []
-        self._complained = False
+        self._failure_logged = False
         self._file = self._open()
         self._thread = threading.Thread(target=self._write_all, name="event file", daemon=True)
         self._thread.start()
@@ -62,7 +62,7 @@ class EventFile:
         try:
             file = os.open(self._path, os.O_RDWR | os.O_CREAT | os.O_APPEND | os.O_CLOEXEC, 0o666)
         except OSError as error:
-            self._complain(error)
+            self._log_failure(error)
             return None
         try:
             _lock(file)
@@ -71,43 +71,43 @@ class EventFile:
             os.ftruncate(file, begin + tail.rfind(b"\n") + 1)
         except OSError as error:
             os.close(file)
-            self._complain(error)
+            self._log_failure(error)
             return None
         return file
 
     def _write_all(self) -> None:
         ended = False
         while not ended:
-            self._reader.wait(self._until_due_s())
+            self._reader.wait(self._time_to_due_s())
             batch = self._reader.read(0.0)
             ended = batch.ended
             self._lost += batch.lost
             for event in batch.events:
                 self._last = event
                 if event.what.signal:
-                    self._lost += event.subject in self._held
-                    self._held[event.subject] = event
+                    self._lost += event.subject in self._deferred
+                    self._deferred[event.subject] = event
                 else:
                     self._waiting.append(_line(event))
-            self._release_signals(all_of_them=ended)
+            self._release_signals(release_all=ended)
             self._tell_lost(at_once=ended)
             self._write()
         if self._file is not None:
             os.close(self._file)
 
-    def _until_due_s(self) -> float | None:
-        if not self._held:
+    def _time_to_due_s(self) -> float | None:
+        if not self._deferred:
             return None
         now_s = time.monotonic()
-        return max(0.0, min(self._due_s(subject) for subject in self._held) - now_s)
+        return max(0.0, min(self._due_s(subject) for subject in self._deferred) - now_s)
 
     def _due_s(self, subject: str) -> float:
         return self._written_s.get(subject, -SIGNAL_PERIOD_S) + SIGNAL_PERIOD_S
 
-    def _release_signals(self, *, all_of_them: bool) -> None:
+    def _release_signals(self, *, release_all: bool) -> None:
         now_s = time.monotonic()
-        for subject in [one for one in self._held if all_of_them or self._due_s(one) <= now_s]:
-            line = _line(self._held.pop(subject))
+        for subject in [one for one in self._deferred if release_all or self._due_s(one) <= now_s]:
+            line = _line(self._deferred.pop(subject))
             self._written_s[subject] = now_s
             if self._signals_left >= len(line):
                 self._signals_left -= len(line)
@@ -144,12 +144,12 @@ class EventFile:
                 os.ftruncate(self._file, size)
         except OSError as error:
             problem = error
-        self._complain(problem)
+        self._log_failure(problem)
         del self._waiting[:-WAITING_LINES]
 
-    def _complain(self, problem: OSError) -> None:
-        if not self._complained:
-            self._complained = True
+    def _log_failure(self, problem: OSError) -> None:
+        if not self._failure_logged:
+            self._failure_logged = True
             _log.warning("events cannot be written", cause=problem)
 
 
@@ -196,7 +196,7 @@ class FollowedRun:
         over = self.over
         course = self._read()
         if whole:
-            yield _in_order(course)
+            yield _sort_events(course)
         else:
             current = CurrentState()
             for event in course:
@@ -235,7 +235,7 @@ class FollowedRun:
             )
         if isinstance(event.what, JournalLine):
             self.closed = event.what.line.get("entry") == Entry.CLOSED
-            self._values += values_in(line)
+            self._values += count_values(line)
             if self._values > MOST_VALUES_OF_JOURNAL:
                 raise EventsUnreadable(
                     f"too many values in the lines of a journal in {self._path}",
@@ -244,12 +244,12 @@ class FollowedRun:
         return event
 
 
-def _in_order(course: Sequence[Event]) -> list[Event]:
+def _sort_events(course: Sequence[Event]) -> list[Event]:
     """Sort events as they happened: signals are written late, and numbers restart when a run is resumed."""
-    program, latest, placed = 0, 0, list[tuple[int, int, Event]]()
+    program, latest, numbered = 0, 0, list[tuple[int, int, Event]]()
     for event in course:
         if not event.what.signal:  # facts are written in their order
             program += event.number < latest
             latest = event.number
-        placed.append((program, event.number, event))
-    return [event for _, _, event in sorted(placed, key=lambda one: one[:2])]
+        numbered.append((program, event.number, event))
+    return [event for _, _, event in sorted(numbered, key=lambda one: one[:2])]

@@ -26,7 +26,7 @@ class _Plain(BaseModel):
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
 
-class _Happening(_Plain):
+class _EventBase(_Plain):
     """Base of all kinds of events."""
 
     signal: ClassVar[bool] = False
@@ -37,7 +37,7 @@ class _Happening(_Plain):
         return ""
 
 
-class CaseState(_Happening):
+class CaseState(_EventBase):
     """The case as a whole entered a state of its state chart."""
 
     kind: Literal["case"] = "case"
@@ -45,7 +45,7 @@ class CaseState(_Happening):
     reason: str = Field(default="", description="The reason, if there is one.")
 
 
-class StepState(_Happening):
+class StepState(_EventBase):
     """A step began, ended, or lost its result to a repetition."""
 
     kind: Literal["step"] = "step"
@@ -55,7 +55,7 @@ class StepState(_Happening):
     record: str | None = Field(default=None, description="Identifier of the result.")
 
 
-class Progress(_Happening):
+class Progress(_EventBase):
     """Progress of the running step."""
 
     signal: ClassVar[bool] = True
@@ -65,7 +65,7 @@ class Progress(_Happening):
     text: str
 
 
-class Questioned(_Happening):
+class Questioned(_EventBase):
     """A question is open."""
 
     kind: Literal["question"] = "question"
@@ -87,7 +87,7 @@ class Questioned(_Happening):
     )
 
 
-class Answered(_Happening):
+class Answered(_EventBase):
     """A question was answered."""
 
     kind: Literal["answer"] = "answer"
@@ -96,7 +96,7 @@ class Answered(_Happening):
     by: str = Field(default="", description="Who answered at a console; empty: terminal or script.")
 
 
-class Seat(_Happening):
+class Seat(_EventBase):
     """Somebody took the operator's seat at a console, or left it."""
 
     kind: Literal["seat"] = "seat"
@@ -117,14 +117,14 @@ class OrderedStep(_Plain):
     )
 
 
-class Order(_Happening):
+class Order(_EventBase):
     """The steps of the case in their order."""
 
     kind: Literal["order"] = "order"
     steps: tuple[OrderedStep, ...] = Field(max_length=MOST_STEPS)
 
 
-class Waiting(_Happening):
+class Waiting(_EventBase):
     """The engine waits between steps for its operator."""
 
     kind: Literal["waiting"] = "waiting"
@@ -140,7 +140,7 @@ class DeviceFact(_Plain):
     ready: bool = True
 
 
-class DeviceState(_Happening):
+class DeviceState(_EventBase):
     """State, latched fault and alarms of a device. Not a signal: no change of it is lost."""
 
     kind: Literal["device"] = "device"
@@ -151,7 +151,7 @@ class DeviceState(_Happening):
     notices: tuple[str, ...] = Field(default=(), description="Findings that are not errors.")
 
 
-class MeasuringVolume(_Happening):
+class MeasuringVolume(_EventBase):
     """A tracker's measuring volume: rectangles across its axis, from near to far, in its own frame."""
 
     kind: Literal["volume"] = "volume"
@@ -161,7 +161,7 @@ class MeasuringVolume(_Happening):
     )
 
 
-class DeviceAge(_Happening):
+class DeviceAge(_EventBase):
     """Age of a device's newest reading."""
 
     signal: ClassVar[bool] = True
@@ -176,7 +176,7 @@ class DeviceAge(_Happening):
         return self.device
 
 
-class Pose(_Happening):
+class Pose(_EventBase):
     """Position of an arm, at a bounded rate."""
 
     signal: ClassVar[bool] = True
@@ -220,7 +220,7 @@ class CameraView(_Plain):
     points_mm: tuple[float, ...] = Field(description="Its centre, then the corners of its picture.")
 
 
-class Bodies(_Happening):
+class Bodies(_EventBase):
     """The bodies that are checked against each other before and while the arm moves."""
 
     kind: Literal["bodies"] = "bodies"
@@ -244,7 +244,7 @@ class Bodies(_Happening):
         return self
 
 
-class LinkHealth(_Happening):
+class LinkHealth(_EventBase):
     """Health of the robot link since the arm was last activated; times in host time."""
 
     signal: ClassVar[bool] = True
@@ -257,14 +257,14 @@ class LinkHealth(_Happening):
     turnaround_p99_us: float
 
 
-class Advisory(_Happening):
+class Advisory(_EventBase):
     """A finding for the operator that stops nothing."""
 
     kind: Literal["finding"] = "finding"
     text: str
 
 
-class Refusal(_Happening):
+class Refusal(_EventBase):
     """A step may not begin."""
 
     kind: Literal["refusal"] = "refusal"
@@ -272,7 +272,7 @@ class Refusal(_Happening):
     unmet: tuple[str, ...]
 
 
-class Fault(_Happening):
+class Fault(_EventBase):
     """An error as it was shown."""
 
     kind: Literal["fault"] = "fault"
@@ -281,14 +281,14 @@ class Fault(_Happening):
     advice: str = ""
 
 
-class SignalsLost(_Happening):
+class SignalsLost(_EventBase):
     """A follower of the file sees fewer signals than there were. No fact is ever among them."""
 
     kind: Literal["signals_lost"] = "signals_lost"
     count: int = Field(ge=1, description="Signals of this program so far that the file does not hold.")
 
 
-class JournalLine(_Happening):
+class JournalLine(_EventBase):
     """A line of the journal as it was written."""
 
     kind: Literal["journal"] = "journal"

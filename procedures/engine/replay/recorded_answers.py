@@ -27,8 +27,8 @@ from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.recording.reading_coding import (
     ANSWERS,
     LARGEST_BYTES,
-    LOOKS,
     PROPERTIES,
+    RECORDED_PROPERTIES,
     GetPixels,
     as_recorded,
     unpack_pixels,
@@ -73,7 +73,7 @@ class _Raised(_Strict):
     limit: str | None = None
     got: str | None = None
 
-    def again(self) -> RonnaError:
+    def to_error(self) -> RonnaError:
         """Return an error of the class that was raised, if it is known here."""
         known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
         kind = next(known, DeviceError)
@@ -122,7 +122,7 @@ class RecordedAnswers:
     _pixels: Path
     _sections: Mapping[int, Mapping[tuple[str, str], deque[_AnswerLine]]]
     moment_s: float = 0.0
-    peeks: bool = False
+    is_peeking: bool = False
     _section: Mapping[tuple[str, str], deque[_AnswerLine]] = field(default_factory=dict)
 
     def begin(self, section: int) -> None:
@@ -132,13 +132,13 @@ class RecordedAnswers:
         self.moment_s = min(given_s, default=self.moment_s)
 
     @contextmanager
-    def peeking(self) -> Iterator[None]:
+    def peek(self) -> Iterator[None]:
         """Give answers without using them up, to callers that asked before the step began."""
-        self.peeks = True
+        self.is_peeking = True
         try:
             yield
         finally:
-            self.peeks = False
+            self.is_peeking = False
 
     def look(self, device: str, name: str) -> object:
         """Return the next value of a property, or the last one again, however often it is read.
@@ -149,21 +149,21 @@ class RecordedAnswers:
         if not waiting:
             raise NotRecorded(f"the run did not read {device}.{name} in this step")
         line = waiting.popleft() if len(waiting) > 1 else waiting[0]
-        return self.value_of(device, name, line.answer, LOOKS[name])
+        return self.value_of(device, name, line.answer, RECORDED_PROPERTIES[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
         """Return the next answer of that kind to that call. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
-        line = waiting[0] if self.peeks else waiting.popleft()
+        line = waiting[0] if self.is_peeking else waiting.popleft()
         self.moment_s = max(self.moment_s, line.theatre_time_s)
         if line.error is not None:
-            return RecordedAnswer(line.state, error=line.error.again())
+            return RecordedAnswer(line.state, error=line.error.to_error())
         value = self.value_of(device, call, line.answer, kind)
         try:
             properties = {
-                name: _value(PROPERTIES[name], part, self._get_pixels)
+                name: _parse_value(PROPERTIES[name], part, self._get_pixels)
                 for name, part in line.properties.items()
             }
         except (ValueError, KeyError, TypeError) as error:
@@ -173,7 +173,7 @@ class RecordedAnswers:
     def value_of(self, device: str, call: str, plain: object, kind: object) -> object:
         """Return the value of a recorded answer, with its pixels. Raises PRO-024 for damaged ones."""
         try:
-            return _value(kind, plain, self._get_pixels)
+            return _parse_value(kind, plain, self._get_pixels)
         except (ValueError, KeyError, TypeError) as error:
             raise NotRecorded(f"the answer of {device} to {call} is damaged: {error}") from error
 
@@ -193,7 +193,7 @@ def read_answers(run: Path) -> RecordedAnswers:
     """Read a run's tape without a torn last line. Raises PRO-024 if there is none."""
     sections: dict[int, dict[tuple[str, str], deque[_AnswerLine]]] = defaultdict(lambda: defaultdict(deque))
     opening: Opening | None = None
-    for line in _lines(run / READINGS_FOLDER):
+    for line in _read_lines(run / READINGS_FOLDER):
         if isinstance(line, Opening):
             opening = line
         else:
@@ -203,24 +203,24 @@ def read_answers(run: Path) -> RecordedAnswers:
     return RecordedAnswers(opening, run / READINGS_FOLDER / PIXELS_FILE, sections)
 
 
-class ValueAt(NamedTuple):
+class TimedValue(NamedTuple):
     """An answer that was no error, and its time."""
 
     theatre_time_s: float
     value: object
 
 
-def read_in_order(run: Path) -> Iterator[tuple[int, str, str, ValueAt]]:
+def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
     """Yield section, device, call and answer of all calls without an error, in order. Raises PRO-024."""
     answers = read_answers(run)
-    for line in _lines(run / READINGS_FOLDER):
+    for line in _read_lines(run / READINGS_FOLDER):
         if isinstance(line, Opening) or ANSWERS.get(line.call) is None or line.error is not None:
             continue
         value = answers.value_of(line.device, line.call, line.answer, ANSWERS[line.call])
-        yield line.section, line.device, line.call, ValueAt(line.theatre_time_s, value)
+        yield line.section, line.device, line.call, TimedValue(line.theatre_time_s, value)
 
 
-def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
+def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
     """Yield openings and answers in order, without a line that was torn by a kill."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
@@ -237,12 +237,12 @@ def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
             continue
         if not isinstance(line, dict):
             raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: not a JSON object")
-        begins = "opening" in line  # of the next process of the run: what the last one wrote may be torn
-        if torn and not begins:
+        is_opening = "opening" in line  # of the next process of the run: what the last one wrote may be torn
+        if torn and not is_opening:
             raise NotRecorded(f"line {torn} of {READINGS_FILE} is not JSON")
         torn = 0
         try:
-            if begins:
+            if is_opening:
                 yield Opening.model_validate(line["opening"])
             elif "section" in line:
                 yield _AnswerLine.model_validate(line)
@@ -251,7 +251,7 @@ def _lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
             raise NotRecorded(f"line {number} of {READINGS_FILE} is damaged: {why}") from error
 
 
-def _value(kind: object, plain: object, get: GetPixels) -> object:
+def _parse_value(kind: object, plain: object, get: GetPixels) -> object:
     return None if kind is None else as_recorded(kind, plain, get)
 
 
@@ -284,15 +284,15 @@ def opening_line(
     `calibration` has the steps of a calibration and the records that were in use.
     """
 
-    def placed(path: Path) -> str:
+    def relative_path(path: Path) -> str:
         inside, whole = folder.resolve(), path.resolve()
         return str(whole.relative_to(inside) if whole.is_relative_to(inside) else whole)
 
     return {
-        "theatre_file": placed(theatre_file),
+        "theatre_file": relative_path(theatre_file),
         "paced": clock.paced,
-        "series": None if clinical is None else placed(clinical.series),
-        "plan": None if clinical is None else placed(clinical.plan),
+        "series": None if clinical is None else relative_path(clinical.series),
+        "plan": None if clinical is None else relative_path(clinical.plan),
         "strategy": None if clinical is None else clinical.strategy.name,
         "measure_targets": clinical is not None and clinical.measure_targets,
         "began": began.isoformat(),

@@ -12,14 +12,14 @@ from procedures.journal.journal import Entry, Line
 from procedures.operator.checkpoint import GO_ON
 from procedures.operator.question import Answer, Question, Task, Topic
 from ronna_hw.devices.capabilities import ByteSink
-from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, activated
+from ronna_hw.devices.lifecycle import Device, LastKnown, Lifecycle, hold_active
 from ronna_hw.devices.robot import OperatingMode
 from ronna_hw.errors import RonnaError
-from ronna_hw.recording.reading_coding import ANSWERS, LOOKS, PROPERTIES, answers_of
+from ronna_hw.recording.reading_coding import ANSWERS, PROPERTIES, RECORDED_PROPERTIES, list_recorded_calls
 
 AT_CHECKPOINTS = (Topic.PAUSE, Topic.GUARD, Topic.HEAD_UNSEEN)  # nobody pauses a replay, and it has no guards
 KNOWN_UNOPENED = ("name", "wire_protocol", "kinematics", "tools", "markers_mm")  # by the configuration alone
-KEPT = {*ANSWERS, *LOOKS, *PROPERTIES, *KNOWN_UNOPENED}
+KNOWN_MEMBERS = {*ANSWERS, *RECORDED_PROPERTIES, *PROPERTIES, *KNOWN_UNOPENED}
 READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear")
 
 
@@ -102,16 +102,20 @@ class RecordedClock:
         """Return at once."""
 
 
-def replayed(device: Device, answers: RecordedAnswers) -> Device:
+def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
     """Return a stand-in for a device that is made but not opened: its public names, its recorded answers."""
-    own = vars(_Replayed)
+    own = vars(_StandIn)
     names = [name for name in dir(device) if not name.startswith("_") and name not in own]
-    calls = answers_of(device)
-    members = {name: _member(name, calls) for name in names if name in KEPT or not _is_property(device, name)}
-    return cast("Device", type("Replayed", (_Replayed,), members)(device, answers))
+    calls = list_recorded_calls(device)
+    members = {
+        name: _build_member(name, calls)
+        for name in names
+        if name in KNOWN_MEMBERS or not _is_property(device, name)
+    }
+    return cast("Device", type("Replayed", (_StandIn,), members)(device, answers))
 
 
-class _Replayed:
+class _StandIn:
     """A device whose state and newest reading follow the answers."""
 
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
@@ -136,7 +140,7 @@ class _Replayed:
         return self._known
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Device]:
-        return activated(cast("Device", self), timeout_s)
+        return hold_active(cast("Device", self), timeout_s)
 
     def recover(self, acknowledged_by: str, timeout_s: float = 10.0) -> None:
         self._known = LastKnown(Lifecycle.CONFIGURED, None, self._known.reading)
@@ -152,8 +156,8 @@ class _Replayed:
 
     def answer(self, call: str) -> object:
         """Return the next recorded answer to that call, or raise its error."""
-        given = self._answers.next(self._device.name, call, answers_of(self._device)[call])
-        if self._answers.peeks and given.error is None:
+        given = self._answers.next(self._device.name, call, list_recorded_calls(self._device)[call])
+        if self._answers.is_peeking and given.error is None:
             return given.value
         fault = given.error if given.state is Lifecycle.FAULT else None
         newest = given.value if call in READINGS and given.error is None else self._known.reading
@@ -164,31 +168,31 @@ class _Replayed:
         return given.value
 
 
-def _member(name: str, calls: Collection[str]) -> object:
+def _build_member(name: str, calls: Collection[str]) -> object:
     if name in calls:
-        return _call(name)
+        return _build_call(name)
     if name in PROPERTIES:
         return property(lambda self: self.last_properties[name])
     if name in KNOWN_UNOPENED:
         return property(lambda self: getattr(self._device, name))
-    if name in LOOKS:
+    if name in RECORDED_PROPERTIES:
         return property(lambda self: self._answers.look(self._device.name, name))
-    return _refusal(name)
+    return _build_refusal(name)
 
 
 def _is_property(device: Device, name: str) -> bool:
     return isinstance(getattr(type(device), name, None), property)
 
 
-def _call(name: str) -> Callable[..., object]:
-    def answered(self: _Replayed, *_arguments: object, **_more: object) -> object:
+def _build_call(name: str) -> Callable[..., object]:
+    def return_answer(self: _StandIn, *_arguments: object, **_more: object) -> object:
         return self.answer(name)
 
-    return answered
+    return return_answer
 
 
-def _refusal(name: str) -> Callable[..., object]:
-    def refuse(self: _Replayed, *_arguments: object, **_more: object) -> object:
+def _build_refusal(name: str) -> Callable[..., object]:
+    def refuse(self: _StandIn, *_arguments: object, **_more: object) -> object:
         raise NotRecorded(f"{self._device.name}.{name} is not recorded")
 
     return refuse

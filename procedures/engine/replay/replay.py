@@ -16,7 +16,12 @@ from procedures.engine.engine import Engine
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, StepSpec
 from procedures.engine.replay.recorded_answers import BEGINS, RecordedAnswers
-from procedures.engine.replay.recorded_people import RecordedClock, RecordedOperator, RecordedRoom, replayed
+from procedures.engine.replay.recorded_people import (
+    RecordedClock,
+    RecordedOperator,
+    RecordedRoom,
+    make_stand_in,
+)
 from procedures.engine.run_folder import RunFolder, step_key
 from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.errors import StepRefused
@@ -65,12 +70,12 @@ class _Difference:
     rounding: bool = False
 
 
-def compared(step: str, recorded: Record, again: Record) -> ReplayedRecord:
+def compare_records(step: str, recorded: Record, again: Record) -> ReplayedRecord:
     """Compare payloads: equal if every bit is, rounded within another processor's arithmetic."""
     found = list(_differences(recorded.payload, again.payload, ""))
-    true = [one for one in found if not one.rounding]
-    verdict = Verdict.DIFFERENT if true else Verdict.ROUNDED if found else Verdict.EQUAL
-    why = tuple(one.text for one in (true or found)[:MOST_DIFFERENCES])
+    real = [one for one in found if not one.rounding]
+    verdict = Verdict.DIFFERENT if real else Verdict.ROUNDED if found else Verdict.EQUAL
+    why = tuple(one.text for one in (real or found)[:MOST_DIFFERENCES])
     return ReplayedRecord(recorded.identifier, step, verdict, why)
 
 
@@ -88,11 +93,11 @@ def _differences(was: object, now: object, where: str, field: str = "") -> Itera
         for place, (one, other) in enumerate(zip(was, now, strict=True)):
             yield from _differences(one, other, f"{where}[{place}]", field)
     elif was != now:
-        rounding = isinstance(was, float) and isinstance(now, float) and _rounded(field, was, now)
+        rounding = isinstance(was, float) and isinstance(now, float) and _is_rounding(field, was, now)
         yield _Difference(f"{where}: {_short(was)} recorded, {_short(now)} computed", rounding)
 
 
-def _rounded(field: str, was: float, now: float) -> bool:
+def _is_rounding(field: str, was: float, now: float) -> bool:
     limits = [limit for unit, limit in ROUNDING.items() if field.endswith(unit)]
     return abs(was - now) <= (limits[0] if limits else ROUNDING_SHARE * max(abs(was), abs(now)))
 
@@ -115,7 +120,7 @@ class ReplayInput:
 
 def replay(
     run: RunFolder,
-    given: ReplayInput,
+    replay_input: ReplayInput,
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
 ) -> tuple[ReplayedRecord, ...]:
@@ -125,7 +130,7 @@ def replay(
     device and writes to a temporary folder only.
     """
     with tempfile.TemporaryDirectory(prefix="ronna-replay-") as folder:
-        again = _Replay(run, given, answers, Path(folder))
+        again = _Replay(run, replay_input, answers, Path(folder))
         results: list[ReplayedRecord] = []
         for one in again.run():
             results.append(one)
@@ -152,13 +157,15 @@ class _RecordedStops:
 
     def unmet(self) -> None:
         if self._operator.was_first_motion_asked(self._workcell.history.motions - self._before):
-            self._workcell.supervised.begin_anew()
+            self._workcell.supervised.reset_confirmation()
 
 
 class _Replay:
-    def __init__(self, run: RunFolder, given: ReplayInput, answers: RecordedAnswers, folder: Path) -> None:
+    def __init__(
+        self, run: RunFolder, replay_input: ReplayInput, answers: RecordedAnswers, folder: Path
+    ) -> None:
         def make(name: str, config: DeviceConfig, clock: Clock) -> Device:
-            return replayed(make_device(name, config, clock), answers)
+            return make_stand_in(make_device(name, config, clock), answers)
 
         self._run = run
         self._answers = answers
@@ -166,28 +173,28 @@ class _Replay:
         self._room = RecordedRoom()
         self._uncomputed = Verdict.DIFFERENT  # verdict on the last step that could not be computed
         clock = RecordedClock(answers)
-        self._theatre = theatre = Theatre(given.theatre, clock, make)
+        self._theatre = theatre = Theatre(replay_input.theatre, clock, make)
         journal = Journal(folder)
         began = datetime.fromisoformat(str(run.opened["host_time"]))
         setting = CaseSetting(
             workcell=Workcell(
                 theatre,
                 journal,
-                calibrations=given.calibrations,
-                calibrating=given.calibrations is not None,
+                calibrations=replay_input.calibrations,
+                calibrating=replay_input.calibrations is not None,
             ),
             clock=clock,
             operator=self._operator,
             room=self._room,
-            settings=given.theatre.procedure,
-            surroundings=given.theatre.cell_with_tools,
-            clinical=given.clinical,
-            starts=given.starts,
+            settings=replay_input.theatre.procedure,
+            surroundings=replay_input.theatre.cell_with_tools,
+            clinical=replay_input.clinical,
+            starts=replay_input.starts,
             today=lambda: began,
             began=answers.opening.began or began,
         )
-        steps = tuple(_without_preconditions(step, answers) for step in given.order.steps)
-        self._engine = Engine(replace(given.order, steps=steps), Case(folder), setting, journal)
+        steps = tuple(_without_preconditions(step, answers) for step in replay_input.order.steps)
+        self._engine = Engine(replace(replay_input.order, steps=steps), Case(folder), setting, journal)
         self._stops = _RecordedStops(self._operator, setting.workcell)
         self._engine.checkpoint.guards.append(self._stops)
         self._engine.compare_place = lambda: None  # what was measured between steps is in the journal
@@ -218,10 +225,10 @@ class _Replay:
                     # Seen by a watch or a guard; what the step saw itself is gone already.
                     self._engine.course.void(step_key(one))
                 elif one["entry"] == Entry.RESTARTED:
-                    self._rest()
+                    self._rest_devices()
                     self._engine.setting.memory.clear()
                 elif one["entry"] == Entry.FOUND:  # the tracker looked while nothing streamed
-                    self._rest()
+                    self._rest_devices()
         self._engine.close("replayed")
 
     def _recompute(self, step: str, recorded: Record) -> ReplayedRecord:
@@ -236,9 +243,9 @@ class _Replay:
         except Exception as error:  # other numbers may fail anywhere in a step
             self._uncomputed = Verdict.DIFFERENT
             return ReplayedRecord(recorded.identifier, step, self._uncomputed, (f"not computed: {error}",))
-        return compared(step, recorded, again)
+        return compare_records(step, recorded, again)
 
-    def _rest(self) -> None:
+    def _rest_devices(self) -> None:
         """Reset every opened device to configured; the next motion is a first one."""
         for device in self._theatre.devices.values():
             if device.state is not Lifecycle.DISCONNECTED:
@@ -258,7 +265,7 @@ def _without_preconditions(step: StepSpec[StepResult], answers: RecordedAnswers)
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         try:
-            with answers.peeking():
+            with answers.peek():
                 return step.preconditions(context)
         except NotRecorded:
             return ()

@@ -78,18 +78,18 @@ class BoundedStream(io.BytesIO):
 
     def __init__(self, content: bytes, longest_value: int) -> None:
         super().__init__(content)
-        self._left = MOST_READS
-        self._longest = longest_value
+        self._reads_left = MOST_READS
+        self._longest_value = longest_value
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read `size` bytes; only a deflated data set is read to the end at once."""
         if size is None or size < 0:
             raise DataSetDeflated(self.tell())
-        self._left -= 1
-        if self._left < 0:
+        self._reads_left -= 1
+        if self._reads_left < 0:
             raise InputRefused("too many elements", limit=f"{MOST_READS} reads")
-        if size > self._longest:
-            raise InputRefused("a value is too long", limit=f"{self._longest} bytes", got=f"{size}")
+        if size > self._longest_value:
+            raise InputRefused("a value is too long", limit=f"{self._longest_value} bytes", got=f"{size}")
         return super().read(size)
 
 
@@ -97,7 +97,7 @@ if TYPE_CHECKING:
     from pydicom.dataset import Dataset, FileDataset
 
 
-def value(path: Path, header: Dataset, keyword: str) -> Any:
+def read_value(path: Path, header: Dataset, keyword: str) -> Any:
     """Decode one attribute. pydicom decodes lazily, so a bad value fails here, with CT-012."""
     try:
         with warnings.catch_warnings():
@@ -109,36 +109,38 @@ def value(path: Path, header: Dataset, keyword: str) -> Any:
         raise AttributeMissing(f"{path.name}: {keyword} is unreadable") from problem
 
 
-def numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[float, ...]:
-    stated = value(path, header, keyword)
+def read_numbers(path: Path, header: FileDataset, keyword: str, count: int) -> tuple[float, ...]:
+    raw_value = read_value(path, header, keyword)
     try:
-        found = tuple(float(item) for item in ([stated] if count == 1 else stated))
+        found = tuple(float(item) for item in ([raw_value] if count == 1 else raw_value))
     except (TypeError, ValueError):
         found = ()
     if len(found) != count or not all(math.isfinite(number) for number in found):
         expected = "a finite number" if count == 1 else f"{count} finite numbers"
-        if stated is None or stated == "":
+        if raw_value is None or raw_value == "":
             raise AttributeMissing(f"{path.name}: {keyword} is missing", expected=expected)
         raise AttributeMissing(
             f"{path.name}: {keyword} is unusable",
             expected=expected,
-            got=str(stated)[:LONGEST_SHOWN],
+            got=str(raw_value)[:LONGEST_SHOWN],
             action="Correct it where the series was made, and export it again.",
         )
     return found
 
 
-def optional_number(path: Path, header: FileDataset, keyword: str) -> float | None:
-    return None if value(path, header, keyword) in (None, "") else numbers(path, header, keyword, 1)[0]
+def read_optional_number(path: Path, header: FileDataset, keyword: str) -> float | None:
+    return (
+        None if read_value(path, header, keyword) in (None, "") else read_numbers(path, header, keyword, 1)[0]
+    )
 
 
-def text(path: Path, header: Dataset, keyword: str) -> str:
-    stated = value(path, header, keyword)
-    return "" if stated is None else str(stated).strip()
+def read_attribute_text(path: Path, header: Dataset, keyword: str) -> str:
+    raw_value = read_value(path, header, keyword)
+    return "" if raw_value is None else str(raw_value).strip()
 
 
-def required_text(path: Path, header: FileDataset, keyword: str) -> str:
-    stated = text(path, header, keyword)
-    if not stated:
+def require_text(path: Path, header: FileDataset, keyword: str) -> str:
+    raw_value = read_attribute_text(path, header, keyword)
+    if not raw_value:
         raise AttributeMissing(f"{path.name}: {keyword} is missing")
-    return stated
+    return raw_value

@@ -23,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ronna_hw.bounded_input import InputRefused
-from ronna_hw.host.process import children_uninterrupted, describe_exit
+from ronna_hw.host.process import describe_exit, shield_children
 
 PROCESS = "procedures.imaging.dicom.decoder_process"
 LIMIT_S = (
@@ -72,44 +72,44 @@ class FrameDecoder:
         try:
             process.stdin.write(json.dumps(str(path)).encode() + b"\n")
             process.stdin.flush()
-            header = json.loads(self._line(deadline_s))
+            header = json.loads(self._read_line(deadline_s))
             if "problem" in header:
                 raise NotDecoded(header["problem"])
             kind, shape = np.dtype(header["type"]), tuple(header["shape"])
-            pixels = self._bytes(kind.itemsize * math.prod(shape), deadline_s)
+            pixels = self._read_bytes(kind.itemsize * math.prod(shape), deadline_s)
         except (OSError, EOFError, ValueError) as problem:
             with contextlib.suppress(subprocess.TimeoutExpired):
                 process.wait(END_LIMIT_S)
-            ended = "no answer" if process.returncode is None else describe_exit(process.returncode)
+            ending = "no answer" if process.returncode is None else describe_exit(process.returncode)
             self.close()
-            raise NotDecoded(f"its decoder gave up: {ended}") from problem
+            raise NotDecoded(f"its decoder gave up: {ending}") from problem
         return np.frombuffer(pixels, kind).reshape(shape)
 
     def _ensure_started(self) -> subprocess.Popen[bytes]:
         if self._process is None:
-            self._answers, theirs = os.pipe()
+            self._answers, child_end = os.pipe()
             self._buffer.clear()
             try:
-                with children_uninterrupted():
+                with shield_children():
                     self._process = subprocess.Popen(
-                        [sys.executable, "-P", "-m", PROCESS, str(theirs)],
+                        [sys.executable, "-P", "-m", PROCESS, str(child_end)],
                         stdin=subprocess.PIPE,
                         stdout=subprocess.DEVNULL,
                         stderr=subprocess.DEVNULL,  # decoders report damaged frames there
-                        pass_fds=(theirs,),
+                        pass_fds=(child_end,),
                         start_new_session=True,
                     )
             finally:
-                os.close(theirs)
+                os.close(child_end)
         return self._process
 
-    def _line(self, deadline_s: float) -> bytes:
+    def _read_line(self, deadline_s: float) -> bytes:
         while b"\n" not in self._buffer:
             self._read(deadline_s)
         line, _, self._buffer = self._buffer.partition(b"\n")
         return bytes(line)
 
-    def _bytes(self, count: int, deadline_s: float) -> bytes:
+    def _read_bytes(self, count: int, deadline_s: float) -> bytes:
         while len(self._buffer) < count:
             self._read(deadline_s)
         taken, self._buffer = bytes(self._buffer[:count]), self._buffer[count:]
@@ -118,10 +118,10 @@ class FrameDecoder:
     def _read(self, deadline_s: float) -> None:
         if not select.select([self._answers], [], [], max(0.0, deadline_s - time.monotonic()))[0]:
             raise TimeoutError
-        part = os.read(self._answers, PIPE_BYTES)
-        if not part:
+        chunk = os.read(self._answers, PIPE_BYTES)
+        if not chunk:
             raise EOFError
-        self._buffer += part
+        self._buffer += chunk
 
     def close(self) -> None:
         """End the process; the next slice starts another."""
@@ -145,9 +145,9 @@ def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: 
         if syntax == RLE:
             _check_runs(frame, shape[0] * shape[1], pixel_bytes)
         elif syntax in JPEG_2000:
-            _check_size(_j2k_size(frame), shape)
+            _check_size(_read_j2k_size(frame), shape)
         elif syntax in JPEG:
-            _check_size(_jpeg_size(frame), shape)
+            _check_size(_read_jpeg_size(frame), shape)
     except (struct.error, IndexError) as problem:
         raise InputRefused("a compressed frame is cut off") from problem
 
@@ -162,7 +162,7 @@ def _check_size(size: tuple[int, int, int], shape: tuple[int, ...]) -> None:
         )
 
 
-def _jpeg_size(frame: bytes) -> tuple[int, int, int]:
+def _read_jpeg_size(frame: bytes) -> tuple[int, int, int]:
     """Rows, columns, components of a JPEG or JPEG-LS frame (ITU T.81 B.2.2)."""
     place = len(_START) if frame.startswith(_START) else len(frame)
     while True:
@@ -175,7 +175,7 @@ def _jpeg_size(frame: bytes) -> tuple[int, int, int]:
         place += 2 + length
 
 
-def _j2k_size(frame: bytes) -> tuple[int, int, int]:
+def _read_j2k_size(frame: bytes) -> tuple[int, int, int]:
     """Rows, columns, components of a JPEG 2000 code stream (ITU T.800 A.5.1)."""
     if not frame.startswith(_J2K_START):
         raise InputRefused("a compressed frame is not JPEG 2000")
@@ -191,20 +191,22 @@ def _check_runs(frame: bytes, pixels: int, pixel_bytes: int) -> None:
     limits = [*offsets[:pixel_bytes], len(frame)]
     if count != pixel_bytes or limits[0] < _RLE_HEADER.size or limits != sorted(limits):
         raise InputRefused("the segments of a compressed frame are not those of its pixels")
-    made = sum(_run_bytes(frame[begin:end]) for begin, end in pairwise(limits))
+    decoded_bytes = sum(_count_run_bytes(frame[begin:end]) for begin, end in pairwise(limits))
     most = count * (pixels + RLE_SLACK_BYTES)
-    if made > most:
-        raise InputRefused("a compressed frame grows too large", limit=f"{most} bytes", got=f"{made}")
+    if decoded_bytes > most:
+        raise InputRefused(
+            "a compressed frame grows too large", limit=f"{most} bytes", got=f"{decoded_bytes}"
+        )
 
 
-def _run_bytes(segment: bytes) -> int:
-    place = made = 0
+def _count_run_bytes(segment: bytes) -> int:
+    place = decoded_bytes = 0
     while place < len(segment):
         head = segment[place]
         if head < 128:  # this many bytes plus one follow literally
-            made += head + 1
+            decoded_bytes += head + 1
             place += head + 2
         else:  # repeat the next byte; 128 is a no-op
-            made += 257 - head if head > 128 else 0
+            decoded_bytes += 257 - head if head > 128 else 0
             place += 2 if head > 128 else 1
-    return made
+    return decoded_bytes

@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from procedures.imaging.dicom.attributes import (
-    numbers,
-    optional_number,
+    read_attribute_text,
     read_dicom,
-    required_text,
-    text,
-    value,
+    read_numbers,
+    read_optional_number,
+    read_value,
+    require_text,
 )
 from procedures.imaging.errors import (
     AttributeMissing,
@@ -116,13 +116,13 @@ def read_headers(directory: Path, progress: Progress | None = None) -> tuple[Sli
     """
     images = read_images(directory, _TAGS, progress)
     _refuse_scouts(images)
-    series = [(text(path, header, "SeriesInstanceUID"), path) for path, header in images]
-    _refuse_several(SeriesMixed, "series", series)
-    _refuse_several_patients(images)
+    series = [(read_attribute_text(path, header, "SeriesInstanceUID"), path) for path, header in images]
+    _refuse_mixed(SeriesMixed, "series", series)
+    _refuse_mixed_patients(images)
     _refuse_other_modality(images)
-    slices = tuple(_slice_header(path, header) for path, header in images)
+    slices = tuple(_parse_slice_header(path, header) for path, header in images)
     frames = [(one.frame_of_reference_uid, one.path) for one in slices]
-    _refuse_several(FramesMixed, "frames of reference", frames)
+    _refuse_mixed(FramesMixed, "frames of reference", frames)
     return slices
 
 
@@ -130,17 +130,17 @@ def read_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> list[tuple[Path, FileDataset]]:
     """Read these attributes of every DICOM image directly in `directory`. Raises CT-001, CT-002, CT-005."""
-    images = list(images_of(directory, tags, progress))
+    images = list(iterate_images(directory, tags, progress))
     if not images:
         raise SeriesEmpty(f"no DICOM image in {directory}")
     return images
 
 
-def images_of(
+def iterate_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> Iterator[tuple[Path, FileDataset]]:
     """Yield the attributes of one image after the other; no image is not an error."""
-    files = _files_in(directory)
+    files = _list_files(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
         if header is not None and _is_image(path, header):
@@ -149,20 +149,20 @@ def images_of(
             progress((number + 1) / len(files))
 
 
-def dicom_files(directory: Path) -> list[Path]:
+def list_dicom_files(directory: Path) -> list[Path]:
     """List the DICOM files directly in a folder. Raises CT-001, CT-005."""
-    return [path for path in _files_in(directory) if _is_dicom(path)]
+    return [path for path in _list_files(directory) if _is_dicom(path)]
 
 
-def _files_in(directory: Path) -> list[Path]:
+def _list_files(directory: Path) -> list[Path]:
     if not directory.is_dir():
         reason = "is not a folder" if directory.exists() else "does not exist"
         raise SeriesNotFound(f"{directory} {reason}")
     entries = [path for path in directory.iterdir() if not path.name.startswith(".") and not path.is_dir()]
     for path in entries:
         if path.suffix.lower() in ("", *DICOM_SUFFIXES) and not path.is_file():
-            what = "is a link that leads to no file" if path.is_symlink() else "is not a regular file"
-            raise FileDamaged(f"{path.name} {what}", expected="a slice, or no file of that name")
+            defect = "is a link that leads to no file" if path.is_symlink() else "is not a regular file"
+            raise FileDamaged(f"{path.name} {defect}", expected="a slice, or no file of that name")
     return sorted(path for path in entries if path.is_file())
 
 
@@ -181,7 +181,9 @@ def _is_image(path: Path, header: FileDataset) -> bool:
     from pydicom import config
     from pydicom.uid import UID
 
-    stated = value(path, header.file_meta, "MediaStorageSOPClassUID") or text(path, header, "SOPClassUID")
+    stated = read_value(path, header.file_meta, "MediaStorageSOPClassUID") or read_attribute_text(
+        path, header, "SOPClassUID"
+    )
     kind = UID(str(stated), validation_mode=config.IGNORE)
     if kind == _DIRECTORY_STORAGE:
         return False
@@ -194,7 +196,7 @@ def _is_image(path: Path, header: FileDataset) -> bool:
     return False
 
 
-def _refuse_several(
+def _refuse_mixed(
     error: type[SeriesMixed | FramesMixed], noun: str, stated: Iterable[tuple[str, Path]]
 ) -> None:
     files = defaultdict[str, list[str]](list)
@@ -208,30 +210,30 @@ def _refuse_several(
         raise error(f"the folder holds {len(files)} {noun}: {'; '.join(listed)}")
 
 
-def _refuse_several_patients(images: list[tuple[Path, FileDataset]]) -> None:
-    count = len({text(path, header, "PatientID") for path, header in images} - {""})
+def _refuse_mixed_patients(images: list[tuple[Path, FileDataset]]) -> None:
+    count = len({read_attribute_text(path, header, "PatientID") for path, header in images} - {""})
     if count > 1:  # messages must not identify patients
         raise SeriesMixed(f"the slices of one series name {count} patients")
 
 
 def _refuse_other_modality(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
-        modality = text(path, header, "Modality")
+        modality = read_attribute_text(path, header, "Modality")
         if modality != "CT":
             raise WrongModality(f"{path.name} has modality {modality or '(none)'}", expected="CT")
-        if text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
+        if read_attribute_text(path, header, "SOPClassUID") in _ENHANCED_CT_STORAGES:
             raise WrongModality(f"{path.name} is a multi-frame (enhanced) CT", expected="one slice per file")
 
 
 def _refuse_scouts(images: list[tuple[Path, FileDataset]]) -> None:
     for path, header in images:
-        if scout := _SCOUT_WORDS.intersection(_image_type(path, header)):
+        if scout := _SCOUT_WORDS.intersection(_read_image_type(path, header)):
             raise ScoutView(f"{path.name} has image type {min(scout)}", expected="slices")
 
 
-def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
-    spacing = numbers(path, header, "PixelSpacing", 2)
-    rows, columns = (int(numbers(path, header, keyword, 1)[0]) for keyword in ("Rows", "Columns"))
+def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
+    spacing = read_numbers(path, header, "PixelSpacing", 2)
+    rows, columns = (int(read_numbers(path, header, keyword, 1)[0]) for keyword in ("Rows", "Columns"))
     if not (SPACING_LIMITS_MM[0] <= min(spacing) and max(spacing) <= SPACING_LIMITS_MM[1]):
         raise AttributeMissing(
             f"{path.name}: pixel spacing of {spacing[0]:g} x {spacing[1]:g} mm",
@@ -239,39 +241,39 @@ def _slice_header(path: Path, header: FileDataset) -> SliceHeader:
         )
     if not 1 <= min(rows, columns) <= max(rows, columns) <= LARGEST_SIDE:
         raise AttributeMissing(f"{path.name} has {rows} x {columns} pixels", limit=f"1 to {LARGEST_SIDE}")
-    position_mm = numbers(path, header, "ImagePositionPatient", 3)
+    position_mm = read_numbers(path, header, "ImagePositionPatient", 3)
     if max(map(abs, position_mm)) > FARTHEST_MM:
         raise AttributeMissing(
             f"{path.name} is {max(map(abs, position_mm)):g} mm away from the origin",
             limit=f"{FARTHEST_MM:g} mm",
         )
-    slope, intercept = _rescale(path, header)
-    thickness = optional_number(path, header, "SliceThickness")
+    slope, intercept = _read_rescale(path, header)
+    thickness = read_optional_number(path, header, "SliceThickness")
     return SliceHeader(
         path=path,
-        series_instance_uid=required_text(path, header, "SeriesInstanceUID"),
-        frame_of_reference_uid=required_text(path, header, "FrameOfReferenceUID"),
-        patient_position=text(path, header, "PatientPosition"),
+        series_instance_uid=require_text(path, header, "SeriesInstanceUID"),
+        frame_of_reference_uid=require_text(path, header, "FrameOfReferenceUID"),
+        patient_position=read_attribute_text(path, header, "PatientPosition"),
         position_mm=position_mm,
-        orientation=numbers(path, header, "ImageOrientationPatient", 6),
+        orientation=read_numbers(path, header, "ImageOrientationPatient", 6),
         row_spacing_mm=spacing[0],
         column_spacing_mm=spacing[1],
         thickness_mm=thickness,
-        tilt_deg=optional_number(path, header, "GantryDetectorTilt") or 0.0,
+        tilt_deg=read_optional_number(path, header, "GantryDetectorTilt") or 0.0,
         rows=rows,
         columns=columns,
         slope=slope,
         intercept=intercept,
-        number=optional_number(path, header, "InstanceNumber"),
-        stated_count=optional_number(path, header, "ImagesInAcquisition"),
-        oddities=_oddities(path, header),
+        number=read_optional_number(path, header, "InstanceNumber"),
+        stated_count=read_optional_number(path, header, "ImagesInAcquisition"),
+        oddities=_list_oddities(path, header),
     )
 
 
-def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
+def _read_rescale(path: Path, header: FileDataset) -> tuple[float, float]:
     """Return slope and intercept if plausible for a CT. Raises CT-012, CT-020."""
-    slope = numbers(path, header, "RescaleSlope", 1)[0]
-    intercept = numbers(path, header, "RescaleIntercept", 1)[0]
+    slope = read_numbers(path, header, "RescaleSlope", 1)[0]
+    intercept = read_numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
     if not low <= slope <= high:
         raise RescaleUnusable(
@@ -281,25 +283,25 @@ def _rescale(path: Path, header: FileDataset) -> tuple[float, float]:
         raise RescaleUnusable(
             f"{path.name}: RescaleIntercept is {intercept:g}", limit=f"±{INTERCEPT_LIMIT:g} HU"
         )
-    kind = text(path, header, "RescaleType").upper()
+    kind = read_attribute_text(path, header, "RescaleType").upper()
     if kind not in _HOUNSFIELD | _UNSPECIFIED:
         raise RescaleUnusable(f"{path.name}: RescaleType is {kind}", expected="HU")
     return slope, intercept
 
 
-def _oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
+def _list_oddities(path: Path, header: FileDataset) -> tuple[str, ...]:
     warnings = []
-    if _image_type(path, header)[:1] == (_DERIVED,):
+    if _read_image_type(path, header)[:1] == (_DERIVED,):
         warnings.append("derived images: resampled or filtered by another program after the scanner")
-    if text(path, header, "LossyImageCompression") == _LOSSY:
+    if read_attribute_text(path, header, "LossyImageCompression") == _LOSSY:
         warnings.append("lossy compression: edges may have moved")
-    if text(path, header, "RescaleType").upper() in _UNSPECIFIED:
+    if read_attribute_text(path, header, "RescaleType").upper() in _UNSPECIFIED:
         warnings.append("the unit of the intensities is unspecified: assuming Hounsfield units")
     return tuple(warnings)
 
 
-def _image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
-    stated = value(path, header, "ImageType") or ()
+def _read_image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
+    stated = read_value(path, header, "ImageType") or ()
     words = (stated,) if isinstance(stated, str) else stated
     return tuple(str(word).strip().upper() for word in words)
 
@@ -327,10 +329,13 @@ class PatientIdentity:
         return ", ".join(parts)
 
 
-def patient_identifier(directory: Path) -> str:
+def read_patient_identifier(directory: Path) -> str:
     """Return the patient ID of the slices in `directory`, or an empty string. Raises CT-001, CT-005."""
-    borne = (text(path, header, "PatientID") for path, header in images_of(directory, ("PatientID",)))
-    return next(filter(None, borne), "")
+    identifiers = (
+        read_attribute_text(path, header, "PatientID")
+        for path, header in iterate_images(directory, ("PatientID",))
+    )
+    return next(filter(None, identifiers), "")
 
 
 def read_identity(directory: Path) -> PatientIdentity:
@@ -339,4 +344,4 @@ def read_identity(directory: Path) -> PatientIdentity:
     Raises CT-001, CT-002, CT-005, CT-012.
     """
     path, header = read_images(Path(directory), _IDENTITY_TAGS)[0]
-    return PatientIdentity(*(text(path, header, keyword) for keyword in _IDENTITY_TAGS))
+    return PatientIdentity(*(read_attribute_text(path, header, keyword) for keyword in _IDENTITY_TAGS))

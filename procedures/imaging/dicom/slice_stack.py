@@ -23,7 +23,7 @@ from procedures.imaging.errors import (
     SpacingUneven,
 )
 from procedures.imaging.volume import VoxelGeometry
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -51,14 +51,14 @@ def stack_slices(slices: tuple[SliceHeader, ...]) -> tuple[tuple[SliceHeader, ..
     if len(slices) < MIN_SLICES:
         raise SeriesTooShort(f"the series has {len(slices)} slices", limit=f"at least {MIN_SLICES}")
     _refuse_different_sizes(slices)
-    row_direction, column_direction = _common_directions(slices)
+    row_direction, column_direction = _average_directions(slices)
     normal = np.cross(row_direction, column_direction)
     _refuse_mirrored(slices[0], normal)
     positions = np.array([one.position_mm for one in slices])
     order = np.argsort(positions @ normal, kind="stable")
     ordered = tuple(slices[index] for index in order)
     positions = positions[order]
-    spacing_mm = _even_spacing(ordered, positions @ normal)
+    spacing_mm = _fit_even_spacing(ordered, positions @ normal)
     _refuse_shear(ordered, positions, normal)
     first = ordered[0]
     geometry = VoxelGeometry(
@@ -91,13 +91,13 @@ def accuracy_warnings(slices: tuple[SliceHeader, ...], geometry: VoxelGeometry) 
             f"pixels of {geometry.spacing_mm[1:].max():.2f} mm are larger than {COARSE_PIXEL_MM:g} mm: "
             "the centres will be less accurate"
         )
-    sentences += _incomplete(slices)
-    sentences += _unusual_orientation(slices, geometry.axes[:, 0])
+    sentences += _warn_incomplete(slices)
+    sentences += _warn_unusual_orientation(slices, geometry.axes[:, 0])
     sentences += sorted({oddity for one in slices for oddity in one.oddities})
     return tuple(sentences)
 
 
-def _incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
+def _warn_incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
     stated = max((one.stated_count or 0.0 for one in slices), default=0.0)
     if stated > len(slices):
         yield (
@@ -123,7 +123,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
         )
 
 
-def _unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
+def _warn_unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
     """Warn of orientations that mirrored or reordered series have; sound ones may have them too."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
@@ -150,7 +150,7 @@ def _refuse_different_sizes(slices: tuple[SliceHeader, ...]) -> None:
             )
 
 
-def _common_directions(slices: tuple[SliceHeader, ...]) -> tuple[Array, Array]:
+def _average_directions(slices: tuple[SliceHeader, ...]) -> tuple[Array, Array]:
     orientations = np.array([one.orientation for one in slices]).reshape(-1, 2, 3)
     lengths = np.linalg.norm(orientations, axis=2)
     skew = np.abs(np.sum(orientations[:, 0] * orientations[:, 1], axis=1))
@@ -168,7 +168,7 @@ def _common_directions(slices: tuple[SliceHeader, ...]) -> tuple[Array, Array]:
     return row, column / np.linalg.norm(column)
 
 
-def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
+def _fit_even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
     steps_mm = np.diff(along_mm)
     closest = int(np.argmin(steps_mm))
     if steps_mm[closest] < SAME_PLACE_MM:
@@ -195,7 +195,7 @@ def _even_spacing(slices: tuple[SliceHeader, ...], along_mm: Array) -> float:
         raise SpacingUneven(
             f"{slices[worst].path.name} deviates from the even spacing of {spacing_mm:.3f} mm",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            got=f"{beyond(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
+            got=f"{format_against_limit(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
         )
     return float(spacing_mm)
 
@@ -215,7 +215,8 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise GantryTilted(
             "the slices are not stacked along their normal",
             limit=f"{np.degrees(SHEAR_LIMIT):.2f} degrees",
-            got=f"{beyond(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)} degrees",
+            got=format_against_limit(math.degrees(np.arctan(size)), math.degrees(SHEAR_LIMIT), 2)
+            + " degrees",
         )
     deviation_mm = np.linalg.norm(sideways - np.outer(along_mm, drift), axis=1)
     worst = int(np.argmax(deviation_mm))
@@ -223,5 +224,5 @@ def _refuse_shear(slices: tuple[SliceHeader, ...], positions_mm: Array, normal: 
         raise SpacingUneven(
             f"{slices[worst].path.name} is shifted sideways relative to the other slices",
             limit=f"{POSITION_TOLERANCE_MM} mm",
-            got=f"{beyond(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
+            got=f"{format_against_limit(float(deviation_mm[worst]), POSITION_TOLERANCE_MM, 3)} mm",
         )

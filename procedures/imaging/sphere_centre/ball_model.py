@@ -116,7 +116,7 @@ class Stretch:
     deviation_mm: float
 
     @classmethod
-    def of_last_terms(cls, found: Array, covariance: Array) -> Self:
+    def from_last_terms(cls, found: Array, covariance: Array) -> Self:
         """Extract the stretch from the parameters of a stretched ball and their covariance."""
         variance = float(np.trace(covariance[-TERMS:, -TERMS:])) / TERMS
         return cls(stretch_matrix(found[-TERMS:]), float(np.sqrt(variance)))
@@ -127,7 +127,7 @@ class Stretch:
         return float(np.ptp(np.linalg.eigvalsh(self.terms_mm)))
 
 
-def stretched_ball(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
+def add_stretch_derivatives(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
     """Append to a ball's derivatives (n, m) at points (n, 3) those by its stretch terms, (n, m + 5)."""
     directions = points_mm - unknowns[:3]
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
@@ -227,7 +227,7 @@ def _cost(residuals: Array, noise: float) -> float:
 class BallVoxels:
     """Voxels used in a fit: indices and grid mm (n, 3), HU (n,), background terms (n, m)."""
 
-    where: NDArray[np.int64]
+    voxel_index: NDArray[np.int64]
     points_mm: Array
     values: Array
     places: Array  # (n, 3) in radii from their centroid
@@ -241,34 +241,36 @@ class BallVoxels:
         cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
     ) -> Self:
         """Take the usable voxels of a region around a ball of about this radius."""
-        where = np.argwhere(usable)
-        points_mm = (where + region.start) * region.spacing_mm
+        voxel_index = np.argwhere(usable)
+        points_mm = (voxel_index + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
         background = polynomial(places, FITTED_DEGREES)
         values = region.values[usable]
-        return cls(where, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered)
+        return cls(
+            voxel_index, points_mm, values, places, background, region.spacing_mm, 0.5 * radius_mm, covered
+        )
 
-    def robust_fit(self, ball: Array) -> Array | None:
+    def fit_robustly(self, ball: Array) -> Array | None:
         """Fit all parameters from those of the ball alone; None if the fit does not converge nearby.
 
         A linear background comes first, since it converges from farther away, then the full polynomial.
         """
         sloping = np.zeros(SLOPE.stop)
         sloping[:BALL] = ball
-        settled = self._minimum(sloping, ball)
+        settled = self._find_minimum(sloping, ball)
         if settled is None:
             return None
         bent = np.zeros(BALL + self.background.shape[1])
         bent[: SLOPE.stop] = settled
-        return self._minimum(bent, ball)
+        return self._find_minimum(bent, ball)
 
-    def _minimum(self, start: Array, ball: Array) -> Array | None:
+    def _find_minimum(self, start: Array, ball: Array) -> Array | None:
         background = self.background[:, : len(start) - BALL]
         settled = minimise(
             lambda unknowns: intensities(self.points_mm, unknowns, background),
             self.values,
             start,
-            _with_possible_blur,
+            _clip_blur,
         )
         if settled is None or np.linalg.norm(settled[:3] - ball[:3]) > self.farthest_mm:
             return None
@@ -288,14 +290,14 @@ class BallVoxels:
             return self
         return replace(
             self,
-            where=self.where[clear],
+            voxel_index=self.voxel_index[clear],
             points_mm=self.points_mm[clear],
             values=self.values[clear],
             places=self.places[clear],
             background=self.background[clear],
         )
 
-    def beyond_mm(self, unknowns: Array) -> Array:
+    def distance_outside_mm(self, unknowns: Array) -> Array:
         """Distance (n,) of each voxel outside a ball."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
@@ -303,7 +305,7 @@ class BallVoxels:
         """Stretch of a fitted ball, from the voxels (n,) that are clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
-        derivatives = stretched_ball(places, unknowns, derivatives)
+        derivatives = add_stretch_derivatives(places, unknowns, derivatives)
         residuals = self.values[clear] - modelled
         remaining, weights = residuals, np.ones(len(residuals))
         for _ in range(SHAPE_STEPS):
@@ -312,9 +314,9 @@ class BallVoxels:
             step = answer @ (derivatives.T @ (weights * residuals))
             remaining = residuals - derivatives @ step
             weights = flat_weights(remaining, scale(remaining))
-        return Stretch.of_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
+        return Stretch.from_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
 
-    def at(self, unknowns: Array) -> tuple[Array, Array, Array]:
+    def evaluate(self, unknowns: Array) -> tuple[Array, Array, Array]:
         """Derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
         modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
@@ -326,12 +328,12 @@ class BallVoxels:
         return (cauchy_growth if self.covered else flat_growth)(weights)
 
 
-def _with_possible_blur(unknowns: Array) -> Array:
+def _clip_blur(unknowns: Array) -> Array:
     unknowns[[SZ, SXY]] = np.clip(unknowns[[SZ, SXY]], *BLUR_LIMITS_MM)
     return unknowns
 
 
-def voxels_of_ball(
+def select_ball_voxels(
     region: Region, centre_mm: Array, radius_mm: float, hidden_directions: Array | None
 ) -> tuple[NDArray[np.bool_], float]:
     """Mark the voxels around a ball that are clear of metal and of hidden directions (n, 3).
@@ -340,18 +342,18 @@ def voxels_of_ball(
     """
     z, y, x = region.axes_mm()
     distance = np.sqrt((z - centre_mm[0]) ** 2 + (y - centre_mm[1]) ** 2 + (x - centre_mm[2]) ** 2)
-    clean = _far_from_metal(region)
+    clean = _mark_far_from_metal(region)
     usable = (distance < radius_mm + FIT_MARGIN_MM) & clean & np.isfinite(region.values)
     if hidden_directions is not None and len(hidden_directions) > 0:
         offsets = (np.argwhere(usable) + region.start) * region.spacing_mm - centre_mm
         outer = distance[usable] > radius_mm - HIDDEN_DEPTH_MM
-        usable[usable] = ~in_directions(offsets, hidden_directions, outer)
+        usable[usable] = ~mark_directions(offsets, hidden_directions, outer)
     at_surface = np.abs(distance - radius_mm) < np.max(region.spacing_mm)
     metal_share = 1.0 - float(clean[at_surface].mean()) if at_surface.any() else 0.0
     return usable, metal_share
 
 
-def first_guess(
+def guess_ball(
     region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
 ) -> Array:
     """Guess the eight parameters of a ball from its surface."""
@@ -359,20 +361,20 @@ def first_guess(
     return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
 
-def _far_from_metal(region: Region) -> NDArray[np.bool_]:
+def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
     metal = region.values > METAL_HU  # NaN compares false
     if not metal.any():
         return np.ones(metal.shape, dtype=bool)
     return np.asarray(distance_transform_edt(~metal, sampling=region.spacing_mm) > METAL_REACH_MM)
 
 
-def in_directions(offsets_mm: Array, directions: Array, asked: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the `asked` voxels (n, 3), relative to the centre, that lie in one of these directions."""
-    found = np.zeros(len(asked), dtype=bool)
+def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Mark the `considered` voxels (n, 3), relative to the centre, that lie in one of these directions."""
+    found = np.zeros(len(considered), dtype=bool)
     if len(directions) == 0:
         return found
-    selected = offsets_mm[asked]
+    selected = offsets_mm[considered]
     selected /= np.maximum(np.linalg.norm(selected, axis=1, keepdims=True), 1e-6)
     distance, _ = cKDTree(directions).query(selected, distance_upper_bound=HIDDEN_REACH)
-    found[asked] = np.isfinite(distance)
+    found[considered] = np.isfinite(distance)
     return found

@@ -31,11 +31,11 @@ from procedures.imaging.sphere_centre.ball_model import (
     SZ,
     BallVoxels,
     Stretch,
-    first_guess,
-    in_directions,
+    guess_ball,
+    mark_directions,
     polynomial,
     products,
-    voxels_of_ball,
+    select_ball_voxels,
 )
 from procedures.imaging.sphere_centre.correlated_noise import (
     WINDOW_MM,
@@ -91,13 +91,13 @@ def fit_rough_ball(
     In `hidden_directions` (n, 3) from the centre, the surface borders on something other than the outside;
     voxels near and beyond the surface there are excluded.
     """
-    usable, metal_share = voxels_of_ball(region, start_mm, radius_mm, hidden_directions)
+    usable, metal_share = select_ball_voxels(region, start_mm, radius_mm, hidden_directions)
     if usable.sum() < MIN_VOXELS:
         return None
     covered = hidden_directions is not None and len(hidden_directions) > 0
-    start = first_guess(region, start_mm, radius_mm, inside_hu, outside_hu)
+    start = guess_ball(region, start_mm, radius_mm, inside_hu, outside_hu)
     voxels = BallVoxels.of(region, usable, radius_mm, covered=covered)
-    settled = voxels.robust_fit(start)
+    settled = voxels.fit_robustly(start)
     return None if settled is None else RoughBall(voxels, settled, metal_share)
 
 
@@ -115,7 +115,7 @@ class RoughBall:
         return abs(float(self.unknowns[IN] - self.unknowns[OUT]))
 
     @property
-    def uneven(self) -> float:
+    def background_unevenness(self) -> float:
         """Slope and bend of the background over a radius, as a share of the contrast."""
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
@@ -134,8 +134,8 @@ class RoughBall:
         if fitted is None:
             return None
         unknowns = fitted.unknowns
-        outer = self.voxels.beyond_mm(unknowns) > -HIDDEN_DEPTH_MM
-        clear = ~in_directions(self.voxels.points_mm - unknowns[:3], hidden_directions, outer)
+        outer = self.voxels.distance_outside_mm(unknowns) > -HIDDEN_DEPTH_MM
+        clear = ~mark_directions(self.voxels.points_mm - unknowns[:3], hidden_directions, outer)
         return BlurredBall(
             centre_mm=unknowns[:3],
             covariance_mm2=fitted.covariance_mm2,
@@ -158,40 +158,40 @@ class WhitenedBall:
 
 def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
     """Refine a robust fit; None without a fit nearby, or if streaks bend more than `most_streak_hu`."""
-    derivatives, pull, weights = voxels.at(start)
+    derivatives, pull, weights = voxels.evaluate(start)
     derivatives *= weights[:, None]
     smooth = np.ones(len(start), dtype=bool)
     smooth[EDGE] = False
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, voxels.spacing_mm)
+    grid = VoxelGrid.from_indices(voxels.voxel_index, WINDOW_MM, voxels.spacing_mm)
     spectra = grid.spectra(derivatives)
     least = LEAST_POWER_COVERED if voxels.covered else LEAST_POWER
-    noise = CorrelatedNoise.of_fit(grid, pull, spectra, least)
+    noise = CorrelatedNoise.from_fit(grid, pull, spectra, least)
     growth = voxels.growth(weights)
 
-    def pull_at(unknowns: Array) -> Array:
-        return voxels.at(unknowns)[1]
+    def compute_pull(unknowns: Array) -> Array:
+        return voxels.evaluate(unknowns)[1]
 
-    step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
-    settled = step.settle(start, pull_at)
+    step = WhitenedStep.from_fit(noise, derivatives, spectra, growth, smooth)
+    settled = step.settle(start, compute_pull)
     if settled is None:
         return None
-    prior = StreakPrior.of_bends(settled[BENT], step.covariance[BENT, BENT])
+    prior = StreakPrior.from_bends(settled[BENT], step.covariance[BENT, BENT])
     if prior.streak_hu > most_streak_hu:
         return None
     if prior.bent_hu2 > 0.0:
-        noise = noise.with_more(STREAK_POWER * prior.bent_hu2)
-        step = WhitenedStep.of_fit(noise, derivatives, spectra, growth, smooth)
-    step = step.shrunk(prior.stiffness(len(start)))
-    settled = step.settle(settled, pull_at)
+        noise = noise.with_white_noise(STREAK_POWER * prior.bent_hu2)
+        step = WhitenedStep.from_fit(noise, derivatives, spectra, growth, smooth)
+    step = step.with_stiffness(prior.stiffness(len(start)))
+    settled = step.settle(settled, compute_pull)
     if settled is None:
         return None
     prior = prior.with_slopes(settled[SLOPE], step.covariance[SLOPE, SLOPE])
-    step = step.shrunk(prior.stiffness(len(start)))
-    settled = step.settle(settled, pull_at)
+    step = step.with_stiffness(prior.stiffness(len(start)))
+    settled = step.settle(settled, compute_pull)
     if settled is None:
         return None
-    by_streaks = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
-    covariance_mm2 = step.covariance[:3, :3] + by_streaks + MIN_VARIANCE_MM2 * np.eye(3)
+    streak_covariance_mm2 = prior.covariance_mm2(step.answer, step.influence, weights, voxels.places)
+    covariance_mm2 = step.covariance[:3, :3] + streak_covariance_mm2 + MIN_VARIANCE_MM2 * np.eye(3)
     return WhitenedBall(settled, covariance_mm2, prior.streak_hu)
 
 
@@ -200,26 +200,26 @@ class StreakPrior:
     """Typical size of the background terms, HU² at a radius from the centre.
 
     The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
-    larger by `unsure_hu2`, the standard error of the estimate.
+    larger by `uncertainty_hu2`, the standard error of the estimate.
     """
 
     bent_hu2: float
-    unsure_hu2: float
+    uncertainty_hu2: float
     slope_hu2: float | None = None
 
     @classmethod
-    def of_bends(cls, found: Array, covariance: Array) -> Self:
+    def from_bends(cls, found: Array, covariance: Array) -> Self:
         """Estimate the size from bend terms (k,) found with a noise `covariance`.
 
         The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
         scatters by √(2 k).
         """
-        square, trace = _square_over(found, covariance)
+        square, trace = _mahalanobis_square(found, covariance)
         return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
 
     def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
         """Add the size of slopes (3,), found likewise. Their noise is kept: so few can be 0 by chance."""
-        square, trace = _square_over(found, covariance)
+        square, trace = _mahalanobis_square(found, covariance)
         return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
 
     @property
@@ -229,11 +229,11 @@ class StreakPrior:
 
     def stiffness(self, unknowns: int) -> Array:
         """Strength with which each parameter is shrunk towards 0: 1 over its variance, HU⁻²."""
-        drawn = np.zeros(unknowns)
-        drawn[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
+        shrinkage = np.zeros(unknowns)
+        shrinkage[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
         if self.slope_hu2 is not None:
-            drawn[SLOPE] = 1.0 / max(self.slope_hu2, LEAST_VARIANCE_HU2)
-        return drawn
+            shrinkage[SLOPE] = 1.0 / max(self.slope_hu2, LEAST_VARIANCE_HU2)
+        return shrinkage
 
     def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
         """Remaining effect of streaks on the centre, (3, 3): through shrunk terms and through higher ones.
@@ -241,16 +241,18 @@ class StreakPrior:
         `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
         the centre to each voxel; `places` (n, 3) are in radii from the centre.
         """
-        bent_hu2 = self.bent_hu2 + self.unsure_hu2
+        bent_hu2 = self.bent_hu2 + self.uncertainty_hu2
         sizes_hu2 = np.zeros(len(answer))
         sizes_hu2[BENT] = bent_hu2
         sizes_hu2[SLOPE] = self.slope_hu2 or 0.0
-        drawn = answer[:3] * (self.stiffness(len(answer)) * np.sqrt(sizes_hu2))
-        beyond = products(influence, weights[:, None] * polynomial(places, HIDDEN_DEGREES))
-        return np.asarray(drawn @ drawn.T + HIDDEN_SHARE**2 * bent_hu2 * (beyond @ beyond.T))
+        shrinkage = answer[:3] * (self.stiffness(len(answer)) * np.sqrt(sizes_hu2))
+        higher_terms = products(influence, weights[:, None] * polynomial(places, HIDDEN_DEGREES))
+        return np.asarray(
+            shrinkage @ shrinkage.T + HIDDEN_SHARE**2 * bent_hu2 * (higher_terms @ higher_terms.T)
+        )
 
 
-def _square_over(found: Array, covariance: Array) -> tuple[float, float]:
+def _mahalanobis_square(found: Array, covariance: Array) -> tuple[float, float]:
     """Square of `found` over its covariance, and the trace of that covariance's inverse."""
     precision = np.linalg.pinv(covariance, hermitian=True)
     return float(found @ precision @ found), float(np.trace(precision))

@@ -51,9 +51,9 @@ class VoxelGrid:
     share: Array
 
     @classmethod
-    def around(cls, where: NDArray[np.int64], largest_lag_mm: float, spacing_mm: Array) -> Self:
+    def from_indices(cls, voxel_index: NDArray[np.int64], largest_lag_mm: float, spacing_mm: Array) -> Self:
         """Place voxel indices (n, 3) with this spacing on a grid."""
-        index = tuple((where - where.min(axis=0)).T)
+        index = tuple((voxel_index - voxel_index.min(axis=0)).T)
         lags = np.ceil(largest_lag_mm / spacing_mm).astype(int)
         padded = tuple(
             int(fft.next_fast_len(int(axis.max()) + 1 + int(lag), real=True))
@@ -78,7 +78,7 @@ class VoxelGrid:
         """Scalar products (k, m) of the values behind spectra (k, ...) and (m, ...), one side filtered."""
         return products(_parts(one).T, _parts(other * (filtered * self.share)).T)
 
-    def projected(self, spectra: Spectrum) -> Array:
+    def measure_absorbed_power(self, spectra: Spectrum) -> Array:
         """Part of white noise of power 1 in the space of the values behind spectra (k, ...)."""
         values, vectors = np.linalg.eigh(self.products(spectra, spectra))
         kept = values > SAME_SPACE * values[-1]
@@ -120,23 +120,23 @@ class CorrelatedNoise:
     power: Array
 
     @classmethod
-    def of_fit(cls, grid: VoxelGrid, pull: Array, taken: Spectrum, least: float) -> Self:
-        """Measure the noise on a fit's weighted residuals (n,) and derivatives' spectra `taken`.
+    def from_fit(cls, grid: VoxelGrid, pull: Array, derivative_spectra: Spectrum, least: float) -> Self:
+        """Measure the noise on a fit's weighted residuals (n,) and derivatives' spectra `derivative_spectra`.
 
         No frequency counts as less noisy than `least`, relative to the variance.
         """
         pulled = np.abs(grid.spectra(pull[:, None])[0]) ** 2
-        given = grid.projected(taken)
+        absorbed_share = grid.measure_absorbed_power(derivative_spectra)
         pairs = fft.irfftn(np.abs(grid.spectra(np.ones((len(pull), 1)))[0]) ** 2, s=grid.padded)
-        scale = _taper(grid) / np.maximum(_mirrored(pairs), 1.0)
+        scale = _taper(grid) / np.maximum(_symmetrize(pairs), 1.0)
         least_hu2 = least * float(np.mean(pull**2))
         power = np.zeros(pulled.shape)
         for _ in range(PASSES):
-            sums = fft.irfftn(pulled + power * given, s=grid.padded)
-            power = np.maximum(fft.rfftn(_mirrored(sums) * scale).real, least_hu2)
+            sums = fft.irfftn(pulled + power * absorbed_share, s=grid.padded)
+            power = np.maximum(fft.rfftn(_symmetrize(sums) * scale).real, least_hu2)
         return cls(grid, power)
 
-    def with_more(self, power_hu2: float) -> CorrelatedNoise:
+    def with_white_noise(self, power_hu2: float) -> CorrelatedNoise:
         """Add white noise of this power."""
         return replace(self, power=self.power + power_hu2)
 
@@ -146,7 +146,7 @@ class CorrelatedNoise:
         return float(self.power[0, 0, 0])
 
 
-def _mirrored(correlation: Array) -> Array:
+def _symmetrize(correlation: Array) -> Array:
     """Mean over both directions along each axis: scan noise has no handedness."""
     for axis in range(3):
         correlation = 0.5 * (correlation + np.roll(np.flip(correlation, axis), 1, axis))
@@ -155,8 +155,8 @@ def _mirrored(correlation: Array) -> Array:
 
 def _taper(grid: VoxelGrid) -> Array:
     """Weights of the lags: one up to half the window, then falling to zero."""
-    beyond = np.clip(2.0 * np.sqrt(grid.squared_lags_mm2()) / WINDOW_MM - 1.0, 0.0, 1.0)
-    return np.asarray(0.5 * (1.0 + np.cos(np.pi * beyond)))
+    past_half = np.clip(2.0 * np.sqrt(grid.squared_lags_mm2()) / WINDOW_MM - 1.0, 0.0, 1.0)
+    return np.asarray(0.5 * (1.0 + np.cos(np.pi * past_half)))
 
 
 @dataclass(frozen=True, eq=False)
@@ -174,7 +174,7 @@ class WhitenedStep:
     stiffness: Array
 
     @classmethod
-    def of_fit(
+    def from_fit(
         cls,
         noise: CorrelatedNoise,
         derivatives: Array,
@@ -198,7 +198,7 @@ class WhitenedStep:
             np.zeros(len(smooth)),
         )
 
-    def shrunk(self, stiffness: Array) -> WhitenedStep:
+    def with_stiffness(self, stiffness: Array) -> WhitenedStep:
         """Shrink parameters towards 0."""
         return replace(self, stiffness=stiffness)
 

@@ -118,14 +118,14 @@ def _fit_profiles(
     low_hu, high_hu = STREAKED_POLYMER_HU
     if not low_hu < inside_hu < high_hu or darker.sum() < MIN_RAYS:
         return None
-    outside_hu, is_covered = _open_level(outer[darker], inside_hu)
+    outside_hu, is_covered = _find_open_level(outer[darker], inside_hu)
     margin_hu = SAME_LEVEL * (inside_hu - outside_hu)
     usable = (np.abs(inner - inside_hu) < margin_hu) & (np.abs(outer - outside_hu) < margin_hu)
     if usable.sum() < MIN_RAYS:
         return None
     level_hu = _level_by_direction(0.5 * (inner + outer), directions, usable)
-    edge_mm, crossed = _crossings(rays, radii_mm, level_hu)
-    usable &= crossed
+    edge_mm, is_crossed = _find_crossings(rays, radii_mm, level_hu)
+    usable &= is_crossed
     if is_covered:  # rays that cross the cover before they end in the open
         usable &= np.abs(edge_mm - nominal_radius_mm) < COVERED_REACH * nominal_radius_mm
     if usable.sum() < MIN_RAYS:
@@ -133,7 +133,7 @@ def _fit_profiles(
     points_mm = centre_mm + edge_mm[usable, None] * directions[usable]
     new_centre_mm, radius_mm, covariance_mm2, residuals_mm = _fit_sphere(points_mm, centre_mm)
     on_sphere = np.abs(residuals_mm) < INLIER * nominal_radius_mm
-    opens = np.abs(outer - outside_hu) < margin_hu
+    ends_open = np.abs(outer - outside_hu) < margin_hu
     seen = np.zeros(len(profiles), dtype=bool)
     seen[np.flatnonzero(scanned)[usable][on_sphere]] = True
     to_edge = profiles[:, radii_mm <= EDGE_TO * radius_mm]
@@ -146,13 +146,15 @@ def _fit_profiles(
         cut_share=1.0 - float(np.isfinite(to_edge).all(axis=1).mean()),
         inside_hu=inside_hu,
         outside_hu=outside_hu,
-        coherence=float(on_sphere.sum()) / max(float(opens.sum()), 1.0),
-        covered_step_hu=_covered_step(rays[~opens & (outer < inside_hu + margin_hu)], radii_mm, radius_mm),
+        coherence=float(on_sphere.sum()) / max(float(ends_open.sum()), 1.0),
+        covered_step_hu=_measure_covered_step(
+            rays[~ends_open & (outer < inside_hu + margin_hu)], radii_mm, radius_mm
+        ),
         seen=seen,
     )
 
 
-def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
+def _find_open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
     """Level of the open surroundings, and whether something else covers most of the sphere."""
     least_hu = float(np.quantile(darker_hu, OPEN_AT_LEAST))
     is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
@@ -160,34 +162,34 @@ def _open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
     return float(np.median(darker_hu[is_open] if is_covered else darker_hu)), is_covered
 
 
-def _covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
+def _measure_covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
     """Median fall from just inside the sphere to just outside it."""
     share = radii_mm / radius_mm
-    within = rays[:, (share > STEP_INSIDE[0]) & (share < STEP_INSIDE[1])]
-    beyond = rays[:, (share > STEP_OUTSIDE[0]) & (share < STEP_OUTSIDE[1])]
-    if within.size == 0 or beyond.size == 0:  # uncovered, or a radius beyond the scanned range
+    inner_hu = rays[:, (share > STEP_INSIDE[0]) & (share < STEP_INSIDE[1])]
+    outer_hu = rays[:, (share > STEP_OUTSIDE[0]) & (share < STEP_OUTSIDE[1])]
+    if inner_hu.size == 0 or outer_hu.size == 0:  # uncovered, or a radius beyond the scanned range
         return 0.0
-    return float(np.median(within.mean(axis=1) - beyond.mean(axis=1)))
+    return float(np.median(inner_hu.mean(axis=1) - outer_hu.mean(axis=1)))
 
 
 def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
     """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
     design = np.column_stack([np.ones(len(directions)), directions])
-    solved, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
-    return np.asarray(design @ solved)
+    solution, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
+    return np.asarray(design @ solution)
 
 
-def _crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, NDArray[np.bool_]]:
+def _find_crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, NDArray[np.bool_]]:
     """First radius at which each ray falls through its level, and whether it does."""
     level_hu = level_hu[:, None]
     falls = (rays[:, :-1] >= level_hu) & (rays[:, 1:] < level_hu)
     first = np.argmax(falls, axis=1)
     rows = np.arange(len(rays))
     before, after = rays[rows, first], rays[rows, first + 1]
-    crossed = falls[rows, first]
-    drop = np.where(crossed, before - after, 1.0)
-    share = np.where(crossed, (before - level_hu[:, 0]) / drop, 0.0)
-    return radii_mm[first] + share * (radii_mm[1] - radii_mm[0]), crossed
+    is_crossed = falls[rows, first]
+    drop = np.where(is_crossed, before - after, 1.0)
+    share = np.where(is_crossed, (before - level_hu[:, 0]) / drop, 0.0)
+    return radii_mm[first] + share * (radii_mm[1] - radii_mm[0]), is_crossed
 
 
 def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array, Array]:

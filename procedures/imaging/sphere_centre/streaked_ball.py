@@ -27,13 +27,13 @@ from procedures.imaging.sphere_centre.ball_model import (
     SXY,
     SZ,
     Stretch,
-    first_guess,
+    add_stretch_derivatives,
     flat_weights,
-    in_directions,
+    guess_ball,
     intensities,
+    mark_directions,
     scale,
-    stretched_ball,
-    voxels_of_ball,
+    select_ball_voxels,
 )
 from procedures.imaging.sphere_centre.radial_edge import RadialEdge, ray_directions
 from procedures.imaging.volume import Region
@@ -79,7 +79,7 @@ class StreakedBall:
     metal_share: float  # part of the sphere's surface too close to metal to be used
     cleaned: Region
     stretch: Stretch
-    evident: bool  # its streaks also show away from the sphere's edge
+    is_evident: bool  # its streaks also show away from the sphere's edge
 
 
 def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
@@ -87,15 +87,17 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
 
     Directions in which the edge is not on that sphere are excluded.
     """
-    usable, metal_share = voxels_of_ball(region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen])
+    usable, metal_share = select_ball_voxels(
+        region, edge.centre_mm, edge.radius_mm, ray_directions()[~edge.seen]
+    )
     if usable.sum() < MIN_VOXELS:
         return None
     points_mm = (np.argwhere(usable) + region.start) * region.spacing_mm
     values = region.values[usable]
-    start = first_guess(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
+    start = guess_ball(region, edge.centre_mm, edge.radius_mm, edge.inside_hu, edge.outside_hu)
     floor_hu = _floor_hu(region)
     censored = np.zeros(len(values), dtype=bool) if floor_hu is None else values <= floor_hu
-    field = SliceField.around(points_mm, float(np.ptp(points_mm[:, 1:], axis=0).max()) / 2.0)
+    field = SliceField.from_points(points_mm, float(np.ptp(points_mm[:, 1:], axis=0).max()) / 2.0)
     no_background = np.zeros((len(values), 0))
     unknowns, weights = start.copy(), np.ones(len(values))
     streaks = np.zeros(len(values))
@@ -104,13 +106,13 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     modes: tuple[NoiseModes, ...] = ()
     for number in range(STEPS):
         modelled, derivatives = intensities(points_mm, unknowns, no_background)
-        working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
-        step_found = _solve(
+        working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
+        result = _solve(
             field, weights * known, working - modelled, derivatives, field_hu2, NOISE_FACTOR * noise_hu2
         )
-        if step_found is None:
+        if result is None:
             return None
-        solved = step_found
+        solved = result
         streaks, field_hu2 = solved.field, solved.field_hu2
         remaining = working - modelled - streaks
         counted = weights * known
@@ -135,23 +137,25 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
     if field_hu2.max() >= FIELD_LIMITS_HU[1] ** 2 or float((weights < 0.5).mean()) > MOST_ODD:
         return None  # something else than streaks is in the image
     modelled, derivatives = intensities(points_mm, unknowns, no_background)
-    working, known = _as_if_known(values, modelled + streaks, censored, floor_hu, white_hu)
-    stretched = stretched_ball(points_mm, unknowns, derivatives)
-    evident = _is_evident(
+    working, known = _impute_censored(values, modelled + streaks, censored, floor_hu, white_hu)
+    stretched = add_stretch_derivatives(points_mm, unknowns, derivatives)
+    is_evident = _is_evident(
         points_mm, unknowns, ray_directions()[~edge.seen], known > 0.99, working - modelled, streaks, white_hu
     )
     noisy_hu2 = COVARIANCE_FACTOR * NOISE_FACTOR * noise_hu2
-    shaped = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
-    if shaped is None:
+    stretch_result = _solve(field, weights * known, working - modelled, stretched, field_hu2, noisy_hu2)
+    if stretch_result is None:
         return None
     return StreakedBall(
         centre_mm=unknowns[:3],
         covariance_mm2=COVARIANCE_FACTOR * solved.covariance[:3, :3],
         radius_mm=float(unknowns[RADIUS]),
         metal_share=metal_share,
-        cleaned=_cleaned(region, field.over(region, solved.coefficients), floor_hu, float(unknowns[OUT])),
-        evident=evident,
-        stretch=Stretch.of_last_terms(shaped.step, shaped.covariance),
+        cleaned=_remove_streaks(
+            region, field.fill_region(region, solved.coefficients), floor_hu, float(unknowns[OUT])
+        ),
+        is_evident=is_evident,
+        stretch=Stretch.from_last_terms(stretch_result.step, stretch_result.covariance),
     )
 
 
@@ -164,7 +168,7 @@ class Waves:
     numbers: NDArray[np.int64]
 
     @classmethod
-    def between(cls, middle_mm: Array, side_mm: float, lowest: float, highest: float) -> Self:
+    def from_band(cls, middle_mm: Array, side_mm: float, lowest: float, highest: float) -> Self:
         """Take all waves from `lowest` to `highest` cycles per mm."""
         count = int(2.0 * side_mm * highest) + 1
         numbers = np.array([(row, column) for row in range(count) for column in range(count)])
@@ -176,23 +180,23 @@ class Waves:
         """Spatial frequency (m,) of each wave."""
         return np.asarray(np.hypot(*self.numbers.T) / (2.0 * self.side_mm))
 
-    def at(self, rows_mm: Array, columns_mm: Array) -> Array:
+    def evaluate(self, rows_mm: Array, columns_mm: Array) -> Array:
         """Values (n, m) of the waves at positions (n,) in the slice."""
-        row, column = self._along(rows_mm, 0), self._along(columns_mm, 1)
+        row, column = self._cosines_along(rows_mm, 0), self._cosines_along(columns_mm, 1)
         return np.asarray(row[:, self.numbers[:, 0]] * column[:, self.numbers[:, 1]])
 
-    def sums(self, coefficients: Array, rows_mm: Array, columns_mm: Array) -> Array:
+    def sum_over_grid(self, coefficients: Array, rows_mm: Array, columns_mm: Array) -> Array:
         """Sum of the waves over a whole grid (rows, columns); 0 beyond the square."""
         table = np.zeros(self.numbers.max(axis=0) + 1)
         table[tuple(self.numbers.T)] = coefficients
-        field = self._along(rows_mm, 0) @ table @ self._along(columns_mm, 1).T
+        field = self._cosines_along(rows_mm, 0) @ table @ self._cosines_along(columns_mm, 1).T
         inside = [
             np.abs(places - middle) < 0.5 * self.side_mm
             for places, middle in zip((rows_mm, columns_mm), self.middle_mm, strict=True)
         ]
         return np.asarray(field * np.outer(*inside))
 
-    def _along(self, places_mm: Array, axis: int) -> Array:
+    def _cosines_along(self, places_mm: Array, axis: int) -> Array:
         share = (places_mm - self.middle_mm[axis]) / self.side_mm + 0.5
         return np.asarray(np.cos(np.pi * np.outer(share, np.arange(self.numbers[:, axis].max() + 1))))
 
@@ -226,20 +230,22 @@ class SliceField:
     noise_terms: tuple[Array, ...]
 
     @classmethod
-    def around(cls, points_mm: Array, radius_mm: float) -> Self:
+    def from_points(cls, points_mm: Array, radius_mm: float) -> Self:
         """Set up the field for voxels (n, 3) grid mm within this radius of their centroid."""
         middle_mm = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))[1:]
         side_mm = 2.0 * (radius_mm + ROOM_MM)
-        waves = Waves.between(middle_mm, side_mm, 0.0, HIGHEST)
-        noisy = Waves.between(middle_mm, side_mm, *NOISE_BAND)
+        waves = Waves.from_band(middle_mm, side_mm, 0.0, HIGHEST)
+        noisy = Waves.from_band(middle_mm, side_mm, *NOISE_BAND)
         power = np.exp(-2.0 * (np.pi * LENGTH_MM * waves.cycles_per_mm) ** 2)
         power *= np.prod(np.where(waves.numbers == 0, 1.0, 2.0), axis=1)  # the mean square of a cosine is 1/2
         scales = np.sqrt(power / power.sum())
         heights_mm = np.unique(points_mm[:, 0])
         slices = tuple(np.flatnonzero(points_mm[:, 0] == height) for height in heights_mm)
         places = [(points_mm[one, 1], points_mm[one, 2]) for one in slices]
-        terms = tuple(waves.at(*place) * scales for place in places)
-        return cls(waves, scales, slices, heights_mm, terms, tuple(noisy.at(*place) for place in places))
+        terms = tuple(waves.evaluate(*place) * scales for place in places)
+        return cls(
+            waves, scales, slices, heights_mm, terms, tuple(noisy.evaluate(*place) for place in places)
+        )
 
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
         """Combinations of waves in the noise band, orthonormal over a slice's clear voxels (n,)."""
@@ -253,18 +259,18 @@ class SliceField:
             modes.append(NoiseModes(one[seen], waves[seen] @ (vectors[:, kept] / np.sqrt(values[kept]))))
         return tuple(modes)
 
-    def over(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
+    def fill_region(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
         """Field over all voxels of a region (slices, rows, columns); 0 where nothing was fitted."""
         z, y, x = region.axes_mm()
         field = np.zeros(region.values.shape)
         for height_mm, found in zip(self.heights_mm, coefficients, strict=True):
             number = int(np.argmin(np.abs(z.ravel() - height_mm)))
-            field[number] = self.waves.sums(found * self.scales, y.ravel(), x.ravel())
+            field[number] = self.waves.sum_over_grid(found * self.scales, y.ravel(), x.ravel())
         return field
 
 
 @dataclass(frozen=True, eq=False)
-class _Solved:
+class _StepResult:
     """Result of one step: the update of the parameters, their covariance, and each slice's field."""
 
     step: Array
@@ -290,7 +296,7 @@ def _is_evident(
     """
     offsets_mm = points_mm - unknowns[:3]
     away = np.abs(np.linalg.norm(offsets_mm, axis=1) - unknowns[RADIUS]) > AWAY_MM
-    away &= known & ~in_directions(offsets_mm, unseen, away)
+    away &= known & ~mark_directions(offsets_mm, unseen, away)
     if away.sum() < MIN_VOXELS:
         return False
     explained = float(np.mean(remaining_hu[away] ** 2 - (remaining_hu - streaks_hu)[away] ** 2))
@@ -304,7 +310,7 @@ def _floor_hu(region: Region) -> float | None:
     return lowest if float((known == lowest).mean()) > FLOOR_SHARE else None
 
 
-def _as_if_known(
+def _impute_censored(
     values: Array, expected: Array, censored: NDArray[np.bool_], floor_hu: float | None, noise_hu: float
 ) -> tuple[Array, Array]:
     """Return values and weights (n,) that make least squares a censored regression (Fisher scoring)."""
@@ -325,7 +331,7 @@ def _solve(
     derivatives: Array,
     field_hu2: Array,
     noise_hu2: float,
-) -> _Solved | None:
+) -> _StepResult | None:
     """Solve generalized least squares with noise and a random field in each slice (Woodbury identity).
 
     None if the voxels leave a parameter open, as when the ball has moved beyond them.
@@ -337,22 +343,25 @@ def _solve(
     slices = zip(field.slices, field.terms, field_hu2.tolist(), strict=True)
     for number, (one, terms, size_hu2) in enumerate(slices):
         root = np.sqrt(weights[one])
-        weighted, remaining, moved = (
+        weighted, remaining, weighted_derivatives = (
             terms * root[:, None],
             residuals[one] * root,
             derivatives[one] * root[:, None],
         )
         count = weighted.shape[1]
         spread = np.linalg.inv(weighted.T @ weighted / noise_hu2 + np.eye(count) / size_hu2)
-        weighed = moved / noise_hu2 - weighted @ (spread @ (weighted.T @ moved)) / noise_hu2**2
-        normal += moved.T @ weighed
-        pull += weighed.T @ remaining
+        whitened = (
+            weighted_derivatives / noise_hu2
+            - weighted @ (spread @ (weighted.T @ weighted_derivatives)) / noise_hu2**2
+        )
+        normal += weighted_derivatives.T @ whitened
+        pull += whitened.T @ remaining
         coefficients = spread @ (weighted.T @ remaining) / noise_hu2
-        taken = count - float(np.trace(spread)) / size_hu2
+        used_degrees = count - float(np.trace(spread)) / size_hu2
         streaks[one] = terms @ coefficients
         found.append(coefficients)
-        sizes_hu2[number] = float(coefficients @ coefficients) / max(taken, 1e-9)
-        degrees += taken
+        sizes_hu2[number] = float(coefficients @ coefficients) / max(used_degrees, 1e-9)
+        degrees += used_degrees
     low, high = FIELD_LIMITS_HU
     try:
         covariance = np.asarray(np.linalg.inv(normal + 1e-9 * np.diag(np.diag(normal))), dtype=np.float64)
@@ -360,7 +369,7 @@ def _solve(
         return None
     if not np.isfinite(covariance).all():
         return None
-    return _Solved(
+    return _StepResult(
         covariance @ pull,
         covariance,
         tuple(found),
@@ -370,7 +379,7 @@ def _solve(
     )
 
 
-def _cleaned(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
+def _remove_streaks(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
     """Remove the streaks; voxels at the floor count as surroundings."""
     values = region.values - streaks
     if floor_hu is not None:

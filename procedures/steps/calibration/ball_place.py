@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach
-from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from procedures.calibration.pose_set import PlannedLook, plan_calibration_looks
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
@@ -20,7 +20,7 @@ from procedures.relocalization.servo import SEARCH_RADIUS_MM
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.strategies.trajectory import tool_orientation
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.calibration import Numbers3
@@ -31,7 +31,7 @@ from ronna_hw.vectors import JointVector
 Array = NDArray[np.float64]
 
 DOWN = np.array([0.0, 0.0, -1.0])
-ALONE_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
+ISOLATION_MM = 30.0  # of a ball's nearest neighbour: nearer, both are in view
 BALL_PICTURE = "stereo-ball.png"
 SPARE = 1.5  # planned looks for each wanted one: some are out of reach, some show a ball half hidden
 
@@ -69,11 +69,11 @@ class BallPlace(StepResult, kind="ball_place"):
 def run(context: StepContext) -> Outcome[BallPlace]:
     """Choose the isolated ball, seen by the tracker, that is nearest to the head. Raises CAL-009."""
     points = context.result(GlobalLocalization).points_mm
-    alone = standing_alone(points)
-    if not alone:
+    isolated_balls = find_isolated(points)
+    if not isolated_balls:
         raise NoBall("the tracker sees no isolated ball", got=f"{len(points)} stray spheres")
     head_mm = context.workcell.tool_pose().translation_mm
-    chosen = min(alone, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
+    chosen = min(isolated_balls, key=lambda number: float(np.linalg.norm(points[number] - head_mm)))
     place = BallPlace.among(points, chosen)
     x, y, z = place.ball_mm
     return Outcome(place, f"{x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT")
@@ -87,9 +87,9 @@ def place_step(stated_mm: Numbers3 | None) -> StepSpec[BallPlace]:
     return StepSpec(BallPlace, "Locate the ball", Phase.PREPARATION, run, reads=(GlobalLocalization,))
 
 
-def standing_alone(points_mm: Array) -> list[int]:
+def find_isolated(points_mm: Array) -> list[int]:
     """Indices of the balls (n, 3) that are far enough from every other one."""
-    return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ALONE_MM]
+    return [number for number in range(len(points_mm)) if _nearest_mm(points_mm, number) >= ISOLATION_MM]
 
 
 def _nearest_mm(points: Array, number: int) -> float:
@@ -114,7 +114,7 @@ def bring_over_ball(
     workcell = context.workcell
     ball_mm = np.array(place.ball_mm)
     watcher = BallWatcher(workcell, ball_mm)
-    plan = calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
+    plan = plan_calibration_looks(place.reference, ball_mm, round(SPARE * poses)) if poses else ()
     reached = sum(watcher.reaches(look.pose) for look in plan)
     if not watcher.reaches(place.first_look.pose) or reached < poses:
         raise PosesOutOfReach(
@@ -129,7 +129,7 @@ def bring_over_ball(
         f"ball at {x:.0f} {y:.0f} {z:.0f} mm in $ROBROOT",
     )
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(around_ball(context.setting.surroundings, tool, ball_mm, place.others_mm))
+    workcell.surround(build_ball_surroundings(context.setting.surroundings, tool, ball_mm, place.others_mm))
     workcell.start(cameras=True)
     workcell.sensors.read_whole()
     try:

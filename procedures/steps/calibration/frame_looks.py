@@ -28,11 +28,11 @@ from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
 from procedures.steps.calibration.ball_place import reachable_joints
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import needs_tool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import in_free_room
-from procedures.workcell.tracker_look import average_pose, frames_at_rest
+from procedures.workcell.ball_watcher import build_free_surroundings
+from procedures.workcell.tracker_look import average_pose, read_frames_at_rest
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError
@@ -65,9 +65,9 @@ def _turn_frame(context: StepContext, count: int, validation: int) -> Outcome[Ob
         f"{total} poses",
     )
     surroundings, tool = context.setting.surroundings, workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(in_free_room(surroundings, tool, surroundings.stereo_head))
+    workcell.surround(build_free_surroundings(surroundings, tool, surroundings.stereo_head))
     workcell.start()
-    turning = _Turning(context)
+    turning = _FrameRotation(context)
     turning.look_at(workcell.home_rad, Use.RETURN)
     for number, joints in enumerate(plan):
         if turning.taken == total:
@@ -117,7 +117,7 @@ def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
 
 
 @dataclass
-class _Turning:
+class _FrameRotation:
     """The looks taken so far."""
 
     context: StepContext
@@ -138,14 +138,14 @@ class _Turning:
         """Look from one pose, reached from the same side; a pose that cannot be used is counted."""
         workcell = self.context.workcell
         try:
-            workcell.settle(joints, ONE_SIDE, from_afar=True)
+            workcell.settle(joints, ONE_SIDE, allow_detour=True)
         except (LimitError, NotClear) as error:
             if workcell.arm.observe().state is not Lifecycle.ACTIVE:
                 raise  # tripped, not refused before it began
             self.rejected[error.code] += 1
             return
         tool = workcell.calibrations.tracker_frame.tool
-        frames, _ = frames_at_rest(workcell.tracker, self.context.setting.clock)
+        frames, _ = read_frames_at_rest(workcell.tracker, self.context.setting.clock)
         try:
             seen = average_pose(frames, tool)
         except GateFailed as error:
@@ -165,7 +165,7 @@ class _Turning:
         )
 
 
-def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
+def rotation_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
     """Build the step for a number of looks."""
     return StepSpec(
         ObservedFrame,
@@ -174,5 +174,5 @@ def turning_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
         partial(_turn_frame, count=count, validation=validation),
         reads=(CheckedSetUp,),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )

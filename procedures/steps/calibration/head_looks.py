@@ -10,7 +10,12 @@ from pydantic import Field
 from procedures.calibration import Baseline, Observation, ObservationSet, Outline
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
-from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, calibration_looks, check_variants
+from procedures.calibration.pose_set import (
+    CHECK_ORIENTATIONS,
+    PlannedLook,
+    plan_calibration_looks,
+    self_check_variants,
+)
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.errors import GateFailed
@@ -26,14 +31,14 @@ from procedures.steps.calibration.ball_place import (
     return_home_if_clear,
 )
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3, StereoHeadCalibration
 
 
-class LookedAtBall(StepResult, kind="ball_look"):
+class BallMeasurement(StepResult, kind="ball_look"):
     """Result of one stereo pair."""
 
     position_mm: Numbers3 | None = Field(description="The ball in the tool frame, if measured.")
@@ -42,7 +47,7 @@ class LookedAtBall(StepResult, kind="ball_look"):
     reason: str = Field(description="Why the measurement yielded no point.")
 
 
-def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
+def run_in_place(context: StepContext) -> Outcome[BallMeasurement]:
     """Look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
     workcell = context.workcell
     head, stereo = workcell.calibrations.stereo_head, workcell.stereo
@@ -56,7 +61,7 @@ def run_where_it_stands(context: StepContext) -> Outcome[LookedAtBall]:
     return _keep_look(context, workcell.look())
 
 
-def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
+def run_over_ball(context: StepContext) -> Outcome[BallMeasurement]:
     """Look from over the ball, and return home."""
     context.result(CheckedSetUp)
     bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
@@ -65,12 +70,12 @@ def run_over_ball(context: StepContext) -> Outcome[LookedAtBall]:
     return _keep_look(context, seen)
 
 
-def _keep_look(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
+def _keep_look(context: StepContext, seen: Look) -> Outcome[BallMeasurement]:
     context.setting.memory.keep(seen)  # for a display of the pictures
     context.keep_picture(BALL_PICTURE, pair_picture(seen))
     point = seen.point
     return Outcome(
-        LookedAtBall(
+        BallMeasurement(
             position_mm=None if point is None else point.position_mm.tolist(),
             left=None if seen.left is None else Outline.of(seen.left),
             right=None if seen.right is None else Outline.of(seen.right),
@@ -80,18 +85,18 @@ def _keep_look(context: StepContext, seen: Look) -> Outcome[LookedAtBall]:
     )
 
 
-def look_step(*, over_ball: bool) -> StepSpec[LookedAtBall]:
+def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
     """Build the step, with motion or without."""
     if not over_ball:
-        return StepSpec(LookedAtBall, "Look", Phase.OPERATION, run_where_it_stands)
+        return StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
     return StepSpec(
-        LookedAtBall,
+        BallMeasurement,
         "Measure the ball",
         Phase.OPERATION,
         run_over_ball,
         reads=(CheckedSetUp, BallPlace),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )
 
 
@@ -109,13 +114,13 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
     total = poses + visits * CHECK_ORIENTATIONS
     purpose = f"{total} measurements from {poses + CHECK_ORIENTATIONS} poses"
     watcher = bring_over_ball(context, place, purpose, poses)
-    plan = calibration_looks(place.reference, watcher.ball_mm, round(SPARE * poses))
+    plan = plan_calibration_looks(place.reference, watcher.ball_mm, round(SPARE * poses))
     seen = watcher.observe_all(
         plan, poses, lambda count: context.progress(count / total, "measuring the ball")
     )
     for visit in range(visits):
         for number in range(CHECK_ORIENTATIONS):
-            one = check_look(watcher, check_variants(place.reference, watcher.ball_mm, number), seen)
+            one = check_look(watcher, self_check_variants(place.reference, watcher.ball_mm, number), seen)
             if one is not None:
                 seen.append(one)
             done = poses + CHECK_ORIENTATIONS * visit + number
@@ -129,7 +134,7 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
             f"warning: only {checked} of the check's {CHECK_ORIENTATIONS} orientations were measured"
         )
     if len(seen) < LEAST_POSES:
-        refuse_too_few(watcher, len(seen))
+        raise_too_few(watcher, len(seen))
     calibrations = workcell.calibrations
     observed = ObservationSet(
         created=context.setting.began,
@@ -151,7 +156,7 @@ def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
         partial(_observe_ball, poses=poses, visits=visits),
         reads=(CheckedSetUp, BallPlace),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )
 
 
@@ -169,7 +174,7 @@ def check_look(
     return None
 
 
-def refuse_too_few(watcher: BallWatcher, count: int) -> None:
+def raise_too_few(watcher: BallWatcher, count: int) -> None:
     """Raise CAL-010 if most looks were out of reach, CAL-002 if they showed no ball."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
@@ -207,7 +212,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
     ]
     watcher = BallWatcher(workcell, baseline.ball_mm)
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm))
+    workcell.surround(build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm))
     workcell.start(cameras=True)
     workcell.sensors.read_whole()
     seen = []
@@ -249,5 +254,5 @@ def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
         partial(_visit_baseline, baseline=baseline, visits=visits),
         reads=(CheckedSetUp,),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )

@@ -10,7 +10,7 @@ from procedures.calibration import Baseline
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import Steps
 from procedures.steps.calibration.ball_place import place_step
-from procedures.steps.calibration.frame_looks import turning_step
+from procedures.steps.calibration.frame_looks import rotation_step
 from procedures.steps.calibration.head_looks import look_step, observation_step, visit_step
 from procedures.steps.calibration.sphere_looks import looks_step
 from procedures.steps.calibration.tip_readings import readings_step, stand_place_step, stand_step
@@ -37,7 +37,7 @@ def head_look(ball_mm: Numbers3 | None) -> Steps:
     return (*_steps_to_ball(ball_mm), look_step(over_ball=True))
 
 
-def look_where_it_stands() -> Steps:
+def look_in_place() -> Steps:
     """Look once; nothing moves."""
     return (look_step(over_ball=False),)
 
@@ -49,7 +49,7 @@ def arm_looks(count: int, validation: int) -> Steps:
 
 def frame_looks(count: int, validation: int) -> Steps:
     """Set up, and rotate the reference frame in view of the tracker."""
-    return (set_up.STEP, turning_step(count, validation))
+    return (set_up.STEP, rotation_step(count, validation))
 
 
 def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:

@@ -22,7 +22,7 @@ from procedures.calibration.arm_model import (
     choose_poses,
 )
 from procedures.calibration.errors import NoBall, PosesOutOfReach
-from procedures.calibration.pose_set import PlannedLook, centred_looks, order_by_orientation
+from procedures.calibration.pose_set import PlannedLook, order_by_orientation, plan_centred_looks
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import StepResult
@@ -31,15 +31,15 @@ from procedures.relocalization.errors import SphereNotInView
 from procedures.steps.calibration.ball_place import (
     BALL_PICTURE,
     BallPlace,
+    find_isolated,
     reachable_joints,
     return_home_if_clear,
-    standing_alone,
 )
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool, Workcell
-from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LimitError
@@ -62,7 +62,7 @@ class ObservedSpheres(StepResult, kind="sphere_looks"):
 
 
 @dataclass(frozen=True)
-class _Planned:
+class _PlannedSphereLook:
     """A look within reach; `look` is its expected content."""
 
     pose: PlannedLook
@@ -76,7 +76,7 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     if count == 0:
         require_record(workcell.calibrations.arm)
     remarks: list[str] = []
-    places = _places(context.result(GlobalLocalization).points_mm, workcell, remarks)
+    places = _select_places(context.result(GlobalLocalization).points_mm, workcell, remarks)
     head = workcell.calibrations.stereo_head
     model = ArmModel(workcell.arm.kinematics, head.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL))
     plan = _plan_looks(model, places, workcell, count, validation)
@@ -94,9 +94,9 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
     )
     seen: list[SphereLook] = []
     for number in sorted(planned):
-        mine = [one for one in plan if one.look.sphere == number]
+        own_looks = [one for one in plan if one.look.sphere == number]
         seen += _look_at_sphere(
-            context, places[number], mine, len(seen) / len(plan), remarks, count + validation
+            context, places[number], own_looks, len(seen) / len(plan), remarks, count + validation
         )
     remarks += return_home_if_clear(context)
     observed = ArmLooks(
@@ -114,15 +114,15 @@ def _measure_spheres(context: StepContext, count: int, validation: int) -> Outco
 
 def _plan_looks(
     model: ArmModel, places: Sequence[BallPlace], workcell: Workcell, count: int, validation: int
-) -> tuple[_Planned, ...]:
+) -> tuple[_PlannedSphereLook, ...]:
     """Choose the most telling looks, and evenly spread ones for validation."""
-    telling_count, judging_count = round(SPARE * count), math.ceil(SPARE * validation)
-    wanted = telling_count + judging_count
+    informative_count, validation_count = round(SPARE * count), math.ceil(SPARE * validation)
+    wanted = informative_count + validation_count
     each = max(CANDIDATES, math.ceil(CHOICE * wanted / len(places)))
     reached = [
-        _Planned(look, _unseen(number, joints, flanks_of(order), validation=False))
+        _PlannedSphereLook(look, _build_placeholder(number, joints, flanks_of(order), validation=False))
         for number, place in enumerate(places)
-        for order, look in enumerate(centred_looks(place.reference, place.ball_mm, each))
+        for order, look in enumerate(plan_centred_looks(place.reference, place.ball_mm, each))
         if (joints := reachable_joints(workcell, look)) is not None
     ]
     if len(reached) < wanted:
@@ -131,20 +131,20 @@ def _plan_looks(
             expected=f"{wanted} poses",
             got=f"{len(reached)} of {each * len(places)}",
         )
-    telling = choose_poses(model, arrays_of([one.look for one in reached]), telling_count)
-    rest = sorted(set(range(len(reached))) - set(telling.tolist()))
-    judging = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, judging_count)]
-    judged = [
-        _Planned(one.pose, one.look.model_copy(update={"validation": True}))
-        for one in (reached[number] for number in judging)
+    informative_numbers = choose_poses(model, arrays_of([one.look for one in reached]), informative_count)
+    rest = sorted(set(range(len(reached))) - set(informative_numbers.tolist()))
+    validation_numbers = [rest[round(at)] for at in np.linspace(0, len(rest) - 1, validation_count)]
+    validation_looks = [
+        _PlannedSphereLook(one.pose, one.look.model_copy(update={"validation": True}))
+        for one in (reached[number] for number in validation_numbers)
     ]
-    return (*(reached[number] for number in telling), *judged)
+    return (*(reached[number] for number in informative_numbers), *validation_looks)
 
 
 def _look_at_sphere(
     context: StepContext,
     place: BallPlace,
-    plan: Sequence[_Planned],
+    plan: Sequence[_PlannedSphereLook],
     done: float,
     remarks: list[str],
     total: int,
@@ -152,7 +152,9 @@ def _look_at_sphere(
     workcell = context.workcell
     watcher = BallWatcher(workcell, np.array(place.ball_mm))
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
-    workcell.surround(around_ball(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm))
+    workcell.surround(
+        build_ball_surroundings(context.setting.surroundings, tool, watcher.ball_mm, place.others_mm)
+    )
     workcell.start(cameras=True)
     workcell.sensors.read_whole()
     try:
@@ -195,7 +197,7 @@ def looks_step(count: int, validation: int) -> StepSpec[ObservedSpheres]:
         partial(_measure_spheres, count=count, validation=validation),
         reads=(CheckedSetUp, GlobalLocalization),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )
 
 
@@ -207,13 +209,15 @@ def flanks_of(number: int) -> Flanks:
     return (a, b, c, d, e, f)
 
 
-def _places(points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]) -> tuple[BallPlace, ...]:
+def _select_places(
+    points_mm: NDArray[np.float64], workcell: Workcell, remarks: list[str]
+) -> tuple[BallPlace, ...]:
     """Isolated spheres within reach, the nearest to the head first. Raises CAL-009."""
-    alone = standing_alone(points_mm)
-    if not alone:
+    isolated_spheres = find_isolated(points_mm)
+    if not isolated_spheres:
         raise NoBall("the tracker sees no isolated sphere", got=f"{len(points_mm)} stray spheres")
     head_mm = workcell.tool_pose().translation_mm
-    near = sorted(alone, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
+    near = sorted(isolated_spheres, key=lambda number: float(np.linalg.norm(points_mm[number] - head_mm)))
     places = [BallPlace.among(points_mm, number) for number in near]
     reached = [place for place in places if reachable_joints(workcell, place.first_look) is not None]
     remarks += [
@@ -229,7 +233,9 @@ def _describe_place(place: BallPlace) -> str:
     return f"the sphere at {x:.0f} {y:.0f} {z:.0f} mm"
 
 
-def _unseen(sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool) -> SphereLook:
+def _build_placeholder(
+    sphere: int, joints_rad: JointVector, flanks: Flanks, *, validation: bool
+) -> SphereLook:
     return SphereLook(
         sphere=sphere,
         joints_rad=joints_rad,

@@ -15,7 +15,12 @@ from scipy.spatial.transform import RigidTransform
 
 from procedures.calibration.errors import NoBall, PosesOutOfReach, TooFewPoses
 from procedures.calibration.head_model import pose_record
-from procedures.calibration.pose_set import PlannedLook, held_out_indices, order_by_orientation, turned_about
+from procedures.calibration.pose_set import (
+    PlannedLook,
+    choose_held_out,
+    order_by_orientation,
+    plan_poses_about,
+)
 from procedures.calibration.tip_calibration import (
     DIALS_TRAVEL_MM,
     BallLook,
@@ -33,10 +38,10 @@ from procedures.operator.question import Task, Topic
 from procedures.steps.calibration.ball_place import SPARE, BallPlace, bring_over_ball
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
-from procedures.steps.conditions import carries, exchangeable
+from procedures.steps.conditions import needs_exchangeable_tool, needs_tool
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, in_free_room, stand_under
+from procedures.workcell.ball_watcher import BallWatcher, build_free_surroundings, build_stand
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import DIALS
 
@@ -109,7 +114,7 @@ def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
 
 def _looks_at_stand(place: BallPlace, watcher: BallWatcher, count: int) -> list[PlannedLook]:
     wanted = round(SPARE * count)
-    looks = turned_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
+    looks = plan_poses_about(place.reference, place.ball_mm, wanted, tilt_rad=TILT_RAD, turn_rad=TURN_RAD)
     reached = [look for look in looks if watcher.reaches(look.pose)]
     if len(reached) < count:
         raise PosesOutOfReach(
@@ -147,20 +152,20 @@ def stand_step(count: int) -> StepSpec[ObservedStand]:
         partial(_measure_stand, count=count),
         reads=(CheckedSetUp, BallPlace),
         moves=True,
-        preconditions=carries(MountedTool.STEREO_HEAD),
+        preconditions=needs_tool(MountedTool.STEREO_HEAD),
     )
 
 
-class ReadTip(StepResult, kind="tip_readings"):
+class TipReadings(StepResult, kind="tip_readings"):
     """Readings from which the tip's calibration is computed."""
 
     observed: TipLooks = Field(description="Contents of `tip-looks.json`.")
 
 
-def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
+def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
     """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
     context.result(CheckedSetUp)
-    context.have_instrument_out()  # of an earlier attempt
+    context.request_instrument_removal()  # of an earlier attempt
     place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
     number = exchange_tool(context, MountedTool.GUIDE)
     context.setting.room.prepare_stand(DIVOT)
@@ -172,14 +177,16 @@ def _read_divot(context: StepContext, validation: int) -> Outcome[ReadTip]:
         f"{len(stand.looks)} orientations",
     )
     surroundings, guide = context.setting.surroundings, workcell.flange_from(MountedTool.GUIDE)
-    workcell.surround(in_free_room(surroundings, guide, surroundings.guide, stand_under(place.ball_mm)))
+    workcell.surround(
+        build_free_surroundings(surroundings, guide, surroundings.guide, build_stand(place.ball_mm))
+    )
     workcell.start()
     reading = _Reading(context, _prepare_looks(context, stand, validation))
     for look in range(len(stand.looks)):
         reading.take(look)
         context.progress((look + 1) / len(stand.looks), "reading the dials")
     workcell.go_home()
-    return Outcome(ReadTip(observed=reading.observed), f"{len(reading.observed.readings)} readings")
+    return Outcome(TipReadings(observed=reading.observed), f"{len(reading.observed.readings)} readings")
 
 
 def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) -> TipLooks:
@@ -193,7 +200,7 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
         arm_record=calibrations.arm,
         looks=stand.looks,
         readings=(),
-        validation=held_out_indices(len(stand.looks), validation),
+        validation=choose_held_out(len(stand.looks), validation),
     )
 
 
@@ -218,11 +225,11 @@ class _Reading:
         over = self.observed.looks[look]
         there, back = (self._pose(over, away_mm) for away_mm in (0.0, HOVER_MM))
         hover_rad = workcell.joints_at(back, over.joints_rad)
-        workcell.settle(hover_rad, ONE_SIDE, from_afar=True)
+        workcell.settle(hover_rad, ONE_SIDE, allow_detour=True)
         workcell.settle(workcell.joints_at(there, over.joints_rad), ONE_SIDE)
         workcell.hold()  # hands raise the divot: only the next motion may move the arm
         workcell.instrument.record_insertion(IN_DIVOT)
-        x_mm, y_mm, z_mm = self.context.have_done(
+        x_mm, y_mm, z_mm = self.context.perform_task(
             Task(
                 DIALS,
                 f"at orientation {look + 1} raise the divot to the tip and read the three dials",
@@ -233,7 +240,7 @@ class _Reading:
         dials_mm = (x_mm, y_mm, z_mm)
         require_plausible(dials_mm)
         joints = workcell.joints_rad()
-        self.context.have_instrument_out()
+        self.context.request_instrument_removal()
         workcell.settle(hover_rad, ONE_SIDE)
         return DivotReading(
             look=look,
@@ -261,14 +268,14 @@ class _Reading:
         return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
 
 
-def readings_step(validation: int) -> StepSpec[ReadTip]:
+def readings_step(validation: int) -> StepSpec[TipReadings]:
     """Build the step with a number of readings for validation."""
     return StepSpec(
-        ReadTip,
+        TipReadings,
         "Read the divot at the tip of the guide",
         Phase.OPERATION,
         partial(_read_divot, validation=validation),
         reads=(CheckedSetUp, BallPlace, ObservedStand),
         moves=True,
-        preconditions=exchangeable,
+        preconditions=needs_exchangeable_tool,
     )

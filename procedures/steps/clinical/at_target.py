@@ -14,7 +14,7 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, guide_at_rest
+from procedures.guards.guide_displacement import PUSHED_MM, GuideAtRest, measure_guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, StepResult
@@ -22,7 +22,7 @@ from procedures.operator.errors import GuardUnmet, NotConfirmed
 from procedures.operator.question import Question, Task, Topic
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.positioning import PositionedGuide
-from procedures.steps.clinical.room import ROOM_READS, check_room, head_must_show
+from procedures.steps.clinical.room import ROOM_READS, check_room, require_head_in_view
 from procedures.steps.clinical.work_progress import (
     STAGES,
     DepthStop,
@@ -31,8 +31,8 @@ from procedures.steps.clinical.work_progress import (
     describe_work,
     work_progress,
 )
-from procedures.steps.conditions import inserted
-from ronna_hw.text import beyond
+from procedures.steps.conditions import needs_insertion
+from ronna_hw.text import format_against_limit
 
 POSITION_LIMIT_MM = 0.05  # nominal place against the commanded one; more means the arm did not arrive
 HOLD = "hold"  # the instrument stays where it is, and the case is held
@@ -75,75 +75,79 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
     context.setting.clock.sleep(DWELL_S)
     axis = workcell.place.axis
     reached = workcell.tool_pose(arrived=None if axis is None else axis.arriving)
-    beside_mm = reached.translation_mm - commanded.translation_mm
-    error_mm = float(np.linalg.norm(beside_mm))
+    deviation_mm = reached.translation_mm - commanded.translation_mm
+    error_mm = float(np.linalg.norm(deviation_mm))
     if error_mm > POSITION_LIMIT_MM:
         raise GateFailed(
             "the arm is not where it was sent",
             limit=f"{POSITION_LIMIT_MM} mm",
-            got=f"{beyond(error_mm, POSITION_LIMIT_MM, 3)} mm",
+            got=f"{format_against_limit(error_mm, POSITION_LIMIT_MM, 3)} mm",
         )
     _check_room_again(context)
     workcell.hold()
-    with head_must_show(context), _watch_guide(context) as rest:
-        begun = work_progress(context)
+    with require_head_in_view(context), _watch_guide(context) as rest:
+        work_so_far = work_progress(context)
         context.progress(0.0, f"the guide is held at {trajectory}")  # the guards look whether it is displaced
         for stage in STAGES:
-            if stage.task not in begun.done:
-                _work(context, stage, begun)
-                _look_at_guide(context, stage, rest, begun)
+            if stage.task not in work_so_far.done:
+                _do_stage(context, stage, work_so_far)
+                _look_at_guide(context, stage, rest, work_so_far)
                 share = (STAGES.index(stage) + 1) / (len(STAGES) + 1)
-                context.progress(share, f"{stage.confirms} at {trajectory}")
-        context.have_instrument_out()  # from here on, the work counts as finished whatever happens
-    if begun.finished_before:
-        return _not_watched(begun)
-    pushed = begun.pushed_mm > PUSHED_MM
+                context.progress(share, f"{stage.done_statement} at {trajectory}")
+        context.request_instrument_removal()  # from here on, the work counts as finished whatever happens
+    if work_so_far.finished_before:
+        return _build_unwatched_outcome(work_so_far)
+    pushed = work_so_far.pushed_mm > PUSHED_MM
     if pushed:
-        context.find(f"the guide was pushed by up to {begun.pushed_mm:.2f} mm at {trajectory}")
-    too_deep_mm = begun.stop.too_deep_mm
-    error_mm = float(np.linalg.norm(beside_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
+        context.find(f"the guide was pushed by up to {work_so_far.pushed_mm:.2f} mm at {trajectory}")
+    too_deep_mm = work_so_far.stop.too_deep_mm
+    error_mm = float(np.linalg.norm(deviation_mm + too_deep_mm * commanded.rotation_matrix[:, 2]))
     return Outcome(
         ReachedTarget(
             tool_pose=FramedPose.of(reached),
             nominal_error_mm=error_mm,
             too_deep_mm=too_deep_mm,
-            depth_stop=begun.stop,
-            pushed_mm=begun.pushed_mm if begun.watched or pushed else None,
-            done_before=begun.before,
+            depth_stop=work_so_far.stop,
+            pushed_mm=work_so_far.pushed_mm if work_so_far.watched or pushed else None,
+            done_before=work_so_far.before,
         ),
         summary=f"instrument within {error_mm:.2f} mm of where it was sent"
-        + (f", by joints and depth stop; the guide was pushed by {begun.pushed_mm:.2f} mm" if pushed else "")
-        + ("" if begun.watched else "; the guide was not watched throughout"),
+        + (
+            f", by joints and depth stop; the guide was pushed by {work_so_far.pushed_mm:.2f} mm"
+            if pushed
+            else ""
+        )
+        + ("" if work_so_far.watched else "; the guide was not watched throughout"),
     )
 
 
-def _not_watched(begun: WorkProgress) -> Outcome[ReachedTarget]:
+def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
     """Outcome of work finished earlier, when nothing watched the guide."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
             nominal_error_mm=None,
-            too_deep_mm=begun.stop.too_deep_mm,
-            depth_stop=begun.stop,
+            too_deep_mm=work_so_far.stop.too_deep_mm,
+            depth_stop=work_so_far.stop,
             pushed_mm=None,
-            done_before=begun.before,
+            done_before=work_so_far.before,
         ),
         summary="the work was finished earlier; the guide was not watched then",
     )
 
 
-def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
+def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress) -> None:
     """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed as done, TOOL-007."""
-    trajectory, stop, stages = context.trajectory, begun.stop, context.workcell.instrument.stages
-    known = stages.at(trajectory)
+    trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.instrument.stages
+    known = stages.tasks_at(trajectory)
     before = f"; earlier: {describe_work(known)}" if known else ""
     if stage is STAGES[-1]:
-        begun.rely_on_stop(context)
+        work_so_far.rely_on_stop(context)
     stages.record_begin(trajectory, stage.task)
-    context.have_done(Task(stage.task, f"{stage.does} at {trajectory}", trajectory))
+    context.perform_task(Task(stage.task, f"{stage.instruction} at {trajectory}", trajectory))
     question = Question(
         stage.topic,
-        f"at {trajectory}: {stage.confirms}",
+        f"at {trajectory}: {stage.done_statement}",
         f"depth stop {stop.read_mm:.2f} mm, computed {stop.computed_mm:.2f} mm; the guide is held "
         f"{stop.standoff_mm:.0f} mm in front of the entry{before}",
         (DONE, HOLD),
@@ -154,26 +158,28 @@ def _work(context: StepContext, stage: WorkStage, begun: WorkProgress) -> None:
         answer = context.choose(question)
         if answer == DONE:  # done, whatever the watch has seen meanwhile
             stages.record_done(trajectory, stage.task)
-            begun.done.append(stage.task)
+            work_so_far.done.append(stage.task)
     if answer != DONE:
-        raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.confirms}", action=STAYS)
+        raise NotConfirmed(f"nobody confirmed at {trajectory} that {stage.done_statement}", action=STAYS)
 
 
-def _look_at_guide(context: StepContext, stage: WorkStage, rest: GuideAtRest, begun: WorkProgress) -> None:
+def _look_at_guide(
+    context: StepContext, stage: WorkStage, rest: GuideAtRest, work_so_far: WorkProgress
+) -> None:
     """Measure the guide after a stage; a guard suspends the case if it is displaced."""
     rest.look(context.workcell, context.setting.clock)
-    begun.pushed_mm = max(begun.pushed_mm, rest.now_mm)
+    work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
     if rest.unseen:
-        begun.watched = False
+        work_so_far.watched = False
         if rest.seen_mm is not None:  # else reported before the work began
-            context.find(f"at {context.trajectory}, {stage.confirms}: {UNSEEN}")
+            context.find(f"at {context.trajectory}, {stage.done_statement}: {UNSEEN}")
 
 
 def _check_room_again(context: StepContext) -> None:
     """Check the room after a return to the step, or if nothing watches the head. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
-    if memory.find(RoomWatch) is None or (rest is not None and rest.left):
+    if memory.find(RoomWatch) is None or (rest is not None and rest.was_worked_through):
         check_room(context, f"at {context.trajectory}")
 
 
@@ -187,11 +193,11 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
     rest = memory.find(GuideAtRest)
     if rest is None or rest.trajectory != context.trajectory:
         room = memory.find(RoomWatch)
-        rest = guide_at_rest(context.workcell, context.setting.clock, context.trajectory, room)
+        rest = measure_guide_at_rest(context.workcell, context.setting.clock, context.trajectory, room)
         memory.keep(rest)
     if rest.seen_mm is None:
         context.find(f"at {context.trajectory}: {UNSEEN}")
-    rest.worked = True
+    rest.is_worked_through = True
     try:
         yield rest
     except GuardUnmet:
@@ -199,7 +205,7 @@ def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
             check_room(context, f"at {context.trajectory}")
         raise
     finally:
-        rest.worked, rest.left = False, True
+        rest.is_worked_through, rest.was_worked_through = False, True
 
 
 STEP = StepSpec(
@@ -212,5 +218,5 @@ STEP = StepSpec(
     reads=(PositionedGuide, CheckedPlan, *ROOM_READS),
     continues=True,
     finishes=True,
-    preconditions=inserted,
+    preconditions=needs_insertion,
 )

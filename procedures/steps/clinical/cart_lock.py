@@ -20,17 +20,17 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult, Values
 from procedures.operator.question import YES, Question, Task, Topic
 from procedures.planning.errors import PlaceUnfit
-from procedures.planning.proposed_place import BesideProposal, PlaceFile, ProposedPlace, read_place
-from procedures.registration.movement import shift_of
+from procedures.planning.proposed_place import PlaceFile, ProposalDeviation, ProposedPlace, read_place
+from procedures.registration.movement import measure_shift
 from procedures.steps.branches import AS_IT_STANDS, CART_MISPLACED, HOLD, PLACINGS
 from procedures.steps.clinical.coarse_match import coarse_match, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.plan_check import SHORT_HASH, CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import away_from_head
+from procedures.steps.conditions import needs_arm_home
 from procedures.steps.errors import CartMisplaced, CartNotLocked
-from procedures.workcell.tracker_look import average_pose, frames_at_rest, robot_from_marker
+from procedures.workcell.tracker_look import average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import CART_LOCK, CART_PLACE, CART_PUSH
@@ -79,21 +79,21 @@ def run(context: StepContext) -> Outcome[LockedCart]:
     for before in context.reads:
         context.result(before)
     context.workcell.rest()  # hands are on the cart: nothing may move the arm meanwhile
-    proposed = _proposal(context)
+    proposed = _read_proposal(context)
     proposal = None if proposed is None else proposed.place
     for placing in range(1, PLACINGS + 1):
-        context.have_done(Task(CART_PLACE, "wheel the arm's cart into position"))
-        context.have_done(Task(CART_LOCK, "lock the brakes of the cart"))
+        context.perform_task(Task(CART_PLACE, "wheel the arm's cart into position"))
+        context.perform_task(Task(CART_LOCK, "lock the brakes of the cart"))
         _confirm(context, "the cart is locked", "the brakes of all wheels are locked; nobody is pushing it")
-        robot_from_tracker, first = _first_look(context)
-        beside = (
+        robot_from_tracker, first = _take_first_look(context)
+        drift = (
             None if proposal is None else _offset_from_proposal(context, proposal, robot_from_tracker, first)
         )
-        if proposal is None or beside is None or _accept_position(context, proposal, beside, placing):
+        if proposal is None or drift is None or _accept_position(context, proposal, drift, placing):
             break
-    context.have_done(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
+    context.perform_task(Task(CART_PUSH, "lean on the cart from each side, then stand clear"))
     _confirm(context, "someone leaned on the cart", "from each side; everyone stands clear")
-    frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock)
+    frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock)
     second = room_reading(context.workcell, frames, robot_from_tracker)
     try:
         moved_mm, spheres = displacement_against_head(robot_from_tracker, first, second)
@@ -107,18 +107,18 @@ def run(context: StepContext) -> Outcome[LockedCart]:
             placings=placing,
             moved_mm=tuple(moved_mm.tolist()),
             spheres=spheres,
-            beside_mm=None if beside is None else (beside.x_mm, beside.y_mm),
-            turned_deg=None if beside is None else beside.turned_deg,
+            beside_mm=None if drift is None else (drift.x_mm, drift.y_mm),
+            turned_deg=None if drift is None else drift.turned_deg,
             proposal=None if proposed is None else Proposal(sha256=proposed.sha256, place=proposed.place),
         ),
         summary=(
             f"the cart is locked; it moved {np.linalg.norm(moved_mm):.2f} mm against the head when leaned on"
         )
-        + ("" if beside is None else f"; {_in_words(beside)} from its proposed position"),
+        + ("" if drift is None else f"; {_format_offset(drift)} from its proposed position"),
     )
 
 
-def _proposal(context: StepContext) -> PlaceFile | None:
+def _read_proposal(context: StepContext) -> PlaceFile | None:
     path = context.clinical.place
     proposed = read_place(path)
     series = context.result(CheckedPlan).plan.series_instance_uid
@@ -129,9 +129,9 @@ def _proposal(context: StepContext) -> PlaceFile | None:
     return proposed
 
 
-def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
+def _take_first_look(context: StepContext) -> tuple[Transform, RoomReading]:
     workcell = context.workcell
-    frames, _ = frames_at_rest(
+    frames, _ = read_frames_at_rest(
         workcell.tracker,
         context.setting.clock,
         lambda share: context.progress(share, "locating the cart"),
@@ -143,7 +143,7 @@ def _first_look(context: StepContext) -> tuple[Transform, RoomReading]:
 
 def _offset_from_proposal(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
-) -> BesideProposal | None:
+) -> ProposalDeviation | None:
     """Position of the cart relative to the proposal; None, with a finding, without a unique match."""
     image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
     prior = room_prior(plan, context.setting.settings, robot_from_tracker)
@@ -151,27 +151,27 @@ def _offset_from_proposal(
     if found.transform is None:
         context.find(f"the cart cannot be compared with its proposed position: {found.reason}")
         return None
-    beside = proposal.beside(Transform(Frame.ROBOT, Frame.CT, found.transform))
-    if abs(beside.head_mm) > HEAD_LEVEL_MM or beside.head_deg > HEAD_LEVEL_DEG:
+    drift = proposal.drift(Transform(Frame.ROBOT, Frame.CT, found.transform))
+    if abs(drift.head_mm) > HEAD_LEVEL_MM or drift.head_deg > HEAD_LEVEL_DEG:
         context.find(
-            f"the head is {beside.head_mm:+.0f} mm higher and tilted by {beside.head_deg:.0f} deg "
+            f"the head is {drift.head_mm:+.0f} mm higher and tilted by {drift.head_deg:.0f} deg "
             "against the map of cart positions: the path check judges this position"
         )
-    return beside
+    return drift
 
 
 def _accept_position(
-    context: StepContext, proposal: ProposedPlace, beside: BesideProposal, placing: int
+    context: StepContext, proposal: ProposedPlace, drift: ProposalDeviation, placing: int
 ) -> bool:
     """Whether the cart may stay there; False to place it again. Raises PRO-042."""
-    if proposal.allows(beside):
+    if proposal.allows(drift):
         return True
     problem = CartMisplaced(
-        f"the cart is {_in_words(beside)} from its proposed position",
+        f"the cart is {_format_offset(drift)} from its proposed position",
         limit=f"{proposal.free_mm:.0f} mm, or half of that turned by -{proposal.turns_deg[0]:g} to "
         f"+{proposal.turns_deg[1]:g} deg",
-        action=f"Push it by x {round(-beside.x_mm):+d} mm and y {round(-beside.y_mm):+d} mm and turn it by "
-        f"{_tenths(-beside.turned_deg)} deg, then repeat the step; or make a new map: ronna-plan place.",
+        action=f"Push it by x {round(-drift.x_mm):+d} mm and y {round(-drift.y_mm):+d} mm and turn it by "
+        f"{_to_tenths(-drift.turned_deg)} deg, then repeat the step; or make a new map: ronna-plan place.",
     )
     context.find(problem.summary)
     answer = context.choose(CART_MISPLACED.question(problem.summary, problem.advice))
@@ -193,7 +193,7 @@ def displacement_against_head(
 
     Raises PRO-041, or PRO-020 if it was the head that moved.
     """
-    head = shift_of(first.spheres_mm, second.spheres_mm)
+    head = measure_shift(first.spheres_mm, second.spheres_mm)
     if head is None or first.frame_mm is None or second.frame_mm is None:
         raise GateFailed(
             "the tracker does not see the frame and the head both before and after the cart was leaned on",
@@ -214,12 +214,12 @@ def displacement_against_head(
     raise CartNotLocked("the cart is not locked: it rolled when leaned on", limit=limit, got=got)
 
 
-def _in_words(beside: BesideProposal) -> str:
-    way = f"x {round(beside.x_mm):+d}, y {round(beside.y_mm):+d}"
-    return f"{beside.off_mm:.0f} mm ({way}), {_tenths(beside.turned_deg)} deg"
+def _format_offset(drift: ProposalDeviation) -> str:
+    way = f"x {round(drift.x_mm):+d}, y {round(drift.y_mm):+d}"
+    return f"{drift.off_mm:.0f} mm ({way}), {_to_tenths(drift.turned_deg)} deg"
 
 
-def _tenths(value: float) -> str:
+def _to_tenths(value: float) -> str:
     return f"{round(value, 1) + 0.0:+.1f}"  # without a sign before nothing
 
 
@@ -230,5 +230,5 @@ STEP = StepSpec(
     run,
     asks=(Topic.CART_LOCKED,),
     reads=(CheckedSetUp, ClampedHead, LocalizedFiducials, CheckedPlan),
-    preconditions=away_from_head,
+    preconditions=needs_arm_home,
 )

@@ -29,7 +29,7 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
     """Prior on the pose robot <- CT from the planned patient position and the tracker's line of sight."""
     return RoomPrior(
-        lying_up=np.array(UP_LPS[plan.plan.lies.value[2:]]),
+        lying_up=np.array(UP_LPS[plan.plan.table_orientation.value[2:]]),
         recline_deg=settings.recline_deg,
         tolerance_deg=settings.head_turn_deg,
         sight=HeadSight(
@@ -42,7 +42,7 @@ def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracke
 
 def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
     """Poses by which the mirrored image of paired spheres (n, 3) fits as well, in view of the tracker."""
-    found = matched(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
+    found = match_by_distances(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
     if found.transform is None:
         return []
     rival = [found.runner_up.transform] if found.status is not MatchStatus.UNIQUE and found.runner_up else []
@@ -55,7 +55,7 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
     if template_mm is None or plan.implanted != len(template_mm):
-        return matched(image, physical, prior, expected=plan.implanted)
+        return match_by_distances(image, physical, prior, expected=plan.implanted)
     return match_by_template(
         template_mm,
         image,
@@ -67,7 +67,7 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
     )
 
 
-def matched(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
+def match_by_distances(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
     """Match by distances and prior alone."""
     return match(
         image,

@@ -16,14 +16,14 @@ from procedures.guards.stability import CAREFUL_FRAMES, SeenUnchanged
 from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.global_localization import GlobalLocalization
-from procedures.steps.clinical.positioning import REFUSED
+from procedures.steps.clinical.positioning import REFUSALS
 from procedures.steps.clinical.results import ConfirmedTarget, link_health
 from procedures.steps.clinical.retreat import Retreated
-from procedures.steps.clinical.room import ROOM_READS, doubt, room_watch, unconfirmed, void_moved
+from procedures.steps.clinical.room import ROOM_READS, doubt, list_unconfirmed_targets, room_watch, void_moved
 from procedures.steps.clinical.surroundings import READS
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool, read_on_gauge
-from procedures.steps.conditions import away_from_head, carries
+from procedures.steps.conditions import needs_arm_home, needs_tool
 from procedures.workcell import MountedTool
 
 
@@ -35,27 +35,27 @@ def run(context: StepContext) -> Outcome[ConfirmedTarget]:
     for model in context.reads:
         context.result(model)
     context.workcell.mount.check(MountedTool.GUIDE)
-    remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
-    guide = _guide(context, remain)
+    targets_remain = bool(set(context.remaining) - set(context.trajectories_done(ReachedTarget)))
+    guide = _check_guide(context, targets_remain)
     link = link_health(context) if context.workcell.streaming else None
     context.workcell.rest()  # it may have been the last target
-    look = _room(context, remain)
+    look = _check_room(context, targets_remain)
     base = SeenUnchanged.base(None)
     if look.base is not None:
         base = SeenUnchanged.base(look.base.moved_mm, look.base.limit_mm)
     seen = (SeenUnchanged.head(look.head_mm), base, guide)
-    in_doubt = () if look.in_place and guide.unchanged else unconfirmed(context)
+    in_doubt = () if look.in_place and guide.unchanged else list_unconfirmed_targets(context)
     return Outcome(
         ConfirmedTarget(seen=seen, in_doubt=in_doubt, link=link),
         summary=", ".join(map(str, seen)) + (f"; in doubt: {', '.join(in_doubt)}" if in_doubt else ""),
     )
 
 
-def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
+def _check_guide(context: StepContext, targets_remain: bool) -> SeenUnchanged:
     """Check the guide on its gauge; a changed guide must be checked again before remaining targets."""
     try:
         found = read_on_gauge(context)
-    except REFUSED as problem:
+    except REFUSALS as problem:
         if not context.workcell.place.is_home:  # it was reached, and the way back is not clear
             raise
         doubt(context, f"the gauge cannot be reached, so the guide was not checked: {problem.summary}")
@@ -64,35 +64,35 @@ def _guide(context: StepContext, remain: bool) -> SeenUnchanged:
         off = f"{found.off_mm:.2f} mm and {found.tilt_deg:.2f} deg"
         reason = f"the guide is {off} from its record after {context.trajectory}"
         doubt(context, reason)
-        if remain:
+        if targets_remain:
             context.void(CheckedTool, ToolUnchecked(reason))
     return SeenUnchanged.guide(found.off_mm, differs=found.differs)
 
 
-def _room(context: StepContext, remain: bool) -> RoomLook:
+def _check_room(context: StepContext, targets_remain: bool) -> RoomLook:
     """Check head and base by the tracker; a move voids the results that need it, if targets remain."""
-    setting, where = context.setting, f"after {context.trajectory}"
+    setting, occasion = context.setting, f"after {context.trajectory}"
     watch = room_watch(context)
     reading = read_room(setting.workcell, setting.clock, watch.robot_from_tracker, CAREFUL_FRAMES)
     look = watch.compare(reading, setting.clock.now_s())
-    if isinstance(look.moved, BaseShifted | PatientMoved) and remain:
+    if isinstance(look.moved, BaseShifted | PatientMoved) and targets_remain:
         void_moved(context, look.moved)
         setting.memory.drop(RoomWatch)
         if not context.stands(GlobalLocalization):
             raise look.moved
     elif look.moved is not None:
-        doubt(context, f"{where}: {look.moved.summary}")
+        doubt(context, f"{occasion}: {look.moved.summary}")
     else:
         for finding in look.findings:
-            context.find(f"{where}: {finding}")
+            context.find(f"{occasion}: {finding}")
         unseen = {"head": look.head_mm is None, "frame on the arm": look.base is None}
         for subject in (name for name, hidden in unseen.items() if hidden):
-            doubt(context, f"{where} the tracker does not see the {subject}: it may have moved meanwhile")
+            doubt(context, f"{occasion} the tracker does not see the {subject}: it may have moved meanwhile")
     return look
 
 
-def _is_parked_with_guide(context: StepContext) -> tuple[str, ...]:
-    return (*carries(MountedTool.GUIDE)(context), *away_from_head(context))
+def _needs_guide_at_home(context: StepContext) -> tuple[str, ...]:
+    return (*needs_tool(MountedTool.GUIDE)(context), *needs_arm_home(context))
 
 
 STEP = StepSpec(
@@ -104,5 +104,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(ReachedTarget, Retreated, MountedGuide, *ROOM_READS, *READS),
     moves=True,
-    preconditions=_is_parked_with_guide,
+    preconditions=_needs_guide_at_home,
 )

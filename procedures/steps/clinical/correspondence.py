@@ -16,12 +16,12 @@ from procedures.registration.errors import HeadElsewhere
 from procedures.registration.room_prior import LEAST_APART_MM, RoomPrior, choose_landmark
 from procedures.registration.verification import TwoWayTable, verify_two_way
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, UNMATCHED_SPHERE
-from procedures.steps.clinical.coarse_match import coarse_match, matched, mirror_images, room_prior
+from procedures.steps.clinical.coarse_match import coarse_match, match_by_distances, mirror_images, room_prior
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import LeftOutSphere
-from procedures.steps.conditions import localizable
+from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.calibration import Numbers3
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.wire.room_tasks import TOUCH
@@ -107,7 +107,7 @@ def _touch_if_mirrored(
             action="Add a sphere outside the plane of the others, and scan again.",
         )
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
-    x_mm, y_mm, z_mm = context.have_done(
+    x_mm, y_mm, z_mm = context.perform_task(
         Task(
             TOUCH,
             f"the spheres fit a mirrored CT as well: touch the {landmark.name} with the pointer and read its "
@@ -121,9 +121,9 @@ def _touch_if_mirrored(
     if off_mm > landmark.limit_mm:
         raise HeadElsewhere(
             f"the {landmark.name} is not where the match has it",
-            expected=_place(landmark.matched_mm),
+            expected=_format_point(landmark.matched_mm),
             limit=f"{landmark.limit_mm:.0f} mm",
-            got=f"{_place((x_mm, y_mm, z_mm))}, {off_mm:.0f} mm away",
+            got=f"{_format_point((x_mm, y_mm, z_mm))}, {off_mm:.0f} mm away",
         )
     return TouchedLandmark(
         landmark=landmark.name,
@@ -133,7 +133,7 @@ def _touch_if_mirrored(
     )
 
 
-def _place(point_mm: ArrayLike) -> str:
+def _format_point(point_mm: ArrayLike) -> str:
     return "({:.0f}, {:.0f}, {:.0f}) mm".format(*np.asarray(point_mm))
 
 
@@ -143,7 +143,7 @@ def _match_fewer_if_agreed(
     """Return the match or, if agreed, a unique match of fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
-    rest = matched(image, physical, prior)
+    rest = match_by_distances(image, physical, prior)
     if rest.transform is None or rest.status is not MatchStatus.UNIQUE or len(rest.pairs) < FEWEST_SPHERES:
         return found, ()
     places = rest.transform.apply(image)
@@ -170,5 +170,5 @@ STEP = StepSpec(
     Phase.PREPARATION,
     run,
     reads=(LocalizedFiducials, GlobalLocalization, CheckedPlan),
-    preconditions=localizable,
+    preconditions=needs_guide_unmounted,
 )

@@ -8,12 +8,12 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.imaging.dicom.slice_headers import dicom_files
+from procedures.imaging.dicom.slice_headers import list_dicom_files
 from procedures.imaging.series import read_series
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import Matrix3, StepResult
-from procedures.steps.conditions import localizable
+from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.calibration import Numbers3
 
 
@@ -31,7 +31,7 @@ class ImportedCt(StepResult, kind="ct_import"):
     warnings: tuple[str, ...] = Field(description="Warnings of the import.")
 
     @classmethod
-    def of(cls, volume: Volume) -> ImportedCt:
+    def from_volume(cls, volume: Volume) -> ImportedCt:
         """Describe a series."""
         geometry = volume.geometry
         slices, rows, columns = geometry.shape
@@ -53,7 +53,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 
     def differences(self, volume: Volume) -> str:
         """Name the fields in which a series differs from this one, such as `voxels_sha256`; empty if none."""
-        now = ImportedCt.of(volume)
+        now = ImportedCt.from_volume(volume)
         return ", ".join(
             name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)
         )
@@ -65,8 +65,8 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
         context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
     )
     context.setting.memory.keep(volume)
-    context.note_inputs(*dicom_files(context.clinical.series))
-    imported = ImportedCt.of(volume)
+    context.note_inputs(*list_dicom_files(context.clinical.series))
+    imported = ImportedCt.from_volume(volume)
     slices, rows, columns = imported.shape
     return Outcome(
         imported, summary=f"{slices} slices of {columns} x {rows}, {imported.spacing_mm[0]:g} mm apart"
@@ -93,4 +93,6 @@ def volume_of(context: StepContext) -> Volume:
     return volume
 
 
-STEP = StepSpec(ImportedCt, "Import the CT series", Phase.PREOPERATIVE, run, preconditions=localizable)
+STEP = StepSpec(
+    ImportedCt, "Import the CT series", Phase.PREOPERATIVE, run, preconditions=needs_guide_unmounted
+)

@@ -21,7 +21,7 @@ from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.engine.context import StepContext
 from procedures.journal.results import Numbers6
 from procedures.operator.question import Evidence
-from procedures.planning.guide import held_trajectory
+from procedures.planning.guide import place_guide
 from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import TwoWayTable, register
 from procedures.registration.error_theory import FreGate, chi_square_limit, degrees_of_freedom
@@ -29,17 +29,17 @@ from procedures.registration.errors import CollinearPoints
 from procedures.registration.point_registration import Registration
 from procedures.registration.points import FEWEST_PAIRS
 from procedures.registration.target_prediction import (
-    OwnErrors,
+    IndependentErrors,
     SharedErrors,
     UnnoticedPoint,
     chi_square_of_shared,
-    unnoticed_point,
+    find_unnoticed_point,
 )
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.relocalization import arriving
 from procedures.steps.clinical.results import Prediction
-from procedures.strategies.trajectory import refined_target_pose
+from procedures.strategies.trajectory import refine_target_pose
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes, backlash_mm2
 from ronna_hw.frames import Transform
 
@@ -106,7 +106,7 @@ def find_undetected_sphere(
 
     `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
     """
-    return unnoticed_point(
+    return find_unnoticed_point(
         np.asarray(fit.transform.apply(fit.image_mm), dtype=float),
         target_mm,
         _allowed_covariance_mm2(measured_mm2, arm_mm),
@@ -128,16 +128,16 @@ def arm_covariance_mm2(arm_mm: float) -> Array:
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide at a target after `turned` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
+    """Guide at a target after `head_rotation` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
 
     rotation: Array
     joints_rad: Numbers6
     tip_mm: Array
-    turned: Array
+    head_rotation: Array
 
-    def before(self, source: SharedErrors | OwnErrors) -> SharedErrors | OwnErrors:
+    def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
         """Turn a source's errors at the target back to the head as it was localized."""
-        back = self.turned.T
+        back = self.head_rotation.T
         if isinstance(source, SharedErrors):
             return replace(source, at_target_mm=back @ source.at_target_mm)
         return replace(source, at_target_mm2=back @ source.at_target_mm2 @ back.T)
@@ -152,15 +152,15 @@ def predict_held_guide(
     if moved is None:
         return HeldGuide(pose.rotation_matrix, path.joints_rad, tip_mm, np.eye(3))
     workcell = context.workcell
-    along = held_trajectory(context.result(CheckedPlan).plan, planned, workcell.tools.guide.bore)
-    pose = refined_target_pose(pose, along, moved @ robot_from_ct)
+    along = place_guide(context.result(CheckedPlan).plan, planned, workcell.tools.guide.bore)
+    pose = refine_target_pose(pose, along, moved @ robot_from_ct)
     joints_rad = workcell.joints_at(pose, path.joints_rad, path.approach_signs)
     return HeldGuide(pose.rotation_matrix, joints_rad, moved.apply(tip_mm), moved.rotation_matrix)
 
 
 def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
-) -> tuple[SharedErrors | OwnErrors, ...]:
+) -> tuple[SharedErrors | IndependentErrors, ...]:
     """Errors of the arm at planned localizations of spheres (n, 3) mm, robot frame, and at a target's tip."""
     paths = context.result(CheckedPaths)
     joints_rad = _planned_joints_rad(context, fiducials)

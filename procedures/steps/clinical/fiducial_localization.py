@@ -10,10 +10,10 @@ from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.imaging.localization import localize
 from procedures.imaging.markers import Marker
-from procedures.imaging.pictures import marker_pictures
+from procedures.imaging.pictures import draw_markers
 from procedures.journal.results import StepResult, Values
 from procedures.steps.clinical.ct_import import ImportedCt, volume_of
-from procedures.steps.conditions import localizable
+from procedures.steps.conditions import needs_guide_unmounted
 from ronna_hw.calibration import Numbers3
 
 
@@ -49,7 +49,7 @@ def run(context: StepContext) -> Outcome[LocalizedFiducials]:
     """Localize every sphere; their number is checked with the plan."""
     volume = volume_of(context)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
-    for number, picture in enumerate(marker_pictures(volume, found), start=1):
+    for number, picture in enumerate(draw_markers(volume, found), start=1):
         context.keep_picture(f"ct-{number}.png", picture)
     return Outcome(
         LocalizedFiducials(
@@ -74,5 +74,5 @@ STEP = StepSpec(
     Phase.PREOPERATIVE,
     run,
     reads=(ImportedCt,),
-    preconditions=localizable,
+    preconditions=needs_guide_unmounted,
 )

@@ -19,16 +19,16 @@ from procedures.guards.room_watch import RoomWatch
 from procedures.guards.stability import HEAD_NOTICEABLE_MM
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import FramedPose
-from procedures.registration.movement import RigidMove, rigid_move, same_points, shift_of
+from procedures.registration.movement import RigidMove, fit_rigid_move, identify_points, measure_shift
 from procedures.steps.branches import FOLLOW, MOVE_FOLLOWED
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.global_localization import GlobalLocalization
 from procedures.steps.clinical.results import FollowedMove
-from procedures.steps.clinical.room import MOST_FOLLOWED_MM, build_watch, frame_at_home
-from procedures.workcell.tracker_look import FRAMES, frames_at_rest
+from procedures.steps.clinical.room import MOST_FOLLOWED_MM, build_watch, find_frame_at_home
+from procedures.workcell.tracker_look import FRAMES, read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.frames import Frame, Transform
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -80,17 +80,17 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
         )
     localized, pairs = context.result(GlobalLocalization), context.result(Correspondence).pairs
     watch = build_watch(workcell, "", localized, pairs)
-    watch.refer(frame_at_home(context))
+    watch.add_reference(find_frame_at_home(context))
     context.progress(0.0, "measuring whether the head has moved")
-    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock)
+    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock)
     reading = room_reading(workcell, frames, watch.robot_from_tracker)
     base_mm = _base_mm(watch, reading)
-    rows = same_points(watch.spheres_mm, reading.spheres_mm)
+    rows = identify_points(watch.spheres_mm, reading.spheres_mm)
     if rows is None:
         raise PatientUnseen("the tracker sees too few known spheres to measure the movement of the head")
     before, after = (list(side) for side in zip(*rows, strict=True))
     halves = (average_strays(half).groups for half in (frames[: FRAMES // 2], frames[FRAMES // 2 :]))
-    ways = shift_of(*([group.mean_mm for group in groups] for groups in halves))
+    ways = measure_shift(*([group.mean_mm for group in groups] for groups in halves))
     if ways is None or ways.rms_mm > AT_REST_MM:
         raise PatientUnseen("the head is not at rest: its movement cannot be measured")
     to_robot = watch.robot_from_tracker
@@ -99,7 +99,7 @@ def _measure_move(context: StepContext) -> MeasuredMove | None:
     counts = np.array([[1.0 / groups[row].count + 1.0 / FRAMES] for row in after])[:, :, None]
     turn = to_robot.rotation_matrix
     covariance = turn @ (each * counts) @ turn.T + np.eye(3) * STEADY_MM**2
-    fit = rigid_move(
+    fit = fit_rigid_move(
         to_robot.apply(watch.spheres_mm[before]), to_robot.apply(reading.spheres_mm[after]), covariance
     )
     if fit.rms_mm < HEAD_NOTICEABLE_MM:
@@ -130,14 +130,14 @@ def _base_mm(watch: RoomWatch, reading: RoomReading) -> float:
         raise BaseShifted(
             "the cart or the tracker was moved: the movement of the head cannot be measured",
             limit=f"{base.limit_mm:g} mm",
-            got=f"{beyond(base.moved_mm, base.limit_mm, 2)} mm",
+            got=f"{format_against_limit(base.moved_mm, base.limit_mm, 2)} mm",
         )
     return base.moved_mm
 
 
 def _require_followable(fit: RigidMove, move: FollowedMove) -> None:
     if not fit.gate.passed:
-        residual, limit = side_by_side(move.residual_mm, move.limit_mm, 2)
+        residual, limit = format_distinct(move.residual_mm, move.limit_mm, 2)
         raise PatientMoved(
             "the spheres on the head have not moved as a rigid body",
             limit=f"{limit} mm",
@@ -162,7 +162,7 @@ def _have_agreed(context: StepContext, move: MeasuredMove, places_mm: ArrayLike)
         context.key.trajectory,
     )
     if context.choose(question) != FOLLOW:
-        raise PatientMoved.by(
+        raise PatientMoved.from_shift(
             "the head has moved, and the registration was not updated", move.fit.rms_mm, HEAD_NOTICEABLE_MM
         )
     context.find(f"the registration for {names} follows a head movement of {moved}")

@@ -22,12 +22,12 @@ from procedures.steps.clinical.cart_lock import LockedCart
 from procedures.steps.clinical.head_clamp import ClampedHead
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_mounting import exchange_tool
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import needs_tool
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import FRAMES, average_pose, frames_at_rest, robot_from_marker
+from procedures.workcell.tracker_look import FRAMES, average_pose, read_frames_at_rest, robot_from_marker
 from ronna_hw.calibration import Numbers3
 from ronna_hw.devices.strays import StrayAverage, average_strays
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that something moved
 
@@ -59,7 +59,7 @@ def run(context: StepContext) -> Outcome[GlobalLocalization]:
     workcell = context.workcell
     if workcell.tool is MountedTool.GUIDE:  # earlier localizations are void
         exchange_tool(context, MountedTool.STEREO_HEAD)
-    frames, lost = frames_at_rest(
+    frames, lost = read_frames_at_rest(
         workcell.tracker,
         context.setting.clock,
         lambda share: context.progress(share, "reading the tracker"),
@@ -111,16 +111,16 @@ def _require_spread_mm(strays: StrayAverage) -> float:
         raise GateFailed(
             "a sphere moved while the tracker was measuring",
             limit=f"{SPREAD_LIMIT_MM} mm",
-            got=f"{beyond(spread_mm, SPREAD_LIMIT_MM, 2)} mm",
+            got=f"{format_against_limit(spread_mm, SPREAD_LIMIT_MM, 2)} mm",
         )
     return spread_mm
 
 
-def _localizable_from_here(context: StepContext) -> tuple[str, ...]:
+def _needs_stereo_head(context: StepContext) -> tuple[str, ...]:
     """Require the stereo head on the arm, or the guide on an arm parked for an exchange."""
     workcell = context.workcell
-    unmet = carries(MountedTool.STEREO_HEAD)(context)
-    if not unmet or workcell.place.on_axis or workcell.tool is not MountedTool.GUIDE:
+    unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
+    if not unmet or workcell.place.is_on_axis or workcell.tool is not MountedTool.GUIDE:
         return unmet
     return () if workcell.place.is_home else (*unmet, "send it home; the stereo head is remounted there")
 
@@ -132,6 +132,6 @@ STEP = StepSpec(
     run,
     asks=(Topic.TOOL_CHANGE,),
     reads=(CheckedSetUp,),
-    preconditions=_localizable_from_here,
+    preconditions=_needs_stereo_head,
 )
 IN_CASE = replace(STEP, reads=(CheckedSetUp, ClampedHead, LockedCart))  # where a patient lies

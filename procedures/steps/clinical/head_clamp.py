@@ -14,8 +14,8 @@ from procedures.planning.plan_model import PatientPosition
 from procedures.registration.movement import LEAST_POINTS
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
-from procedures.steps.conditions import away_from_head
-from procedures.workcell.tracker_look import frames_at_rest
+from procedures.steps.conditions import needs_arm_home
+from procedures.workcell.tracker_look import read_frames_at_rest
 from ronna_hw.devices.strays import average_strays
 from ronna_hw.wire.room_tasks import HEAD_CLAMP
 
@@ -35,14 +35,17 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile
-    lies = checked.plan.lies
-    context.have_done(
-        Task(HEAD_CLAMP, f"clamp the head ({lies}), lock the clamp to the table, attach the spheres")
+    table_orientation = checked.plan.table_orientation
+    context.perform_task(
+        Task(
+            HEAD_CLAMP,
+            f"clamp the head ({table_orientation}), lock the clamp to the table, attach the spheres",
+        )
     )
     subject = "the head is clamped, and the clamp locked to the table"
-    value = f"patient position {lies}; {checked.implanted} spheres are on the screws"
+    value = f"patient position {table_orientation}; {checked.implanted} spheres are on the screws"
     context.confirm(Topic.HEAD_CLAMPED, subject, value)
-    frames, _ = frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
+    frames, _ = read_frames_at_rest(context.workcell.tracker, context.setting.clock, count=FRAMES)
     seen = len(average_strays(frames).groups)
     if seen < LEAST_POINTS:
         raise GateFailed(
@@ -51,7 +54,7 @@ def run(context: StepContext) -> Outcome[ClampedHead]:
             got=str(seen),
             action="Turn the head or the tracker, clear the line of sight, then repeat the step.",
         )
-    clamped = ClampedHead(patient_position=lies, spheres=seen, implanted=checked.implanted)
+    clamped = ClampedHead(patient_position=table_orientation, spheres=seen, implanted=checked.implanted)
     return Outcome(clamped, summary=f"{seen} spheres seen, {checked.implanted} implanted")
 
 
@@ -62,5 +65,5 @@ STEP = StepSpec(
     run,
     asks=(Topic.HEAD_CLAMPED,),
     reads=(CheckedSetUp, CheckedPlan),
-    preconditions=away_from_head,
+    preconditions=needs_arm_home,
 )

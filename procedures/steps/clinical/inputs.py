@@ -21,7 +21,7 @@ from procedures.steps.clinical.ct_import import ImportedCt
 from procedures.steps.clinical.plan_check import CheckedPlan
 from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, JournalValue, read_chain
-from ronna_hw.evidence.manifest import Manifest, input_hashes
+from ronna_hw.evidence.manifest import Manifest, hash_inputs
 from ronna_hw.records import Record
 
 Stamp = tuple[str, int, int, int]  # of a file: name, inode, bytes, time of the last change
@@ -85,8 +85,8 @@ def note_same_content(engine: Engine, path: Path, record: Record) -> None:
     Raises PRO-003.
     """
     folder = engine.case.folder
-    then = Manifest(read_chain(folder / JOURNAL_FILE).lines).made_from
-    now: dict[str, JournalValue] = dict(input_hashes(folder, [path]))
+    then = Manifest(read_chain(folder / JOURNAL_FILE).lines).result_inputs
+    now: dict[str, JournalValue] = dict(hash_inputs(folder, [path]))
     if any(then.get(name, sha256) != sha256 for name, sha256 in now.items()):
         text = f"{path.name} was written again with the same content"
         engine.find(text, record=record.identifier, inputs=now)

@@ -16,29 +16,35 @@ from pydantic import Field
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
 from procedures.journal.results import FramedPose, Numbers6, StepResult, Values
-from procedures.operator.question import words
-from procedures.planning.free_angle import TurnedPaths, advice, alternatives, choose_free_angles, unreached
-from procedures.planning.guide import held_trajectories
+from procedures.operator.question import join_answers
+from procedures.planning.free_angle import (
+    TurnedPaths,
+    advice,
+    choose_free_angles,
+    find_alternatives,
+    find_unreached,
+)
+from procedures.planning.guide import place_guides
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import PreviewedMotion, previews_of
+from procedures.planning.motions import PreviewedMotion, preview_motions
 from procedures.planning.target_error import choose_best_strategies
 from procedures.planning.visits import ArmSetting, PathCheck, VisitKind
-from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, use
+from procedures.steps.branches import HOLD, LEAVE_OUT, UNREACHABLE, strategy_answer
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
-from procedures.steps.conditions import localizable
+from procedures.steps.conditions import needs_guide_unmounted
 from procedures.strategies.catalogue import BestOfEach, StrategyByTrajectory
 from procedures.strategies.strategy import Strategy, arrival_signs
 from procedures.strategies.trajectory import Trajectory
 from procedures.workcell import MountedTool
-from ronna_hw.arm.clearance.sweep import Closest
+from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.kinematics import Branch
 from ronna_hw.arm.pose import radians6
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 
 Array = NDArray[np.float64]
 
@@ -55,7 +61,7 @@ class ClosestApproach(Values):
     at: float = Field(description="Where on the path, 0 to 1.")
 
     @classmethod
-    def of(cls, closest: Closest) -> ClosestApproach:
+    def of(cls, closest: ClosestPair) -> ClosestApproach:
         """Convert a result of the clearance check."""
         return cls(
             first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
@@ -101,11 +107,11 @@ def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | Non
     return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
-def in_one_line(motions: Sequence[MotionPreview]) -> str:
+def summarize_motions(motions: Sequence[MotionPreview]) -> str:
     """Summarize at least one motion: number, duration, speed, clearance."""
     near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
     return (
-        f"{counted(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
+        f"{format_count(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
         f"{max(one.largest_speed_mm_s for one in motions):.0f} mm/s; "
         + (f"{near.first} clears {near.second} by {near.distance_mm:.0f} mm" if near else "nothing near")
     )
@@ -202,10 +208,10 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
         localization.centres_mm[matched],
         StereoSight.of(workcell.calibrations.stereo_head),
     )
-    held = held_trajectories(plan.plan, workcell.tools.guide.bore)
-    turned = search.paths([one for one in held if one.identifier in context.remaining])
+    held = place_guides(plan.plan, workcell.tools.guide.bore)
+    turned = search.find_paths([one for one in held if one.identifier in context.remaining])
     check = turned.check
-    motions = previews_of(setting, scene, check, turned.axes.targeted)
+    motions = preview_motions(setting, scene, check, turned.axes.targeted)
     replaced = {name: one.name for name, one in search.replaced.items()}
     best = search.setting.strategy
     chosen = {name: one.name for name, one in best.others.items()} if isinstance(best, BestOfEach) else {}
@@ -219,32 +225,32 @@ def run(context: StepContext) -> Outcome[CheckedPaths]:
             joint_ranges_rad=check.joint_ranges_rad,
             largest_move_rad=check.largest_turn_rad,
             motions=tuple(MotionPreview.of(motion) for motion in motions),
-            localizations=_localizations(check, matched),
-            targets=_targets(check, setting),
+            localizations=_build_localizations(check, matched),
+            targets=_build_targets(check, setting),
             left_out=search.left_out,
         ),
         summary=f"{len(check.reached)} poses in one branch"
-        + _closest(motions)
-        + _turns(turned)
+        + _describe_closest(motions)
+        + _describe_turns(turned)
         + "".join(f"; {name} by {strategy}" for name, strategy in (chosen | replaced).items())
         + "".join(f"; without {name}" for name in search.left_out),
     )
 
 
-def _closest(motions: Sequence[PreviewedMotion]) -> str:
+def _describe_closest(motions: Sequence[PreviewedMotion]) -> str:
     closest = [motion.preview.closest for motion in motions]
     distances = [one.distance_mm for one in closest if one is not None]
     return f", smallest clearance {min(distances):.0f} mm" if distances else ""
 
 
-def _turns(turned: TurnedPaths) -> str:
+def _describe_turns(turned: TurnedPaths) -> str:
     turns = [
         f"{name} turned by {math.degrees(turn):+.0f} deg" for name, turn in turned.turns_rad.items() if turn
     ]
     return f"; {', '.join(turns)}" if turns else ""
 
 
-def _localizations(check: PathCheck, matched: list[int]) -> dict[str, tuple[LocalizationPose, ...]]:
+def _build_localizations(check: PathCheck, matched: list[int]) -> dict[str, tuple[LocalizationPose, ...]]:
     poses: dict[str, tuple[LocalizationPose, ...]] = {}
     for reached in check.reached:
         visit = reached.visit
@@ -259,7 +265,7 @@ def _localizations(check: PathCheck, matched: list[int]) -> dict[str, tuple[Loca
     return poses
 
 
-def _targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
+def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPose]:
     return {
         reached.visit.trajectory: TargetPose(
             tool_pose=FramedPose.of(reached.visit.pose),
@@ -290,7 +296,7 @@ class PathSearch:
     replaced: dict[str, Strategy] = field(default_factory=dict)
     _tried: dict[str, set[str]] = field(default_factory=dict)
 
-    def paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
+    def find_paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
         """Find paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
         self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
@@ -306,37 +312,43 @@ class PathSearch:
         return replace(self.setting, strategy=StrategyByTrajectory(self.setting.strategy, self.replaced))
 
     def _decide(self, check: PathCheck, trajectories: Sequence[Trajectory]) -> None:
-        reasons = unreached(check, trajectories)
-        would = {one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons}
+        reasons = find_unreached(check, trajectories)
+        reaching_strategies = {
+            one.identifier: self._alternatives(one) for one in trajectories if one.identifier in reasons
+        }
         others = [one.identifier for one in trajectories if one.identifier not in reasons]
         for name, reason in reasons.items():
-            self._ask(check, name, reason, would, others)
+            self._ask(check, name, reason, reaching_strategies, others)
 
     def _ask(
         self,
         check: PathCheck,
         name: str,
         reason: str,
-        would: dict[str, tuple[Strategy, ...]],
+        reaching_strategies: dict[str, tuple[Strategy, ...]],
         others: Sequence[str],
     ) -> None:
         """Offer another strategy, or to leave a trajectory out. Raises PLAN-007 if neither is agreed."""
         # One registration for all cannot be made by two strategies.
-        offered = would[name] if self.setting.strategy.localizes_per_trajectory else ()
-        answers = (*(use(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
+        offered = reaching_strategies[name] if self.setting.strategy.localizes_per_trajectory else ()
+        answers = (*(strategy_answer(one.name) for one in offered), *((LEAVE_OUT,) if others else ()), HOLD)
         if answers == (HOLD,):
-            check.require(advice(would))
-        now = self.replaced.get(name, self.setting.strategy)
-        served = f"; {words([one.name for one in would[name]])} would reach it" if would[name] else ""
+            check.require(advice(reaching_strategies))
+        current = self.replaced.get(name, self.setting.strategy)
+        reach_text = (
+            f"; {join_answers([one.name for one in reaching_strategies[name]])} would reach it"
+            if reaching_strategies[name]
+            else ""
+        )
         remain = f"; {', '.join(others)} would remain without it" if others else ""
         question = UNREACHABLE.question(
-            f"{name} cannot be reached with {now.name} at any angle about its axis",
-            f"{reason}{served}{remain}",
+            f"{name} cannot be reached with {current.name} at any angle about its axis",
+            f"{reason}{reach_text}{remain}",
             name,
             answers,
         )
         answer = self.context.choose(question)
-        agreed = [one for one in offered if answer == use(one.name)]
+        agreed = [one for one in offered if answer == strategy_answer(one.name)]
         if agreed:
             self._tried.setdefault(name, set()).add(agreed[0].name)
             self.replaced[name] = agreed[0]
@@ -344,11 +356,11 @@ class PathSearch:
             self.left_out[name] = reason
             self.replaced.pop(name, None)
         else:
-            check.require(advice(would))
+            check.require(advice(reaching_strategies))
 
     def _alternatives(self, trajectory: Trajectory) -> tuple[Strategy, ...]:
         tried = self._tried.get(trajectory.identifier, set())
-        return alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
+        return find_alternatives(self.setting, trajectory, self.centres_mm, self.sight, tried)
 
 
 STEP = StepSpec(
@@ -357,5 +369,5 @@ STEP = StepSpec(
     Phase.PREPARATION,
     run,
     reads=(Correspondence, CheckedSetUp, *READS),
-    preconditions=localizable,
+    preconditions=needs_guide_unmounted,
 )

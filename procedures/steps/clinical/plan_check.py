@@ -10,14 +10,14 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, StepSpec
-from procedures.imaging.dicom.slice_headers import patient_identifier
+from procedures.imaging.dicom.slice_headers import read_patient_identifier
 from procedures.imaging.markers import Marker
 from procedures.imaging.volume import Volume
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import StepResult
 from procedures.operator.question import ReadBack, Topic
 from procedures.planning.errors import WrongMarkerCount
-from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.plan_check import PlanCheck, check_plan
 from procedures.planning.plan_file import parse_plan_bytes
 from procedures.planning.plan_lock import lock_plan
@@ -28,7 +28,7 @@ from procedures.steps.clinical.fiducial_localization import (
     DoubtfulSphere,
     LocalizedFiducials,
 )
-from procedures.steps.conditions import localizable
+from procedures.steps.conditions import needs_guide_unmounted
 
 SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 
@@ -65,7 +65,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
     check, spheres = _accept_count(context, check, localization)
     check.require()
     _keep_cuts(context, volume, plan)
-    head = head_shape(volume)
+    head = fit_head(volume)
     _confirm_patient(context, plan, head)
     count = len(plan.trajectories)
     summary = f"{count} {'trajectory' if count == 1 else 'trajectories'}, {spheres} spheres implanted"
@@ -110,7 +110,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
 
     The identifier is in the CT and on the wristband, but neither in the question nor in any record.
     """
-    identifier = patient_identifier(context.clinical.series)
+    identifier = read_patient_identifier(context.clinical.series)
     if not identifier:
         context.find("the CT series has no patient identifier: there is nothing to read back")
     subject = "this is the right patient, and this is the right plan"
@@ -173,5 +173,5 @@ STEP = StepSpec(
     run,
     asks=(Topic.PATIENT,),
     reads=(ImportedCt, LocalizedFiducials),
-    preconditions=localizable,
+    preconditions=needs_guide_unmounted,
 )

@@ -9,31 +9,31 @@ from pydantic import Field
 
 from procedures.engine.context import StepContext
 from procedures.engine.order import Outcome, Phase, Scope, StepSpec
-from procedures.guards.guide_displacement import guide_at_rest
+from procedures.guards.guide_displacement import measure_guide_at_rest
 from procedures.guards.room_watch import RoomWatch
 from procedures.journal.errors import GateFailed
 from procedures.journal.results import FramedPose, Numbers6, StepResult
 from procedures.operator.question import YES, Topic
 from procedures.planning.errors import NotReachable
-from procedures.planning.guide import held_trajectory
+from procedures.planning.guide import place_guide
 from procedures.steps.branches import KEPT_REGISTRATION
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import (
     ROOM_READS,
+    build_expected_sight,
     check_room,
-    expected_sight,
-    head_must_show,
+    require_head_in_view,
     require_unmoved,
 )
 from procedures.steps.clinical.surroundings import READS, surround_guide
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_check import CheckedTool
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
-from procedures.steps.conditions import carries
+from procedures.steps.conditions import needs_tool
 from procedures.steps.errors import ToolSeenElsewhere
-from procedures.strategies.trajectory import refined_target_pose
+from procedures.strategies.trajectory import refine_target_pose
 from procedures.workcell import Insertion, MountedTool, Workcell
 from procedures.workcell.arm_history import stands_at
 from ronna_hw.arm.errors import NotClear, OutOfJointRange, Singular, Unreachable
@@ -41,9 +41,9 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.frames import Transform
 from ronna_hw.vectors import JointVector
 
-BY_HOME = "home, where the tracker sees head and arm, then "
+VIA_HOME = "home, where the tracker sees head and arm, then "
 UNWATCHED = "; the arm is expected to hide the head from the tracker there"
-REFUSED = (Unreachable, Singular, OutOfJointRange, NotClear)
+REFUSALS = (Unreachable, Singular, OutOfJointRange, NotClear)
 
 
 class PositionedGuide(StepResult, kind="positioning"):
@@ -65,32 +65,32 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
     insertion = insertion_for(context, robot_from_ct)
     standoff_mm = context.result(CheckedPlan).plan.standoff_mm
     planned = paths.targets[trajectory]
-    expected = expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
+    expected = build_expected_sight(context, surround_guide(context, robot_from_ct, planned.joints_rad))
     with name_refusals(trajectory):
         approach_rad = workcell.joints_at(insertion.start, planned.approach_rad, insertion.arriving)
-    hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
-    by_home = not workcell.settled_home
+    is_hidden = expected.hidden_at(approach_rad) or expected.hidden_at(planned.joints_rad)
+    via_home = not workcell.settled_home
     with name_refusals(trajectory):
         workcell.supervised.confirm(
             Topic.APPROACH,
-            f"move {BY_HOME if by_home else ''}over {trajectory} with tool {mounted}, then "
+            f"move {VIA_HOME if via_home else ''}over {trajectory} with tool {mounted}, then "
             f"{insertion.travel_mm:.0f} mm along the axis to {standoff_mm:.0f} mm above the entry"
-            f"{UNWATCHED if hidden else ''}",
+            f"{UNWATCHED if is_hidden else ''}",
             [
-                *([workcell.returning_home()] if by_home else []),
-                workcell.going(approach_rad),
-                workcell.inserting(insertion, approach_rad),
+                *([workcell.return_motion()] if via_home else []),
+                workcell.go_motion(approach_rad),
+                workcell.insert_motion(insertion, approach_rad),
             ],
             trajectory,
         )
     workcell.mount.check(MountedTool.GUIDE)  # a question may stand for minutes
-    if by_home:
+    if via_home:
         check_room(context, f"before {trajectory}")
         workcell.start()
         workcell.return_home()
     require_unmoved(context, f"before {trajectory}")
     workcell.start()
-    with head_must_show(context):
+    with require_head_in_view(context):
         context.progress(0.0, f"moving over {trajectory}")
         with name_refusals(trajectory, workcell):
             workcell.go(approach_rad)
@@ -99,7 +99,7 @@ def run(context: StepContext) -> Outcome[PositionedGuide]:
             reached = workcell.insert(insertion)
         check_room(context, f"at {trajectory}")
     memory = context.setting.memory
-    memory.keep(guide_at_rest(workcell, context.setting.clock, trajectory, memory.find(RoomWatch)))
+    memory.keep(measure_guide_at_rest(workcell, context.setting.clock, trajectory, memory.find(RoomWatch)))
     return Outcome(
         PositionedGuide(tool_pose=FramedPose.of(insertion.held), joints_rad=reached.joints_rad),
         summary=f"the guide is held {standoff_mm:.0f} mm in front of the entry",
@@ -123,8 +123,8 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
     trajectory = context.trajectory
     paths = context.result(CheckedPaths)
     checked = context.result(CheckedPlan)
-    along = held_trajectory(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
-    held = refined_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
+    along = place_guide(checked.plan, checked.trajectory(trajectory), context.workcell.tools.guide.bore)
+    held = refine_target_pose(paths.targets[trajectory].tool_pose.transform, along, robot_from_ct)
     arriving = paths.targets[trajectory].approach_signs
     return Insertion(trajectory, held, context.setting.settings.approach_mm, arriving)
 
@@ -132,12 +132,12 @@ def insertion_for(context: StepContext, robot_from_ct: Transform) -> Insertion:
 @contextmanager
 def name_refusals(trajectory: str, moving: Workcell | None = None) -> Iterator[None]:
     """Raise refusals as PLAN-007 with the trajectory's name, and whether the arm of `moving` has moved."""
-    begun_rad = None if moving is None else moving.joints_rad()
+    start_rad = None if moving is None else moving.joints_rad()
     try:
         yield
-    except REFUSED as problem:
+    except REFUSALS as problem:
         what = f"{trajectory} cannot be reached: {problem.summary}"
-        if moving is None or begun_rad is None or _stands_still(moving, begun_rad):
+        if moving is None or start_rad is None or _stands_still(moving, start_rad):
             raise NotReachable(what) from problem
         action = f"The arm is on its way: send it home. {NotReachable.action}"
         raise NotReachable(f"{what}; the arm has moved", action=action) from problem
@@ -179,5 +179,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(RegisteredRobot, MountedGuide, CheckedTool, CheckedPaths, *ROOM_READS, *READS),
     moves=True,
-    preconditions=carries(MountedTool.GUIDE),
+    preconditions=needs_tool(MountedTool.GUIDE),
 )

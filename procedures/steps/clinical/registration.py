@@ -26,7 +26,7 @@ from procedures.planning.plan_model import PlannedTrajectory
 from procedures.registration import Registration, RoomPoint, TwoWayTable, register, verify_two_way
 from procedures.registration.error_theory import DEFAULT_CONFIDENCE, FreGate
 from procedures.registration.points import FEWEST_PAIRS
-from procedures.registration.target_prediction import OwnErrors, UnnoticedPoint, predict_target_error
+from procedures.registration.target_prediction import IndependentErrors, UnnoticedPoint, predict_target_error
 from procedures.steps.branches import BEYOND_MARGIN, LEAVE_OUT, MOVED_SPHERE
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.error_budget import (
@@ -57,7 +57,7 @@ from procedures.steps.clinical.results import (
 from procedures.workcell import MountedTool
 from ronna_hw.calibrated_arm.error_budget import arm_error_mm
 from ronna_hw.frames import Frame
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 Array = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class _Pairs:
     def gate(self, arm_mm: float) -> FreGate:
         return residual_gate(self.image_mm, self.physical_mm, self.measured_mm2, arm_mm, self.tool_mm)
 
-    def unnoticed(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
+    def find_undetected(self, fit: Registration, target_mm: Array, arm_mm: float) -> UnnoticedPoint:
         return find_undetected_sphere(
             fit, target_mm, self.gate(arm_mm), self.measured_mm2, arm_mm, self.tool_mm
         )
@@ -119,7 +119,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     """
     plan = context.result(CheckedPlan)
     arm_mm = arm_error_mm(context.setting.settings, context.workcell.calibrations.arm)
-    pairs, left_out_spheres = _agreeing(context, _Pairs.of(context), arm_mm)
+    pairs, left_out_spheres = _select_agreeing_pairs(context, _Pairs.of(context), arm_mm)
     fit = register(
         pairs.image_mm,
         pairs.physical_mm,
@@ -136,7 +136,7 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     if move is not None:
         robot_from_ct = move.record.robot_from_robot.transform @ robot_from_ct
     left_out = _exclude_beyond_margin(context, trajectories, predictions)
-    two_way = _two_way(context, fit, pairs)
+    two_way = _compare_both_ways(context, fit, pairs)
     for predicted in predictions:
         if predicted.target not in left_out:
             context.confirm(
@@ -167,7 +167,9 @@ def run(context: StepContext) -> Outcome[RegisteredRobot]:
     )
 
 
-def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
+def _select_agreeing_pairs(
+    context: StepContext, pairs: _Pairs, arm_mm: float
+) -> tuple[_Pairs, tuple[LeftOutSphere, ...]]:
     """Return the pairs; if agreed, without the one sphere that alone explains a disagreement.
 
     Raises PRO-007 if no sphere explains it, or more than one would.
@@ -177,12 +179,12 @@ def _agreeing(context: StepContext, pairs: _Pairs, arm_mm: float) -> tuple[_Pair
         return pairs, ()
     moved = find_moved_spheres(pairs.image_mm, pairs.physical_mm, pairs.measured_mm2, arm_mm, pairs.tool_mm)
     names = " and ".join(context.served_trajectories)
-    fre, limit = side_by_side(gate.fre_mm, gate.limit_mm, 3)
+    fre, limit = format_distinct(gate.fre_mm, gate.limit_mm, 3)
     refusal = GateFailed(
         f"the fit disagrees with its own error budget at {names}",
         limit=f"{limit} mm",
         got=f"{fre} mm",
-        action=_advice([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
+        action=_advise_on_moved([pairs.fiducials[one] for one in moved], len(pairs.fiducials)),
     )
     if len(moved) != 1:
         raise refusal
@@ -210,7 +212,7 @@ def _exclude_beyond_margin(
         refusal = GateFailed(
             f"the predicted error at {trajectory.id} exceeds the plan's margin (margin_mm in plan.toml)",
             limit=f"{trajectory.margin_mm:g} mm",
-            got=f"{beyond(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
+            got=f"{format_against_limit(predicted.rms_mm, trajectory.margin_mm, 2)} mm",
         )
         others = [name for name in context.remaining if name not in (trajectory.id, *left_out)]
         if not others:
@@ -251,19 +253,21 @@ def predict_tip_error(
     nothing = np.zeros_like(pairs.ct_mm2)
     turn = held.rotation
     sources = (
-        OwnErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
-        OwnErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
-        OwnErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
+        IndependentErrors("CT", pairs.ct_mm2, np.zeros((3, 3))),
+        IndependentErrors("seating of the spheres", pairs.seating_mm2, np.zeros((3, 3))),
+        IndependentErrors("stereo measurement", pairs.stereo_mm2, np.zeros((3, 3))),
         *arm_errors(context, pairs.fiducials, fit.physical_mm, target, held),
-        OwnErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
-        OwnErrors(DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)),
-        *(OwnErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
+        IndependentErrors(INSTRUMENT, nothing, instrument_covariance_mm2(plan, planned, bore, turn)),
+        IndependentErrors(
+            DIRECTION, nothing, direction_covariance_mm2(plan, planned, bore, stated_rad, turn)
+        ),
+        *(IndependentErrors(name, nothing, np.eye(3) * rms**2 / 3.0) for name, rms in at_target_mm.items()),
     )
-    worst = pairs.unnoticed(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
+    worst = pairs.find_undetected(fit, tip_mm, arm_error_mm(context.setting.settings, calibrations.arm))
     predicted = predict_target_error(
         fit.physical_mm,
         tip_mm,
-        [held.before(one) for one in sources],
+        [held.turn_errors_back(one) for one in sources],
         None if fit.covariance_mm2 is None else np.linalg.inv(fit.covariance_mm2),
     )
     return Prediction(
@@ -278,7 +282,7 @@ def predict_tip_error(
     )
 
 
-def _advice(moved: list[int], spheres: int) -> str:
+def _advise_on_moved(moved: list[int], spheres: int) -> str:
     """Advice about spheres, by index in the CT, each of which alone would explain the disagreement."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
@@ -288,7 +292,7 @@ def _advice(moved: list[int], spheres: int) -> str:
     return f"Without sphere {which} the others agree: it has moved. Localize again or leave it out."
 
 
-def _two_way(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
+def _compare_both_ways(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
     """Compare every sphere of the CT with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
@@ -314,5 +318,5 @@ STEP = StepSpec(
     asks=(Topic.REGISTRATION,),
     scope=Scope.LOCALIZATION,
     reads=(Relocalization, Correspondence, LocalizedFiducials, GlobalLocalization, CheckedPlan, CheckedPaths),
-    preconditions=lambda context: context.workcell.place.why_held,  # a mounted guide looks from home
+    preconditions=lambda context: context.workcell.place.hold_reasons,  # a mounted guide looks from home
 )

@@ -22,19 +22,19 @@ from procedures.guards.stability import CAREFUL_FRAMES
 from procedures.journal.errors import GateFailed
 from procedures.relocalization.triangulation import check_head
 from procedures.steps.branches import FEWEST_SPHERES, LEAVE_OUT, SPHERE_FAILED
-from procedures.steps.clinical.path_check import CheckedPaths, in_one_line, motions_over_spheres
+from procedures.steps.clinical.path_check import CheckedPaths, motions_over_spheres, summarize_motions
 from procedures.steps.clinical.results import LeftOutSphere, Relocalization
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
-from procedures.steps.conditions import REMOUNTED, carries
-from procedures.strategies.catalogue import strategy_named
+from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
 from procedures.workcell.centring import CentredSphere, Centring
 from procedures.workcell.stereo_look import pair_picture
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
 from ronna_hw.errors import RonnaError
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 
 Array = NDArray[np.float64]
 
@@ -46,8 +46,8 @@ def run(context: StepContext) -> Outcome[Relocalization]:
     """Localize all matched spheres again. Raises PRO-008 for a missing one, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
-    step_motions = f"{in_one_line(motions)}; {SMALL_STEPS}" if motions else ""
-    with context.workcell.supervised.announcing(step_motions):
+    step_motions = f"{summarize_motions(motions)}; {SMALL_STEPS}" if motions else ""
+    with context.workcell.supervised.announce_step_motions(step_motions):
         return _localize_spheres(context, paths)
 
 
@@ -56,20 +56,20 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
     workcell, settings = context.workcell, context.setting.settings
     workcell.mount.check(MountedTool.STEREO_HEAD)
     surround_stereo_head(context, planned[len(planned) // 2].joints_rad)
-    where, frame_mm = "before the spheres are localized again", None
+    occasion, frame_mm = "before the spheres are localized again", None
     if workcell.place.is_home or not context.stands(Relocalization):  # what moves from here on shows at home
-        check_room(context, where)
+        check_room(context, occasion)
         workcell.start(cameras=True)
         workcell.return_home()
-        frame_mm = check_room(context, where, CAREFUL_FRAMES).reading.frame_mm
+        frame_mm = check_room(context, occasion, CAREFUL_FRAMES).reading.frame_mm
         if frame_mm is None:
             raise GateFailed(
-                f"{where}, the tracker does not see the frame on the arm",
+                f"{occasion}, the tracker does not see the frame on the arm",
                 expected="the frame in view, with the arm home",
                 action="Clear the line of sight between tracker and arm, then repeat the step.",
             )
     else:
-        check_room(context, where)
+        check_room(context, occasion)
         workcell.start(cameras=True)
     centring = Centring(
         workcell,
@@ -87,7 +87,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
         if spheres:  # the pose is displaced by the offset found, and so is the head that the arm must clear
             surround_stereo_head(context, item.joints_rad, offset_mm=offset_mm)
         try:
-            sphere = centring.onto(item.fiducial, coarse.displaced(offset_mm), item.approach_rad)
+            sphere = centring.centre_on(item.fiducial, coarse.displace(offset_mm), item.approach_rad)
         except SPHERE_FAILED.errors as problem:
             left_out.append(
                 _exclude_sphere(context, item.fiducial, problem, len(planned) - len(left_out) - 1)
@@ -137,7 +137,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
         return ONE_SIDE
     if (
         context.key.trajectory is None
-        or not strategy_named(paths.strategy_of(context.trajectory)).controls_approach
+        or not find_strategy(paths.strategy_of(context.trajectory)).controls_approach
     ):
         return None
     return paths.targets[context.trajectory].approach_signs
@@ -175,7 +175,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
         raise GateFailed(
             f"{name} is not where the tracker saw it",
             limit=f"{limit_mm:.3g} mm",
-            got=f"{beyond(apart_mm, limit_mm, 2)} mm",
+            got=f"{format_against_limit(apart_mm, limit_mm, 2)} mm",
             action="Check that the patient has not moved, then localize with the tracker again.",
         )
 
@@ -198,5 +198,5 @@ STEP = StepSpec(
     scope=Scope.LOCALIZATION,
     reads=(CheckedPaths, *ROOM_READS, *READS),
     moves=True,
-    preconditions=carries(MountedTool.STEREO_HEAD, REMOUNTED),
+    preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
 )

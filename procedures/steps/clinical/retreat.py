@@ -11,7 +11,7 @@ from procedures.operator.question import Topic
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import LinkHealth, link_health
-from procedures.steps.conditions import is_inserted_or_just_out
+from procedures.steps.conditions import needs_insertion_or_withdrawal
 
 
 class Retreated(StepResult, kind="retreat", version=2):
@@ -26,8 +26,8 @@ def run(context: StepContext) -> Outcome[Retreated]:
     workcell = context.workcell
     # The surroundings remain those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.
-    if workcell.place.on_axis:
-        context.have_instrument_out()
+    if workcell.place.is_on_axis:
+        context.request_instrument_removal()
         workcell.retreat(context.trajectory)
     context.result(PositionedGuide)
     context.result(ReachedTarget)
@@ -47,5 +47,5 @@ STEP = StepSpec(
     reads=(PositionedGuide, ReachedTarget),
     moves=True,
     continues=True,
-    preconditions=is_inserted_or_just_out,
+    preconditions=needs_insertion_or_withdrawal,
 )

@@ -36,7 +36,7 @@ MOST_FOLLOWED_MM = 5.0  # rms over the spheres, of a move that a registration ma
 ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks the room must declare
 
 
-def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLook:
+def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> RoomLook:
     """Compare a reading of the tracker, taken at rest, with the localization and the readings since.
 
     Raises PRO-019, PRO-020 and PRO-022; a move voids the localization, or the registrations that may follow
@@ -45,24 +45,24 @@ def check_room(context: StepContext, where: str, frames: int = FRAMES) -> RoomLo
     setting, void = context.setting, partial(void_moved, context)
     look = check_now(room_watch(context), setting.workcell, setting.clock, setting.memory, void, frames)
     for finding in look.findings:
-        context.find(f"{where}: {finding}")
+        context.find(f"{occasion}: {finding}")
     return look
 
 
-def require_unmoved(context: StepContext, where: str) -> None:
+def require_unmoved(context: StepContext, occasion: str) -> None:
     """Look carefully, with the arm home, before a guide goes to the head.
 
     Raises PRO-022 if head or base cannot be compared, and as `check_room`.
     """
-    look = check_room(context, where, CAREFUL_FRAMES)
+    look = check_room(context, occasion, CAREFUL_FRAMES)
     if look.head_mm is None:
         raise PatientUnseen(
-            f"{where}, the tracker does not see the head",
+            f"{occasion}, the tracker does not see the head",
             expected="at least three known spheres in view",
         )
     if look.base is None:
         raise PatientUnseen(
-            f"{where}, the tracker does not see the frame on the arm: the cart may have moved",
+            f"{occasion}, the tracker does not see the frame on the arm: the cart may have moved",
             expected="the frame on the arm in view, with the arm home",
         )
 
@@ -85,7 +85,7 @@ class ExpectedSight:
         return self.hidden_at(self.context.workcell.joints_rad())
 
 
-def expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
+def build_expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
     """Build the expected view of the localized spheres, and give it to the watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
@@ -94,7 +94,7 @@ def expected_sight(context: StepContext, surroundings: Surroundings) -> Expected
 
 
 @contextmanager
-def head_must_show(context: StepContext) -> Iterator[None]:
+def require_head_in_view(context: StepContext) -> Iterator[None]:
     """Limit, within the block, how long the head may be unseen before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
@@ -118,10 +118,10 @@ def room_watch(context: StepContext) -> RoomWatch:
     watch = context.setting.memory.find(RoomWatch)
     if watch is None or watch.localization != name:
         watch = build_watch(context.workcell, name, localized, context.result(Correspondence).pairs)
-        watch.refer(frame_at_home(context))
+        watch.add_reference(find_frame_at_home(context))
         context.setting.memory.keep(watch)
     followed = partial(find_followed_registration, trajectory=context.key.trajectory)
-    watch.follow(followed_spheres(context.result_among(RegisteredRobot, followed)))
+    watch.follow(find_followed_spheres(context.result_among(RegisteredRobot, followed)))
     return watch
 
 
@@ -145,13 +145,13 @@ def find_followed_registration(
     return own[-1] if own and own[-1].followed is not None else None
 
 
-def followed_spheres(registration: RegisteredRobot | None) -> Array | None:
+def find_followed_spheres(registration: RegisteredRobot | None) -> Array | None:
     """Spheres (n, 3) since a registration followed them, tracker frame; None if none did."""
     move = None if registration is None else registration.followed
     return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
 
 
-def frame_at_home(context: StepContext) -> Array | None:
+def find_frame_at_home(context: StepContext) -> Array | None:
     """Frame on the arm at home (3,) mm, before the spheres were localized again; None if not recorded."""
 
     def first(made: Sequence[Relocalization]) -> Relocalization | None:
@@ -161,17 +161,17 @@ def frame_at_home(context: StepContext) -> Array | None:
     return None if found is None else np.asarray(found.frame_at_home_mm, dtype=float)
 
 
-def unconfirmed(context: StepContext) -> tuple[str, ...]:
+def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
     """Targets with work begun or done since the last look that showed no change."""
     confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
-    return tuple(name for name in context.trajectories if stages.at(name) and name not in confirmed)
+    return tuple(name for name in context.trajectories if stages.tasks_at(name) and name not in confirmed)
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
     """Record a finding on the unconfirmed targets; unless `again`, only on those without any look."""
     looked = () if again else context.trajectories_done(ConfirmedTarget)
-    if targets := tuple(name for name in unconfirmed(context) if name not in looked):
+    if targets := tuple(name for name in list_unconfirmed_targets(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 
 

@@ -27,7 +27,7 @@ class DeviceIdentity(Values):
     firmware: str = Field(description="Version of its firmware.")
 
     @classmethod
-    def of(cls, identity: Identity) -> DeviceIdentity:
+    def from_identity(cls, identity: Identity) -> DeviceIdentity:
         """Convert a driver's answer."""
         return cls(
             vendor=identity.vendor,
@@ -68,7 +68,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     identities: dict[str, DeviceIdentity] = {}
     for number, (role, device) in enumerate(devices.items()):
         context.progress(number / len(devices), f"connecting the {role}")
-        identities[role] = DeviceIdentity.of(device.connect())
+        identities[role] = DeviceIdentity.from_identity(device.connect())
         device.configure()
     notices = tuple(f"{role}: {notice}" for role, device in devices.items() for notice in device.notices)
     require_this_arm(calibrations.arm, identities["arm"].serial)
@@ -94,7 +94,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
     )
 
 
-def _not_connected_yet(context: StepContext) -> tuple[str, ...]:
+def _needs_disconnection(context: StepContext) -> tuple[str, ...]:
     """Require that no device is connected yet: a second connection would meet the first."""
     connected = [
         role
@@ -110,5 +110,5 @@ STEP = StepSpec(
     Phase.PREPARATION,
     run,
     asks=(Topic.RESUME,),
-    preconditions=_not_connected_yet,
+    preconditions=_needs_disconnection,
 )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from numpy.typing import ArrayLike
 
 from procedures.engine.context import StepContext
-from procedures.planning.scene import PlanningScene, frame_bodies
+from procedures.planning.scene import PlanningScene, build_frame_bodies
 from procedures.steps.clinical.correspondence import Correspondence
 from procedures.steps.clinical.fiducial_localization import LocalizedFiducials
 from procedures.steps.clinical.plan_check import CheckedPlan
@@ -33,7 +33,7 @@ def planning_scene(
         around,
         plan.head,
         tuple(marker.centre_mm for marker in localized.markers),
-        frame_bodies(plan.plan.fiducials, localized.centres_mm),
+        build_frame_bodies(plan.plan.fiducials, localized.centres_mm),
     )
 
 
@@ -49,7 +49,7 @@ def surround_stereo_head(
     is open. `offset_mm` (3,) is the displacement of the head as seen by the stereo head.
     """
     workcell = context.workcell
-    robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displaced(offset_mm)
+    robot_from_ct = context.result(Correspondence).robot_from_ct.transform.displace(offset_mm)
     tool = workcell.flange_from(MountedTool.STEREO_HEAD)
     workcell.surround(planning_scene_of(context).with_stereo_head(robot_from_ct, tool, trajectory), near_rad)
 

@@ -21,8 +21,8 @@ from procedures.steps.clinical.positioning import name_refusals
 from procedures.steps.clinical.results import RegisteredRobot
 from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
-from procedures.steps.conditions import REMOUNTED, carries
-from procedures.strategies.trajectory import back_along_axis, refined_target_pose
+from procedures.steps.conditions import REMOUNTED, needs_tool
+from procedures.strategies.trajectory import back_along_axis, refine_target_pose
 from procedures.workcell import MountedTool
 from procedures.workcell.stereo_look import Look, pair_picture
 from ronna_hw.calibration import Numbers3
@@ -48,19 +48,19 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     paths = context.result(CheckedPaths)
     planned = context.result(CheckedPlan).trajectory(name).trajectory
     robot_from_ct = context.result(RegisteredRobot).robot_from_ct.transform
-    target = refined_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
+    target = refine_target_pose(paths.targets[name].tool_pose.transform, planned, robot_from_ct)
     travel_mm = planned.depth_mm + context.setting.settings.approach_mm
-    before = back_along_axis(target, travel_mm)
+    approach_pose = back_along_axis(target, travel_mm)
     surround_stereo_head(context, paths.targets[name].joints_rad, planned)
     with name_refusals(name):
-        approach_rad = workcell.joints_at(before, paths.targets[name].approach_rad)
-        over = workcell.going(approach_rad)
-        onto = workcell.straight(target, paths.targets[name].approach_signs, approach_rad)
+        approach_rad = workcell.joints_at(approach_pose, paths.targets[name].approach_rad)
+        move_over = workcell.go_motion(approach_rad)
+        line_onto = workcell.line_to_motion(target, paths.targets[name].approach_signs, approach_rad)
         workcell.supervised.confirm(
             Topic.APPROACH,
             f"on a phantom with a ball at {name}: move the stereo head over it, then {travel_mm:.0f} mm "
             "along the axis until the ball is at its centre",
-            [over, onto],
+            [move_over, line_onto],
             name,
         )
     check_room(context, f"before the ball at {name} is measured")
@@ -72,7 +72,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
     context.progress(0.5, f"measuring the ball at {name}")
     seen, why = _look(context)
     joints_rad = workcell.joints_rad()
-    workcell.line_to(before)
+    workcell.line_to(approach_pose)
     check_room(context, f"after the ball at {name} was measured")
     point = None if seen is None else seen.point
     if seen is not None:
@@ -121,5 +121,5 @@ STEP = StepSpec(
     scope=Scope.TRAJECTORY,
     reads=(RegisteredRobot, CheckedPaths, *ROOM_READS, *READS),
     moves=True,
-    preconditions=carries(MountedTool.STEREO_HEAD, REMOUNTED),
+    preconditions=needs_tool(MountedTool.STEREO_HEAD, REMOUNTED),
 )

@@ -14,7 +14,7 @@ from procedures.steps.clinical.room import ROOM_READS, check_room
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.surroundings import READS, surround_stereo_head
 from procedures.steps.clinical.tool_mounting import exchange_tool
-from procedures.steps.conditions import exchangeable
+from procedures.steps.conditions import needs_exchangeable_tool
 from procedures.workcell import MountedTool
 
 
@@ -67,5 +67,5 @@ STEP = StepSpec(
     asks=(Topic.PARK, Topic.TOOL_CHANGE, Topic.TOOL_TIP),
     reads=(CheckedSetUp, *ROOM_READS, *READS),
     moves=True,
-    preconditions=exchangeable,
+    preconditions=needs_exchangeable_tool,
 )

@@ -25,7 +25,7 @@ from procedures.steps.clinical.room import ROOM_READS, check_room, doubt
 from procedures.steps.clinical.surroundings import READS, planning_scene_of
 from procedures.steps.clinical.tool_change import MountedGuide
 from procedures.steps.clinical.tool_mounting import require_seen_in_place
-from procedures.steps.conditions import carries, require_recent
+from procedures.steps.conditions import needs_tool, require_recent
 from procedures.steps.errors import ToolBesideGauge
 from procedures.strategies.strategy import ONE_SIDE
 from procedures.workcell import MountedTool
@@ -89,7 +89,7 @@ def _check_tool(context: StepContext) -> Outcome[CheckedTool]:
     """
     workcell = context.workcell
     context.result(MountedGuide)
-    context.have_instrument_out()  # of an earlier attempt
+    context.request_instrument_removal()  # of an earlier attempt
     workcell.mount.check(MountedTool.GUIDE)
     check_room(context, "before the guide is checked", CAREFUL_FRAMES)
     frame = workcell.tools.guide.record.frame
@@ -152,7 +152,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     gauge_rad = radians6(*guide.gauge.joints_deg)
     workcell.surround(planning_scene_of(context).with_guide(robot_from_ct, tip, None), gauge_rad)
     workcell.start()
-    there = [workcell.settling(gauge_rad, ONE_SIDE, from_afar=True)]
+    there = [workcell.settle_motion(gauge_rad, ONE_SIDE, allow_detour=True)]
     workcell.supervised.confirm(Topic.TOOL_CHECK, "move the guide over to the gauge on the table", there)
     reads = tuple(f"dial {name} of the gauge in mm" for name in DIALS)
     task = Task(
@@ -165,14 +165,14 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     readings: list[tuple[float, ...]] = []
     for number in range(2 * APPROACHES):
         context.progress((1 + number) / (2 + 2 * APPROACHES), "moving to the gauge")
-        reached = workcell.settle(gauge_rad, ONE_SIDE, from_afar=number == 0)
+        reached = workcell.settle(gauge_rad, ONE_SIDE, allow_detour=number == 0)
         workcell.hold()  # a hand pushes the mandrel in: only the next motion may move the arm
         workcell.instrument.record_insertion(IN_GAUGE)
-        readings.append(context.have_done(task))
+        readings.append(context.perform_task(task))
         if number == 0:
             read_s = context.setting.clock.now_s()
-        context.have_instrument_out()
-        found = GuideOnGauge(tuple(readings), *compared(guide.gauge, readings), reached.joints_rad)
+        context.request_instrument_removal()
+        found = GuideOnGauge(tuple(readings), *compare_with_record(guide.gauge, readings), reached.joints_rad)
         if number + 1 == APPROACHES and not found.differs:
             break
     workcell.park("park the arm from the gauge")
@@ -180,7 +180,7 @@ def read_on_gauge(context: StepContext) -> GuideOnGauge:
     return found
 
 
-def compared(gauge: Gauge, readings_mm: Sequence[Sequence[float]]) -> tuple[Numbers3, float]:
+def compare_with_record(gauge: Gauge, readings_mm: Sequence[Sequence[float]]) -> tuple[Numbers3, float]:
     """Offset of the mandrel's end, mm, and its tilt, deg, against the record, from the mean reading."""
     recorded_mm = (*gauge.reading_mm, *gauge.upper_reading_mm)
     read_mm = np.mean(readings_mm, axis=0)
@@ -198,5 +198,5 @@ STEP = StepSpec(
     reads=(MountedGuide, *ROOM_READS, *READS),
     moves=True,
     rechecks=True,
-    preconditions=carries(MountedTool.GUIDE),
+    preconditions=needs_tool(MountedTool.GUIDE),
 )

@@ -15,10 +15,10 @@ from procedures.steps.branches import MOUNTINGS, WRONG_TOOL
 from procedures.steps.errors import ToolSeenElsewhere
 from procedures.workcell import MountedTool
 from procedures.workcell.errors import WrongTool
-from procedures.workcell.tracker_look import frames_at_rest, mean_pose
+from procedures.workcell.tracker_look import mean_pose, read_frames_at_rest
 from ronna_hw.calibration import STEREO_HEAD_NUMBER
 from ronna_hw.frames import Frame
-from ronna_hw.text import beyond
+from ronna_hw.text import format_against_limit
 from ronna_hw.tool_record import ToolFrame
 
 SEEN_LIMIT_MM = 1.0  # of any sphere on the tool: above the tracker's error; the gauge finds the rest
@@ -48,10 +48,10 @@ def exchange_tool(context: StepContext, tool: MountedTool) -> int:
             if mounting == MOUNTINGS:
                 raise
             context.setting.room.change_tool(number, name)
-            again = WRONG_TOOL.question(
+            remount_question = WRONG_TOOL.question(
                 "the wrong tool is mounted: mount again", f"{value}; {problem.summary}"
             )
-            if context.choose(again) != YES:
+            if context.choose(remount_question) != YES:
                 raise
     raise AssertionError("the last mounting has returned or raised")
 
@@ -64,17 +64,17 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: b
     workcell = context.workcell
     reference = workcell.calibrations.tracker_frame
     workcell.rest()  # the tracker measures while the arm's stream is off
-    frames, _ = frames_at_rest(workcell.tracker, context.setting.clock, count=FRAMES)
-    on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
+    frames, _ = read_frames_at_rest(workcell.tracker, context.setting.clock, count=FRAMES)
+    is_on_mount = mean_pose(frames, reference.tool, LEAST_FRAMES)
     on_tool = mean_pose(frames, frame.tool, LEAST_FRAMES)
-    if on_mount is None or on_tool is None:
+    if is_on_mount is None or on_tool is None:
         if not must_see:
             return None
-        unseen = reference.tool if on_mount is None else frame.tool
+        unseen = reference.tool if is_on_mount is None else frame.tool
         raise ToolSeenElsewhere(
             f"the tracker does not see {unseen}", expected=f"in at least {LEAST_FRAMES} of {FRAMES} frames"
         )
-    seen_mm = (on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
+    seen_mm = (is_on_mount.inverse() @ on_tool).apply(workcell.tracker.markers_mm[frame.tool])
     recorded = frame.mount_from_frame.transform(Frame.MARKER, Frame.MARKER)
     expected_mm = recorded.apply(workcell.tracker.markers_mm[frame.tool])
     off_mm = float(np.linalg.norm(seen_mm - expected_mm, axis=1).max())
@@ -82,6 +82,6 @@ def require_seen_in_place(context: StepContext, frame: ToolFrame, *, must_see: b
         raise ToolSeenElsewhere(
             f"the tracker sees {frame.tool} off its recorded position on the mount",
             limit=f"{SEEN_LIMIT_MM:g} mm",
-            got=f"{beyond(off_mm, SEEN_LIMIT_MM, 2)} mm",
+            got=f"{format_against_limit(off_mm, SEEN_LIMIT_MM, 2)} mm",
         )
     return off_mm

@@ -13,7 +13,7 @@ from procedures.journal.results import Values
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import NO, YES, Task, Topic
 from procedures.planning.guide import depth_stop_mm
-from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, from_stage
+from procedures.steps.branches import FINISHED, HOLD, SETTINGS, WORK_BEGUN, WRONG_STOP, stage_answer
 from procedures.steps.clinical.plan_check import CheckedPlan
 from procedures.steps.conditions import require_recent
 from procedures.steps.errors import DepthStopWrong, ReadingTooOld
@@ -31,8 +31,8 @@ class WorkStage:
 
     task: str
     topic: Topic
-    does: str
-    confirms: str
+    instruction: str
+    done_statement: str
 
 
 STAGES = (
@@ -89,10 +89,10 @@ def work_progress(context: StepContext) -> WorkProgress:
     """
     memory, instrument = context.setting.memory, context.workcell.instrument
     trajectory = context.trajectory
-    begun = memory.find(WorkProgress)
-    if begun is not None and begun.trajectory == trajectory == instrument.inside:
-        return begun
-    context.have_instrument_out()
+    work_so_far = memory.find(WorkProgress)
+    if work_so_far is not None and work_so_far.trajectory == trajectory == instrument.inside:
+        return work_so_far
+    context.request_instrument_removal()
     before, set_before = _tasks_done(context), instrument.stages.stop_at(trajectory)
     if len(before) == len(STAGES):
         context.find(
@@ -100,20 +100,21 @@ def work_progress(context: StepContext) -> WorkProgress:
             "was not watched then"
         )
         return WorkProgress(trajectory, DepthStop.model_validate(set_before), before, list(before))
-    begun = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
-    begun.stop_read_s = context.setting.clock.now_s()
-    instrument.stages.record_stop(trajectory, begun.stop.model_dump(mode="json"))
-    memory.keep(begun)
+    work_so_far = WorkProgress(trajectory, set_depth_stop(context), before, list(before))
+    work_so_far.stop_read_s = context.setting.clock.now_s()
+    instrument.stages.record_stop(trajectory, work_so_far.stop.model_dump(mode="json"))
+    memory.keep(work_so_far)
     context.progress(0.1, f"the depth stop for {trajectory} is set")  # nobody pushes the guide
     instrument.record_insertion(trajectory)
-    return begun
+    return work_so_far
 
 
 def describe_work(known: Mapping[str, bool]) -> str:
     """Describe the work done."""
     stages = [stage for stage in STAGES if stage.task in known]
     return ", ".join(
-        stage.confirms if known[stage.task] else f"begun and not confirmed: {stage.does}" for stage in stages
+        stage.done_statement if known[stage.task] else f"begun and not confirmed: {stage.instruction}"
+        for stage in stages
     )
 
 
@@ -121,20 +122,20 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     """Describe the work begun at each unfinished target."""
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
-    names = [name for name in engine.order.trajectories if name not in finished and stages.at(name)]
-    return tuple(f"work has begun at {name}: {describe_work(stages.at(name))}" for name in names)
+    names = [name for name in engine.order.trajectories if name not in finished and stages.tasks_at(name)]
+    return tuple(f"work has begun at {name}: {describe_work(stages.tasks_at(name))}" for name in names)
 
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
     """Return the tasks not to repeat, as the operator chooses; all of them if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
-    if not (known := stages.at(context.trajectory)):
+    if not (known := stages.tasks_at(context.trajectory)):
         return ()
     # The instrument is out, and goes in again whatever was done with it.
     first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
     first = min(first, len(tasks) - 1)
     finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
-    trajectory, offered = context.trajectory, [from_stage(task) for task in reversed(tasks[: first + 1])]
+    trajectory, offered = context.trajectory, [stage_answer(task) for task in reversed(tasks[: first + 1])]
     question = WORK_BEGUN.question(
         f"work was already begun at {trajectory}: {describe_work(known)}",
         f"{BESIDE}; check, then choose the stage to continue from",
@@ -172,7 +173,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
     checked, bore = context.result(CheckedPlan), context.workcell.tools.guide.bore
     plan, planned = checked.plan, checked.trajectory(context.trajectory)
     computed_mm = depth_stop_mm(plan, planned, bore)
-    sum_of = (
+    sum_text = (
         f"bore {bore.length_mm:.2f} + stand-off {plan.standoff_mm:.2f} + depth {planned.depth_mm:.2f}"
         f" = {computed_mm:.2f} mm from tip to stop"
     )
@@ -185,7 +186,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         (bore.length_mm, plan.instrument_length_mm),  # the part of its scale beyond the guide
     )
     for setting in range(1, SETTINGS + 1):
-        (read_mm,) = context.have_done(task)
+        (read_mm,) = context.perform_task(task)
         wrong = abs(read_mm - computed_mm) > STOP_LIMIT_MM
         if not wrong:
             break
@@ -198,7 +199,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
         context.find(problem.summary)
         question = WRONG_STOP.question(
             "the depth stop is set wrong: set it again",
-            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_of}; "
+            f"read {read_mm:.2f} mm, expected {computed_mm:.2f} ± {STOP_LIMIT_MM:g} mm: {sum_text}; "
             f"{YES}: set and read it again, attempt {setting + 1} of {SETTINGS}; {NO}: the step ends, "
             "no instrument is inserted",
             context.trajectory,
@@ -208,7 +209,7 @@ def set_depth_stop(context: StepContext) -> DepthStop:
     context.confirm(
         Topic.DEPTH_STOP,
         f"the depth stop for {context.trajectory} is set",
-        f"{sum_of}; read {read_mm:.2f} mm",
+        f"{sum_text}; read {read_mm:.2f} mm",
         context.trajectory,
     )
     return DepthStop(

@@ -115,9 +115,9 @@ class Corridor(NamedTuple):
 
     def holds(self, start_mm: Vector3, end_mm: Vector3) -> bool:
         """Whether both ends of a segment, and therefore all of it, are inside."""
-        return self._holds(start_mm) and self._holds(end_mm)
+        return self._contains_point(start_mm) and self._contains_point(end_mm)
 
-    def _holds(self, point_mm: Vector3) -> bool:
+    def _contains_point(self, point_mm: Vector3) -> bool:
         (ex, ey, ez), depth = self.entry_mm, dist(self.entry_mm, self.target_mm)
         ax, ay, az = ((t - e) / depth for t, e in zip(self.target_mm, self.entry_mm, strict=True))
         x, y, z = point_mm[0] - ex, point_mm[1] - ey, point_mm[2] - ez
@@ -177,7 +177,7 @@ class Surroundings:
         corridor = self.corridor
         return replace(
             self,
-            obstacles=tuple(one._replace(capsule=one.capsule.moved(by)) for one in self.obstacles),
+            obstacles=tuple(item._replace(capsule=item.capsule.moved(by)) for item in self.obstacles),
             corridor=corridor
             and corridor._replace(
                 entry_mm=by.apply(corridor.entry_mm), target_mm=by.apply(corridor.target_mm)
@@ -206,16 +206,16 @@ class Surroundings:
             zone=None if zone is None else SpeedZone(*zone),
             corridor=None
             if corridor is None
-            else Corridor(_three(corridor[0]), _three(corridor[1]), corridor[2]),
+            else Corridor(_vector3(corridor[0]), _vector3(corridor[1]), corridor[2]),
         )
 
 
 def _capsule(values: Any) -> Capsule:
     start, end, radius = values
-    return Capsule(_three(start), _three(end), float(radius))
+    return Capsule(_vector3(start), _vector3(end), float(radius))
 
 
-def _three(values: Any) -> Vector3:
+def _vector3(values: Any) -> Vector3:
     x, y, z = values
     return (float(x), float(y), float(z))
 
@@ -282,18 +282,18 @@ class Bodies:
         count = len(links)
         touches = (*(link.touches for link in links), *((links[-1].name,) for _ in tool))
         enters = (*(False,) * count, *(part.enters_head for part in tool))
-        found = []
+        listed_pairs = []
         for moving, touched in enumerate(touches):
             if COLUMN_NAME not in touched:
-                found.append(Pair(moving, 0, enters[moving], False))
-            found += [
+                listed_pairs.append(Pair(moving, 0, enters[moving], False))
+            listed_pairs += [
                 Pair(moving, number, enters[moving], obstacle.is_head)
                 for number, obstacle in enumerate(obstacles, start=1)
             ]
         for inner, link in enumerate(links):
-            found += [
+            listed_pairs += [
                 Pair(moving, -1 - inner, False, False)
                 for moving in range(inner + 1, len(touches))
                 if link.name not in touches[moving]
             ]
-        return tuple(found)
+        return tuple(listed_pairs)

@@ -59,20 +59,22 @@ class Violation(NamedTuple):
     limit: float
 
     @property
-    def of_axis(self) -> bool:
+    def is_axis_violation(self) -> bool:
         """True if an axis is at fault rather than two bodies."""
         return self.kind not in _BODY_UNITS
 
-    def in_units(self, value: float) -> str:
+    def format_value(self, value: float) -> str:
         """Format a value of this kind for people."""
-        if not self.of_axis:
+        if not self.is_axis_violation:
             return f"{value:.1f} {_BODY_UNITS[self.kind]}"
         unit = _ANGLE_UNITS.get(self.kind)
         return f"{degrees(value):.4f} deg" if unit is None else f"{degrees(value):.1f} {unit}"
 
     def __str__(self) -> str:
-        what = "axis" if self.of_axis else "body" if self.kind is ViolationKind.BODY_SPEED else "pair"
-        value, limit = self.in_units(self.value), self.in_units(self.limit)
+        what = (
+            "axis" if self.is_axis_violation else "body" if self.kind is ViolationKind.BODY_SPEED else "pair"
+        )
+        value, limit = self.format_value(self.value), self.format_value(self.limit)
         return f"{self.kind} of {what} {self.axis}: {value}, limit {limit}"
 
 
@@ -220,10 +222,10 @@ class LiveWatch:
         self._cycle_s = cycle_s
         self._body_speed_mm_s = body_speed_mm_s
         self._pairs = bodies.pairs
-        self._fixed = tuple((one.start_mm, one.end_mm) for one in bodies.fixed)
-        fixed_radii = tuple(one.radius_mm for one in bodies.fixed)
+        self._fixed = tuple((item.start_mm, item.end_mm) for item in bodies.fixed)
+        fixed_radii = tuple(item.radius_mm for item in bodies.fixed)
         radii = bodies.moving_radii_mm
-        self._thick = tuple(
+        self._radius_sums_mm = tuple(
             radii[pair.moving] + (radii[-1 - pair.other] if pair.other < 0 else fixed_radii[pair.other])
             for pair in self._pairs
         )
@@ -264,15 +266,15 @@ class LiveWatch:
             motions[0] = max(self._motions_mm(placed))
             self._measure(joints_rad, motions[0])
         trial = _Trial(joints_rad, motions, placed, {})
-        found = self._too_near(trial)
+        found = self._find_clearance_violation(trial)
         self._trials.append(trial)
-        return found if slow or found else self._too_fast(placed, motions[0])
+        return found if slow or found else self._find_speed_violation(placed, motions[0])
 
     def sent(self, joints_rad: JointVector) -> None:
         """Record a set-point that was sent, or is the current position of the arm."""
         if joints_rad is self._joints:
             return
-        trial = next((one for one in self._trials if one.joints_rad is joints_rad), None)
+        trial = next((item for item in self._trials if item.joints_rad is joints_rad), None)
         if trial is None:
             motions = self._bound_motions_mm(self._joints, joints_rad)
             trial = _Trial(joints_rad, motions, PlacedBodies(self._bodies, joints_rad), {})
@@ -316,7 +318,7 @@ class LiveWatch:
             bound = sum(lever * abs(angle) for lever, angle in zip(self._levers, step, strict=True))
             self._measured = _MeasuredStep(self._joints, step, square, size, bound, moved_mm)
 
-    def _too_near(self, trial: _Trial) -> Violation | None:
+    def _find_clearance_violation(self, trial: _Trial) -> Violation | None:
         found: Violation | None = None
         for group in self._groups:
             moved = trial.motions[group.first]
@@ -342,7 +344,7 @@ class LiveWatch:
         between = self._bound_motions_mm(before.joints_rad, trial.joints_rad)
         return before.rooms_mm[number] - between[group.first]
 
-    def _too_fast(self, placed: PlacedBodies, moved: float) -> Violation | None:
+    def _find_speed_violation(self, placed: PlacedBodies, moved: float) -> Violation | None:
         speed = moved / self._cycle_s
         if speed > self._body_speed_mm_s * SPEED_MARGIN:
             motions = self._motions_mm(placed)
@@ -353,19 +355,19 @@ class LiveWatch:
         travel = odometer + moved
         if speed <= cap(self._least_bound - travel):
             return None
-        nearest, which = inf, 0
+        nearest, nearest_pair = inf, 0
         for place in sorted(range(len(bounds)), key=bounds.__getitem__):
             if bounds[place] - travel >= nearest:
                 break
             distance = self._distance(self._head[place], placed)
             bounds[place] = distance - moved + odometer
             if distance < nearest:
-                nearest, which = distance, self._head[place]
+                nearest, nearest_pair = distance, self._head[place]
         self._least_bound = min(bounds, default=inf)
         limit = cap(nearest)
         if speed <= limit * SPEED_MARGIN:
             return None
-        return Violation(ViolationKind.ZONE_SPEED, which, speed, limit)
+        return Violation(ViolationKind.ZONE_SPEED, nearest_pair, speed, limit)
 
     def _motions_mm(self, placed: PlacedBodies) -> list[float]:
         """Largest motion of an end of each body since the last set-point."""
@@ -405,7 +407,7 @@ class LiveWatch:
     def _distance(self, number: int, placed: PlacedBodies) -> float:
         pair = self._pairs[number]
         other = placed[-1 - pair.other] if pair.other < 0 else self._fixed[pair.other]
-        return segment_distance_mm(*placed[pair.moving], *other) - self._thick[number]
+        return segment_distance_mm(*placed[pair.moving], *other) - self._radius_sums_mm[number]
 
 
 def _outwards(levers_mm: JointVector) -> JointVector:

@@ -35,7 +35,7 @@ ALIKE_MM = 1e-6  # two distances closer than this are equal up to rounding
 
 
 @dataclass(frozen=True)
-class Closest:
+class ClosestPair:
     """Smallest distance on a path: the two bodies, their distance, and the place on the path (0..1)."""
 
     first: str
@@ -45,7 +45,7 @@ class Closest:
 
 
 @dataclass(frozen=True)
-class Swept:
+class SweepSamples:
     """`gaps_mm` (n, pairs) between surfaces, infinite where a corridor allows contact; `to_head_mm` (n).
 
     `ends_mm` (n, bodies, 2, 3): both ends of every moving body's axis in $ROBROOT. `to_head_mm` is the
@@ -64,74 +64,74 @@ class SweptPath:
     bodies: Bodies
     fractions: Array
     joints_rad: Array
-    swept: Swept
+    swept: SweepSamples
 
     @property
-    def closest(self) -> Closest | None:
+    def closest(self) -> ClosestPair | None:
         """Smallest distance of any pair; None if there is nothing to collide with."""
         gaps = self.swept.gaps_mm
         if not gaps.size or not np.isfinite(gaps).any():
             return None
-        return self._at(_first_smallest(gaps))
+        return self._pair_at(_first_smallest(gaps))
 
     @property
-    def refused(self) -> Closest | None:
+    def refused(self) -> ClosestPair | None:
         """Pair that comes too close, at its closest; None if the path is clear.
 
         A pair that is too close at the start must not come any closer.
         """
-        lacking = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
-        if not lacking.size or lacking.min() >= 0.0:
+        deficit_mm = self.swept.gaps_mm - floors_mm(self.bodies.surroundings, self.swept.gaps_mm[0])
+        if not deficit_mm.size or deficit_mm.min() >= 0.0:
             return None
-        return self._at(_first_smallest(lacking))
+        return self._pair_at(_first_smallest(deficit_mm))
 
     def require(self, what: str = "the path") -> None:
         """Raise ARM-007 with the pair, the distance and the position if the path is not clear."""
-        bad = self.refused
-        if bad is None:
+        offender = self.refused
+        if offender is None:
             return
         raise NotClear(
-            f"on {what} the {bad.first} would come too close to the {bad.second}, "
-            f"{bad.fraction:.0%} of the path",
+            f"on {what} the {offender.first} would come too close to the {offender.second}, "
+            f"{offender.fraction:.0%} of the path",
             limit=f"{self.bodies.surroundings.margin_mm:g} mm",
-            got=f"{bad.distance_mm:.1f} mm",
+            got=f"{offender.distance_mm:.1f} mm",
         )
 
-    def _at(self, place: int) -> Closest:
+    def _pair_at(self, place: int) -> ClosestPair:
         row, column = np.unravel_index(place, self.swept.gaps_mm.shape)
         first, second = self.bodies.names(self.bodies.pairs[column])
         gap = float(self.swept.gaps_mm[row, column])
-        return Closest(first, second, gap, float(self.fractions[row]))
+        return ClosestPair(first, second, gap, float(self.fractions[row]))
 
 
 def sweep_path(
-    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, to_the_worst: bool = True
+    kinematics: Kinematics, plan: MotionPlan, surroundings: Surroundings, *, search_closest: bool = True
 ) -> SweptPath:
     """Sweep all bodies along a planned path. Raises ARM-001 to ARM-003 if the path has no solution.
 
-    A path that is not clear is searched for its closest point, for the message; without `to_the_worst` only
+    A path that is not clear is searched for its closest point, for the message; without `search_closest` only
     until the result is certain.
     """
     path = plan.path(kinematics)
     bodies = Bodies(kinematics, surroundings)
     fractions = np.linspace(0.0, 1.0, FIRST_SAMPLES)
-    joints = _joints(path, plan.start_rad, fractions)
+    joints = _sample_joints(path, plan.start_rad, fractions)
     found = sweep(bodies, joints)
     count = max(
         FIRST_SAMPLES,
-        ceil(float(_moved(found).max(axis=1).sum()) / STEP_MM) + 1,
+        ceil(float(_end_motions_mm(found).max(axis=1).sum()) / STEP_MM) + 1,
         ceil(float(np.abs(np.diff(joints, axis=0)).max(axis=1).sum()) / STEP_RAD) + 1,
     )
     if count > FIRST_SAMPLES:
         fractions = np.linspace(0.0, 1.0, count)
-        joints = _joints(path, plan.start_rad, fractions)
+        joints = _sample_joints(path, plan.start_rad, fractions)
         found = sweep(bodies, joints)
     floors = floors_mm(surroundings, found.gaps_mm[0])
     while True:
-        if not to_the_worst and (found.gaps_mm < floors).any():
+        if not search_closest and (found.gaps_mm < floors).any():
             break
         wanted = np.minimum(floors, found.gaps_mm.min(axis=0))
-        open_rows = np.flatnonzero(_unsettled(bodies, found, wanted))
+        open_rows = np.flatnonzero(_find_open_intervals(bodies, found, wanted))
         if not len(open_rows):
             break
         middles = (fractions[open_rows] + fractions[open_rows + 1]) / 2.0
@@ -142,7 +142,7 @@ def sweep_path(
         more = sweep(bodies, between)
         fractions = np.insert(fractions, open_rows + 1, middles)
         joints = np.insert(joints, open_rows + 1, between, axis=0)
-        found = Swept(
+        found = SweepSamples(
             np.insert(found.ends_mm, open_rows + 1, more.ends_mm, axis=0),
             np.insert(found.gaps_mm, open_rows + 1, more.gaps_mm, axis=0),
             np.insert(found.to_head_mm, open_rows + 1, more.to_head_mm),
@@ -155,9 +155,9 @@ def floors_mm(surroundings: Surroundings, at_start_mm: Array) -> Array:
     return np.asarray(np.minimum(surroundings.margin_mm, at_start_mm - LEAVING_MM))
 
 
-def motion_mm(swept: Swept) -> Array:
+def motion_mm(swept: SweepSamples) -> Array:
     """Upper bound of each body's motion between neighbouring samples, (n - 1, bodies)."""
-    return _moved(swept) * ARC_FACTOR
+    return _end_motions_mm(swept) * ARC_FACTOR
 
 
 def _first_smallest(distances_mm: Array) -> int:
@@ -168,7 +168,7 @@ def _first_smallest(distances_mm: Array) -> int:
     return int(np.argmax(distances_mm <= distances_mm.min() + ALIKE_MM))
 
 
-def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]:
+def _find_open_intervals(bodies: Bodies, found: SweepSamples, floors: Array) -> NDArray[np.bool_]:
     """Mask of the intervals (n - 1) that may hide a distance below its minimum."""
     moved = motion_mm(found)
     pairs = bodies.pairs
@@ -185,19 +185,19 @@ def _unsettled(bodies: Bodies, found: Swept, floors: Array) -> NDArray[np.bool_]
     return np.asarray(((bound < floors) & (relative > FINEST_MM)).any(axis=1))
 
 
-def _moved(swept: Swept) -> Array:
+def _end_motions_mm(swept: SweepSamples) -> Array:
     steps = np.linalg.norm(np.diff(swept.ends_mm, axis=0), axis=3)
     return np.asarray(steps.max(axis=2))
 
 
-def _joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
+def _sample_joints(path: JointPath | LinePath, start_rad: JointVector, fractions: Array) -> Array:
     found = [start_rad]
     for s in fractions[1:].tolist():
         found.append(path.joints(s, found[-1]))
     return np.array(found)
 
 
-def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
+def sweep(bodies: Bodies, joints_rad: ArrayLike) -> SweepSamples:
     """Bodies and distances at joint vectors (n, axes)."""
     joints = np.atleast_2d(np.asarray(joints_rad, dtype=float))
     ends = moving_ends(bodies, joints)
@@ -227,7 +227,7 @@ def sweep(bodies: Bodies, joints_rad: ArrayLike) -> Swept:
             if pair.enters_head and pair.is_head:
                 inside = [corridor.holds(tuple(start), tuple(end)) for start, end in ends[:, pair.moving]]
                 gaps[inside, column] = np.inf
-    return Swept(ends, gaps, to_head)
+    return SweepSamples(ends, gaps, to_head)
 
 
 def moving_ends(bodies: Bodies, joints: Array) -> Array:
@@ -240,16 +240,16 @@ def moving_ends(bodies: Bodies, joints: Array) -> Array:
         own = _rotation(joint.axis, joints[:, number])
         turn = own if turn is None else turn @ own
         frames.append((origin, turn))
-        origin = _placed(origin, turn, joint.to_next_mm)
+        origin = _place_point(origin, turn, joint.to_next_mm)
     assert turn is not None
     flange = origin, turn @ np.reshape(chain.flange_rotation, (3, 3))
     axes = [
-        (_placed(*frames[link.joint], link.start_mm), _placed(*frames[link.joint], link.end_mm))
+        (_place_point(*frames[link.joint], link.start_mm), _place_point(*frames[link.joint], link.end_mm))
         for link in bodies.arm.links
     ]
     for part in bodies.surroundings.tool:
         start, end, _ = part.capsule
-        axes.append((_placed(*flange, start), _placed(*flange, end)))
+        axes.append((_place_point(*flange, start), _place_point(*flange, end)))
     return np.stack([np.stack(axis, axis=1) for axis in axes], axis=1)
 
 
@@ -292,7 +292,7 @@ def _rotation(axis: Vector3, angles: Array) -> Array:
     return np.moveaxis(along + np.cos(angles) * plane + np.sin(angles) * across, 2, 0)
 
 
-def _placed(origin: Array, turn: Array, point_mm: Vector3) -> Array:
+def _place_point(origin: Array, turn: Array, point_mm: Vector3) -> Array:
     """A point of a moving frame in the robot base, (n, 3)."""
     return origin + turn @ np.array(point_mm) if any(point_mm) else origin
 

@@ -47,7 +47,7 @@ class MotionLimits:
 
     def as_numbers(self) -> tuple[float, ...]:
         """All fields in one row, for the real-time process."""
-        return tuple(chain(*(one if isinstance(one, tuple) else (one,) for one in astuple(self))))
+        return tuple(chain(*(entry if isinstance(entry, tuple) else (entry,) for entry in astuple(self))))
 
     @classmethod
     def from_numbers(cls, numbers: Sequence[float]) -> MotionLimits:
@@ -69,12 +69,12 @@ class MotionLimits:
             return lower, upper
         return (
             joint_vector(
-                max(low, min(least, at))
-                for low, least, at in zip(arm.lower_rad, lower, start_rad, strict=True)
+                max(low, min(least, start_angle))
+                for low, least, start_angle in zip(arm.lower_rad, lower, start_rad, strict=True)
             ),
             joint_vector(
-                min(high, max(most, at))
-                for high, most, at in zip(arm.upper_rad, upper, start_rad, strict=True)
+                min(high, max(most, start_angle))
+                for high, most, start_angle in zip(arm.upper_rad, upper, start_rad, strict=True)
             ),
         )
 
@@ -88,12 +88,12 @@ class MotionLimits:
             raise MotionInvalid("a speed fraction must be above 0 and at most 1", got=repr(fraction))
         return replace(
             self,
-            speed_rad_s=_times(self.speed_rad_s, fraction),
+            speed_rad_s=_scale_joints(self.speed_rad_s, fraction),
             line_speed_mm_s=self.line_speed_mm_s * fraction,
             rotation_rad_s=self.rotation_rad_s * fraction,
         )
 
-    def at_reduced_speed(self, arm: JointRanges) -> MotionLimits:
+    def with_reduced_speed(self, arm: JointRanges) -> MotionLimits:
         """Reduce the speeds for a person at the arm: 250 mm/s and a tenth of the full axis speed."""
         return replace(
             self,
@@ -108,13 +108,13 @@ class MotionLimits:
 
 def working_limits(arm: JointRanges, speed_fraction: float = WORKING_SPEED_FRACTION) -> MotionLimits:
     """Limits for a driver to start from; `speed_fraction` is of the full axis speed."""
-    acceleration = _times(arm.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
+    acceleration = _scale_joints(arm.acceleration_rad_s2, WORKING_ACCELERATION_FRACTION)
     return MotionLimits(
-        _times(arm.full_speed_rad_s, speed_fraction),
+        _scale_joints(arm.full_speed_rad_s, speed_fraction),
         acceleration,
-        _times(acceleration, 1.0 / ACCELERATION_RAMP_S),
+        _scale_joints(acceleration, 1.0 / ACCELERATION_RAMP_S),
     )
 
 
-def _times(values: Sequence[float], factor: float) -> JointVector:
+def _scale_joints(values: Sequence[float], factor: float) -> JointVector:
     return joint_vector(value * factor for value in values)

@@ -24,7 +24,7 @@ LEAST_SAMPLES = 16  # enough for the second differences of a short line
 LEAST_SPEED_FRACTION = 0.05  # of the requested line speed; anything slower is too close to a singularity
 PLANNED_SHARE = 0.98  # of acceleration and jerk; the rest is reserved for stops that know only set-points
 STANDSTILL_RAD = 1e-9  # a thousandth of the wire's resolution; also used in mm
-IN_DEGREES = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
+DEGREES_ADVICE = "Joint angles are in radians; were these degrees? ronna_hw.arm.pose.radians6 converts them."
 
 
 class Path(Protocol):
@@ -141,7 +141,7 @@ def plan_joint_move(
     require_in_range(arm, start_rad)
     _require_within(arm, limits.ranges(arm, start_rad), target_rad, limits.range_margin_rad)
     travel = [abs(b - a) for a, b in zip(start_rad, target_rad, strict=True)]
-    return MotionPlan(start_rad, target_rad, _scaled(travel, limits))
+    return MotionPlan(start_rad, target_rad, _joint_move_limits(travel, limits))
 
 
 def plan_line(
@@ -172,13 +172,13 @@ def plan_line(
                     got=f"{degrees(before):.1f} deg at {k / count:.0%} of the line",
                 )
         points.append(joints)
-    asked = _cartesian(line, limits)
-    allowed = _slowed_for_joints(points, count, asked, limits)
-    if allowed.velocity < LEAST_SPEED_FRACTION * asked.velocity:
+    wanted_limits = _line_limits(line, limits)
+    allowed = _limit_for_joints(points, count, wanted_limits, limits)
+    if allowed.velocity < LEAST_SPEED_FRACTION * wanted_limits.velocity:
         raise TooFast(
             "the line passes too close to a singular pose for the speed limits of the axes",
             limit=f"{LEAST_SPEED_FRACTION:.0%} of the line speed",
-            got=f"{allowed.velocity / asked.velocity:.2%}",
+            got=f"{allowed.velocity / wanted_limits.velocity:.2%}",
         )
     return MotionPlan(start_rad, points[-1], allowed, target, tool_in_flange_mm)
 
@@ -215,11 +215,11 @@ def _require_within(
                 limit=f"{degrees(low):.1f} to {degrees(high):.1f} deg"
                 + (f" with the margin of {degrees(margin_rad):g}" if margin_rad else ""),
                 got=f"{degrees(angle):.3f} deg",
-                action=IN_DEGREES if any(abs(one) > tau for one in joints_rad) else None,
+                action=DEGREES_ADVICE if any(abs(joint_rad) > tau for joint_rad in joints_rad) else None,
             )
 
 
-def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:
+def _joint_move_limits(travel: list[float], limits: MotionLimits) -> PathLimits:
     """Limits of s for joints that travel `travel` rad over s = 0..1, so that each respects its own."""
     longest = [max(r, STANDSTILL_RAD) for r in travel]
     return PathLimits(
@@ -229,15 +229,15 @@ def _scaled(travel: list[float], limits: MotionLimits) -> PathLimits:
     )
 
 
-def _cartesian(line: LinePath, limits: MotionLimits) -> PathLimits:
+def _line_limits(line: LinePath, limits: MotionLimits) -> PathLimits:
     length, angle = max(line.length_mm, STANDSTILL_RAD), max(line.angle_rad, STANDSTILL_RAD)
     velocity = min(limits.line_speed_mm_s / length, limits.rotation_rad_s / angle)
     acceleration = min(limits.line_acceleration_mm_s2 / length, limits.rotation_rad_s2 / angle)
     return PathLimits(velocity, acceleration, acceleration / limits.ramp_s)
 
 
-def _slowed_for_joints(
-    points: list[JointVector], count: int, asked: PathLimits, limits: MotionLimits
+def _limit_for_joints(
+    points: list[JointVector], count: int, wanted_limits: PathLimits, limits: MotionLimits
 ) -> PathLimits:
     """The limits of s, slowed by one factor until every joint respects its speed, acceleration and jerk.
 
@@ -247,7 +247,7 @@ def _slowed_for_joints(
     """
     import numpy as np  # the real-time process, which plans no line, does not need it
 
-    v, a, j = asked
+    v, a, j = wanted_limits
     angles = np.array(points)  # (samples, axes)
     first = np.diff(angles, axis=0) * count
     second = np.diff(first, axis=0) * count
@@ -259,5 +259,5 @@ def _slowed_for_joints(
     speed = (q1 * v / (SAMPLED_SHARE * np.array(limits.speed_rad_s))).max()
     acceleration = ((q1 * a + q2 * v * v) / limits.acceleration_rad_s2).max()
     jerk = ((q1 * j + 3.0 * q2 * v * a + third * v**3) / limits.jerk_rad_s3).max()
-    slower = max(1.0, float(speed), sqrt(acceleration), cbrt(jerk))
-    return PathLimits(v / slower, a / slower**2, j / slower**3)
+    slowdown = max(1.0, float(speed), sqrt(acceleration), cbrt(jerk))
+    return PathLimits(v / slowdown, a / slowdown**2, j / slowdown**3)

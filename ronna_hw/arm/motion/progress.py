@@ -50,7 +50,7 @@ class MotionProfile:
         self.raw = Trajectory(axes)
         self.duration_s = 0.0
 
-    def at(self, time_s: float) -> State:
+    def sample(self, time_s: float) -> State:
         """State at a time; clamped to the profile's start and end."""
         position, velocity, acceleration = self.raw.at_time(min(max(time_s, 0.0), self.duration_s))
         return State(position, velocity, acceleration)
@@ -71,10 +71,10 @@ class MotionProfiler:
         self._stop.synchronization = Synchronization.No
         self._stop.target_velocity = [0.0] * axes
         self._stop.target_acceleration = [0.0] * axes
-        self._slower = InputParameter(axes)
-        self._slower.control_interface = ControlInterface.Velocity
-        self._slower.synchronization = Synchronization.No
-        self._slower.target_acceleration = [0.0] * axes
+        self._braking_input = InputParameter(axes)
+        self._braking_input.control_interface = ControlInterface.Velocity
+        self._braking_input.synchronization = Synchronization.No
+        self._braking_input.target_acceleration = [0.0] * axes
 
     def move(self, start: State, target: Values, bounds: Bounds) -> MotionProfile:
         """Move all axes to rest at `target` simultaneously, from any state. Raises ARM-006.
@@ -92,8 +92,8 @@ class MotionProfiler:
     def brake(self, start: State, velocity: Values, bounds: Bounds) -> MotionProfile:
         """Bring each axis to a lower speed as fast as its bounds allow. Raises ARM-006."""
         self._check(velocity)
-        self._slower.target_velocity = list(velocity)
-        return self._calculate(self._slower, start, bounds)
+        self._braking_input.target_velocity = list(velocity)
+        return self._calculate(self._braking_input, start, bounds)
 
     def _calculate(self, request: InputParameter, start: State, bounds: Bounds) -> MotionProfile:
         for values in (*start, *bounds):
@@ -144,12 +144,12 @@ class _Leg(NamedTuple):
 
     profile: MotionProfile
     velocity: float
-    to_end: bool
+    leads_to_end: bool
 
-    def at(self, time_s: float) -> State:
+    def sample(self, time_s: float) -> State:
         """State at a time; after braking it continues at the lower speed."""
-        if self.to_end:
-            return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.at(time_s)
+        if self.leads_to_end:
+            return State.resting([1.0]) if time_s >= self.profile.duration_s else self.profile.sample(time_s)
         return State(*self.profile.raw.at_time(time_s))
 
 
@@ -165,33 +165,33 @@ class PathProgress:
         self._profiler = MotionProfiler(1)
         self.state = self._before = State.resting([0.0])
         self._ceiling: SpeedStep | None = None  # the slower step ahead, while braking for it
-        self._leg = self._planned(self._speed_at(0.0))
+        self._leg = self._plan_leg(self._speed_at(0.0))
         self._time_s = 0.0
         self._halt: MotionProfile | None = None  # the stop in progress
         self._next: tuple[State, _Leg, float] | None = None  # go state, its leg, and the time on it
         self._next_halt: tuple[State, MotionProfile] | None = None
 
     @property
-    def stopping(self) -> bool:
+    def is_stopping(self) -> bool:
         """Whether a stop has begun."""
         return self._halt is not None
 
     @property
-    def finished(self) -> bool:
+    def is_finished(self) -> bool:
         """Whether the last point taken is the end, or the end of a stop."""
         if self._halt is not None:
             return self._time_s >= self._halt.duration_s
-        return self._leg.to_end and self._time_s >= self._leg.profile.duration_s
+        return self._leg.leads_to_end and self._time_s >= self._leg.profile.duration_s
 
     def prepare(self) -> tuple[State, State]:
         """The next states for going on and for stopping; the same object twice while stopping."""
         if self._halt is not None:
-            go = self._halt.at(self._time_s + self._cycle_s)
+            go = self._halt.sample(self._time_s + self._cycle_s)
             self._next = (go, self._leg, self._time_s + self._cycle_s)
             return go, go
-        go = self._choose()
-        profile = self._stop_from(self.state)
-        stop = profile.at(self._cycle_s)
+        go = self._choose_state()
+        profile = self._plan_stop(self.state)
+        stop = profile.sample(self._cycle_s)
         self._next_halt = (stop, profile)
         return go, stop
 
@@ -215,62 +215,62 @@ class PathProgress:
             self._time_s = self._cycle_s
             self._next = self._next_halt = None
 
-    def predicted_stop(self) -> StopPrediction:
+    def predict_stop(self) -> StopPrediction:
         """The stop that would begin with the next point, or the rest of the one in progress."""
-        profile, gone_s = self._halt, self._time_s
+        profile, elapsed_s = self._halt, self._time_s
         if profile is None:
-            profile, gone_s = self._stop_from(self.state), 0.0
+            profile, elapsed_s = self._plan_stop(self.state), 0.0
         duration_s = profile.duration_s
-        return StopPrediction(max(duration_s - gone_s, 0.0), profile.at(duration_s).position[0])
+        return StopPrediction(max(duration_s - elapsed_s, 0.0), profile.sample(duration_s).position[0])
 
     def limit_speed(self, fraction: float) -> None:
         """Continue at `fraction` of the planned speed, braking smoothly; a stop is not affected."""
-        if not self.stopping and not self.finished:
+        if not self.is_stopping and not self.is_finished:
             self._fraction = fraction
             self._next = self._next_halt = None
 
     def restart_from_rest(self, *, one_back: bool = False) -> None:
         """Continue from rest: the arm was stopped elsewhere, at the last state or the one before it."""
-        at = self._before if one_back else self.state
-        self.state = self._before = State.resting([min(max(at.position[0], 0.0), 1.0)])
+        sample = self._before if one_back else self.state
+        self.state = self._before = State.resting([min(max(sample.position[0], 0.0), 1.0)])
         self._next = self._next_halt = self._ceiling = None
         self._time_s = 0.0
         if self._halt is not None:
-            self._halt = self._stop_from(self.state)
+            self._halt = self._plan_stop(self.state)
         else:
-            self._leg = self._planned(self._speed_at(self.state.position[0]))
+            self._leg = self._plan_leg(self._speed_at(self.state.position[0]))
 
-    def _choose(self) -> State:
+    def _choose_state(self) -> State:
         """The fastest next state from which every slower step ahead, and the end, can still be reached."""
         velocity = self._speed_at(self.state.position[0])
         if self._ceiling is not None:
             velocity = min(velocity, self._ceiling.velocity * self._fraction)
         while True:
             leg, time_s = self._leg, self._time_s + self._cycle_s
-            braked = not leg.to_end and self._time_s >= leg.profile.duration_s
-            if velocity != leg.velocity or braked:
-                leg, time_s = self._towards(velocity)
-            go = leg.at(time_s)
-            missed = self._missed_ahead(go, velocity)
+            has_braked = not leg.leads_to_end and self._time_s >= leg.profile.duration_s
+            if velocity != leg.velocity or has_braked:
+                leg, time_s = self._choose_leg(velocity)
+            go = leg.sample(time_s)
+            missed = self._find_missed_step(go, velocity)
             if missed is None:
                 self._next = (go, leg, time_s)
                 return go
             self._ceiling, velocity = missed, missed.velocity * self._fraction
 
-    def _towards(self, velocity: float) -> tuple[_Leg, float]:
+    def _choose_leg(self, velocity: float) -> tuple[_Leg, float]:
         """Choose the leg to the end, or the braking leg down to a speed, with the time of its next point.
 
         If the end is too close to slow down first, the present leg is kept.
         """
-        if _peak(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
-            return self._planned(velocity), self._cycle_s
+        if _peak_speed(self.state, self._limits.jerk) <= velocity * (1.0 + ROUNDING):
+            return self._plan_leg(velocity), self._cycle_s
         braking = _Leg(self._profiler.brake(self.state, [velocity], self._bounds(velocity)), velocity, False)
-        slow = braking.at(braking.profile.duration_s)
-        if self._leg.to_end and self._rest_after(slow) + slow.velocity[0] * self._cycle_s > 1.0:
+        slow = braking.sample(braking.profile.duration_s)
+        if self._leg.leads_to_end and self._stop_position(slow) + slow.velocity[0] * self._cycle_s > 1.0:
             return self._leg._replace(velocity=velocity), self._time_s + self._cycle_s
         return braking, self._cycle_s
 
-    def _missed_ahead(self, go: State, velocity: float) -> SpeedStep | None:
+    def _find_missed_step(self, go: State, velocity: float) -> SpeedStep | None:
         """The slowest step ahead that could no longer be respected after `go`, or None."""
         found: SpeedStep | None = None
         here = self.state.position[0]
@@ -282,12 +282,12 @@ class PathProgress:
                 or (found is not None and step.velocity >= found.velocity)
             ):
                 continue
-            if not self._met(go, slow, step.start):
+            if not self._can_reach_speed(go, slow, step.start):
                 found = step
         return found
 
-    def _met(self, go: State, slow: float, start: float) -> bool:
-        peak = _peak(go, self._limits.jerk)
+    def _can_reach_speed(self, go: State, slow: float, start: float) -> bool:
+        peak = _peak_speed(go, self._limits.jerk)
         if peak <= slow:
             return True
         (s,), (v,), (a,) = go
@@ -301,13 +301,13 @@ class PathProgress:
             return True
         profile = self._profiler.brake(go, [slow], self._bounds(slow))
         slowed = State(*profile.raw.at_time(profile.duration_s))
-        return slowed.position[0] + ahead < start and self._rest_after(slowed) + ahead < 1.0
+        return slowed.position[0] + ahead < start and self._stop_position(slowed) + ahead < 1.0
 
-    def _rest_after(self, state: State) -> float:
-        profile = self._stop_from(state)
-        return profile.at(profile.duration_s).position[0]
+    def _stop_position(self, state: State) -> float:
+        profile = self._plan_stop(state)
+        return profile.sample(profile.duration_s).position[0]
 
-    def _stop_from(self, state: State) -> MotionProfile:
+    def _plan_stop(self, state: State) -> MotionProfile:
         return self._profiler.stop(state, self._bounds(self._limits.velocity))
 
     def _speed_at(self, s: float) -> float:
@@ -318,7 +318,7 @@ class PathProgress:
             velocity = step.velocity
         return velocity * self._fraction
 
-    def _planned(self, velocity: float) -> _Leg:
+    def _plan_leg(self, velocity: float) -> _Leg:
         bounds = self._bounds(velocity * (1.0 + ROUNDING))
         return _Leg(self._profiler.move(self.state, [1.0], bounds), velocity, True)
 
@@ -326,7 +326,7 @@ class PathProgress:
         return Bounds([velocity], [self._limits.acceleration], [self._limits.jerk])
 
 
-def _peak(state: State, jerk: float) -> float:
+def _peak_speed(state: State, jerk: float) -> float:
     """Lower bound of the speed reached before an acceleration is reduced to zero."""
     (v,), (a,) = state.velocity, state.acceleration
     return v + a * a / (2.0 * jerk) if a > 0.0 else v
@@ -336,7 +336,7 @@ def drive_states(limits: PathLimits, steps: tuple[SpeedStep, ...], cycle_s: floa
     """States of a path driven from rest to rest, one per cycle, found by stepping through it."""
     progress = PathProgress(limits, steps, cycle_s)
     states: list[State] = []
-    while not progress.finished:
+    while not progress.is_finished:
         progress.prepare()
         progress.take_go()
         states.append(progress.state)

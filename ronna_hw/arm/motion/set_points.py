@@ -63,19 +63,19 @@ class PathMotion:
         self._next: Prepared | None = None
 
     @property
-    def finished(self) -> bool:
-        return self._along.finished
+    def is_finished(self) -> bool:
+        return self._along.is_finished
 
     @property
-    def stopped_early(self) -> bool:
+    def was_stopped_early(self) -> bool:
         """Whether it was stopped before its end."""
-        return self._along.stopping
+        return self._along.is_stopping
 
     def prepare(self) -> Prepared:
         """Compute the next set-points; raises an error of `arm.errors` when the path has no solution."""
         go, stop = self._along.prepare()
-        go_rad = self._at(go)
-        self._next = Prepared(go_rad, go_rad if stop is go else self._at(stop))
+        go_rad = self._joints_at(go)
+        self._next = Prepared(go_rad, go_rad if stop is go else self._joints_at(stop))
         return self._next
 
     def take_go(self) -> None:
@@ -92,9 +92,9 @@ class PathMotion:
             self._joints = self._next.stop_rad
             self._next = None
 
-    def predicted_stop(self) -> tuple[float, JointVector]:
+    def predict_stop(self) -> tuple[float, JointVector]:
         """Duration in s and resting joints of a stop that would begin with the next point."""
-        duration_s, parameter = self._along.predicted_stop()
+        duration_s, parameter = self._along.predict_stop()
         return duration_s, self._path.joints(min(max(parameter, 0.0), 1.0), self._joints)
 
     def limit_speed(self, fraction: float) -> None:
@@ -110,7 +110,7 @@ class PathMotion:
         self._next = None
         self._along.restart_from_rest(one_back=one_back)
 
-    def _at(self, state: State) -> JointVector:
+    def _joints_at(self, state: State) -> JointVector:
         return self._path.joints(min(max(state.position[0], 0.0), 1.0), self._joints)
 
 
@@ -124,7 +124,7 @@ class StopMotion:
     def __init__(self, start: State, limits: MotionLimits, cycle_s: float) -> None:
         self._cycle_s = cycle_s
         self._profile = MotionProfiler(len(start.position)).stop(start, joint_bounds(limits))
-        self._halt = halt(start, limits)
+        self._halt = plan_halt(start, limits)
         if self._halt is not None:
             if self._halt.profile.duration_s <= LONGER_TOGETHER * self._profile.duration_s:
                 self._profile = self._halt.profile
@@ -133,16 +133,16 @@ class StopMotion:
         self._time_s = 0.0
 
     @property
-    def finished(self) -> bool:
+    def is_finished(self) -> bool:
         return self._time_s >= self._profile.duration_s
 
-    def predicted_stop(self) -> tuple[float, JointVector]:
+    def predict_stop(self) -> tuple[float, JointVector]:
         """Remaining duration in s, and the joints at rest."""
         duration_s = self._profile.duration_s
-        return max(duration_s - self._time_s, 0.0), self._at(duration_s)
+        return max(duration_s - self._time_s, 0.0), self._joints_at(duration_s)
 
     def prepare(self) -> Prepared:
-        joints = self._at(self._time_s + self._cycle_s)
+        joints = self._joints_at(self._time_s + self._cycle_s)
         return Prepared(joints, joints)
 
     def take_go(self) -> None:
@@ -150,10 +150,10 @@ class StopMotion:
 
     take_stop = take_go
 
-    def _at(self, time_s: float) -> JointVector:
+    def _joints_at(self, time_s: float) -> JointVector:
         if self._halt is not None:
-            return self._halt.at(time_s)
-        return joint_vector(self._profile.at(time_s).position)
+            return self._halt.sample(time_s)
+        return joint_vector(self._profile.sample(time_s).position)
 
 
 def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> State:
@@ -163,10 +163,10 @@ def state_from_history(history_rad: Sequence[JointVector], cycle_s: float) -> St
     speed.
     """
     velocity, acceleration = [], []
-    for one, two, three, four in zip(*history_rad, strict=True):
-        step = one - two
-        bend = step - (two - three)
-        twist = bend - (two - 2.0 * three + four)
+    for latest, previous, earlier, earliest in zip(*history_rad, strict=True):
+        step = latest - previous
+        bend = step - (previous - earlier)
+        twist = bend - (previous - 2.0 * earlier + earliest)
         velocity.append((step + bend / 2.0 + twist / 3.0) / cycle_s)
         acceleration.append((bend + twist) / cycle_s**2)
     return State(list(history_rad[0]), velocity, acceleration)
@@ -184,7 +184,7 @@ class Parabola(NamedTuple):
     direction: Sequence[float]
     bend_per_rad: Sequence[float]
 
-    def at(self, length_rad: float) -> JointVector:
+    def sample(self, length_rad: float) -> JointVector:
         """The joints at this length along it."""
         half = 0.5 * length_rad * length_rad
         return joint_vector(
@@ -196,15 +196,15 @@ class Parabola(NamedTuple):
 class Halt(NamedTuple):
     """A path, and a one-axis profile along it from the present speed to rest."""
 
-    way: Parabola
+    curve: Parabola
     profile: MotionProfile
 
-    def at(self, time_s: float) -> JointVector:
+    def sample(self, time_s: float) -> JointVector:
         """The joints after a time."""
-        return self.way.at(self.profile.at(time_s).position[0])
+        return self.curve.sample(self.profile.sample(time_s).position[0])
 
 
-def halt(start: State, limits: MotionLimits) -> Halt | None:
+def plan_halt(start: State, limits: MotionLimits) -> Halt | None:
     """Stop along the present course, as short as the joint limits allow.
 
     None if the arm has no direction, its curvature alone uses up the limits, or a joint would first become
@@ -218,18 +218,18 @@ def halt(start: State, limits: MotionLimits) -> Halt | None:
     bend = [
         (a - tangential * u) / (speed * speed) for a, u in zip(start.acceleration, direction, strict=True)
     ]
-    bounds = _braking(direction, bend, speed, limits)
+    bounds = _braking_bounds(direction, bend, speed, limits)
     if bounds is None:
         return None
     peak = speed + max(tangential, 0.0) ** 2 / (2.0 * bounds.jerk[0])
     fastest = max(abs(u) * peak / most for u, most in zip(direction, limits.speed_rad_s, strict=True))
     if fastest > SPEED_MARGIN:
         return None
-    way = Parabola(start.position, direction, bend)
-    return Halt(way, MotionProfiler(1).stop(State([0.0], [speed], [tangential]), bounds))
+    curve = Parabola(start.position, direction, bend)
+    return Halt(curve, MotionProfiler(1).stop(State([0.0], [speed], [tangential]), bounds))
 
 
-def _braking(
+def _braking_bounds(
     direction: Sequence[float], bend: Sequence[float], speed: float, limits: MotionLimits
 ) -> Bounds | None:
     """Deceleration and jerk along a path that respect every joint's limits, for the shortest stop."""

@@ -111,7 +111,7 @@ class Acquisition:
                 self._running
                 and bool(self._settings().triggers[Trigger.FRAME_START].mode)
                 and self._permitted != 0
-                and not self._busy()
+                and not self._is_busy()
             )
 
     def start(self) -> None:
@@ -171,21 +171,21 @@ class Acquisition:
             self._fire_frame(settings, trigger)
 
     def _fire_frame(self, settings: Settings, trigger: TriggerSettings) -> None:
-        if self._permitted == 0 or self._busy():
+        if self._permitted == 0 or self._is_busy():
             self._missed_triggers += 1
             self._report(EventKind.FRAME_START_OVERTRIGGER, 0, self._clock.now_ns())
             return
         late_us = trigger.delay_us + self._faults.amount("late") * 1e3
-        moment_ns = self._moments.of(self._name) + round(late_us * 1e3)
+        moment_ns = self._moments.stamp_trigger(self._name) + round(late_us * 1e3)
         position = self._source.place()
         number = self._triggers.next(None if position is None else (settings.frame(), position))
-        self._waiting.append(self._exposure(settings, max(moment_ns, self._ready_ns), number))
+        self._waiting.append(self._schedule_exposure(settings, max(moment_ns, self._ready_ns), number))
         self._changed.notify_all()
 
-    def _busy(self) -> bool:
+    def _is_busy(self) -> bool:
         return len(self._waiting) >= FRAMES_IN_PROGRESS or self._clock.now_ns() < self._ready_ns
 
-    def _exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
+    def _schedule_exposure(self, settings: Settings, start_ns: int, number: int) -> _Exposure:
         """Schedule a frame; the last one ends the acquisition or the permission."""
         frame = settings.frame()
         self._ready_ns = start_ns + round(shortest_period_us(frame) * 1e3)
@@ -204,7 +204,7 @@ class Acquisition:
                 if self._closed:
                     return
                 triggered = bool(self._waiting)
-                exposure = self._waiting[0] if triggered else self._next_free()
+                exposure = self._waiting[0] if triggered else self._schedule_next_free()
             self._take(exposure, triggered)
 
     def _is_free_running(self) -> bool:
@@ -216,7 +216,7 @@ class Acquisition:
             and self._channel.receiver is not None
         )
 
-    def _next_free(self) -> _Exposure:
+    def _schedule_next_free(self) -> _Exposure:
         settings = self._settings()
         now_ns = self._clock.now_ns()
         period_ns = round(free_running_period_us(settings) * 1e3)
@@ -225,7 +225,7 @@ class Acquisition:
         start_ns = self._free_due_ns if now_ns - self._free_due_ns < lag_ns else now_ns
         self._free_due_ns = start_ns + period_ns
         self._free_frames += 1
-        return self._exposure(settings, start_ns, self._free_frames)
+        return self._schedule_exposure(settings, start_ns, self._free_frames)
 
     def _take(self, exposure: _Exposure, triggered: bool) -> None:
         began_s = time.monotonic()

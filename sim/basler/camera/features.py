@@ -83,13 +83,13 @@ class Feature:
             return value in (0, 1)
         if self.kind is Kind.COMMAND:
             return True
-        low, high = (at_present(limit, camera) for limit in self.limits or (0, 0xFFFFFFFF))
+        low, high = (resolve_limit(limit, camera) for limit in self.limits or (0, 0xFFFFFFFF))
         # NaN fails every comparison.
         within = low <= value <= high
         return within and (self.kind is Kind.FLOAT or (value - low) % self.step == 0)
 
 
-def at_present(limit: Limit, camera: CameraState) -> Number:
+def resolve_limit(limit: Limit, camera: CameraState) -> Number:
     """Return the value of a limit."""
     return limit(camera) if callable(limit) else limit
 

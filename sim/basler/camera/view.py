@@ -72,28 +72,30 @@ class View:
         if not self.head_mounted:
             return ()  # on its stand the head sees nothing
         if robot_from_tool is None:
-            return self._bench(self._twisted(twist_rad)) if self._world.scene.name == "bench" else ()
-        camera_from_robot = self._twisted(twist_rad) @ inverse(robot_from_tool)
-        centres = apply(camera_from_robot, room.moved_spheres_mm(self._centres_mm, self._numbers))
+            return (
+                self._bench_spheres(self._twist_pose(twist_rad)) if self._world.scene.name == "bench" else ()
+            )
+        camera_from_robot = self._twist_pose(twist_rad) @ inverse(robot_from_tool)
+        centres = apply(camera_from_robot, room.displace_spheres_mm(self._centres_mm, self._numbers))
         rotation = camera_from_robot[:3, :3] @ self._robot_from_ct[:3, :3]
         seen = [
-            Sphere(centre, each.radius_mm, rotation @ _upright(each.post_ct), each.number)
+            Sphere(centre, each.radius_mm, rotation @ _rotation_along_post(each.post_ct), each.number)
             for each, centre in zip(self._fiducials, centres, strict=True)
         ]
         if self.stand_has_ball:
             centre = apply(camera_from_robot, self._stand_mm)
-            upright = camera_from_robot[:3, :3] @ _upright((0.0, 0.0, 1.0))
+            upright = camera_from_robot[:3, :3] @ _rotation_along_post((0.0, 0.0, 1.0))
             seen.append(Sphere(centre, SPHERE_RADIUS_MM, upright, self._stand_number))
         return tuple(one for one in seen if 0.0 < one.centre_mm[2] < FURTHEST_MM)
 
-    def _twisted(self, angle_rad: float) -> Pose:
+    def _twist_pose(self, angle_rad: float) -> Pose:
         across = self._camera_from_tool[:3, 0]  # the tool's x axis in the camera's frame
         turn = matrix_from((0.0, 0.0, 0.0), rotation_from_vector(angle_rad * across))
         return turn @ self._camera_from_tool if angle_rad else self._camera_from_tool
 
-    def _bench(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
+    def _bench_spheres(self, camera_from_tool: Pose) -> tuple[Sphere, ...]:
         first = self._fiducials[0]
-        rotation = camera_from_tool[:3, :3] @ _upright((0.0, 0.0, -1.0))
+        rotation = camera_from_tool[:3, :3] @ _rotation_along_post((0.0, 0.0, -1.0))
         return (Sphere(camera_from_tool[:3, 3], first.radius_mm, rotation, first.number),)
 
 
@@ -131,28 +133,28 @@ class Disturbances:
                 for number, share in (fault.arguments for fault in self._board.active("stain"))
             ),
             occluders=tuple(
-                self._occluder(float(fault.arguments[1])) for fault in self._own_faults("occluder")
+                self._draw_occluder(float(fault.arguments[1])) for fault in self._own_faults("occluder")
             ),
-            glares=tuple(self._glare(float(fault.arguments[1])) for fault in self._own_faults("glare")),
+            glares=tuple(self._draw_glare(float(fault.arguments[1])) for fault in self._own_faults("glare")),
             twist_rad=sum(radians(float(fault.arguments[1])) for fault in self._own_faults("twist"))
-            + sum(self._creep_rad(fault) for fault in self._own_faults("creep")),
+            + sum(self._drift_rad(fault) for fault in self._own_faults("creep")),
             room=room,
         )
 
     def _own_faults(self, kind: str) -> list[Fault]:
         return [fault for fault in self._board.active(kind) if fault.argument == self._side]
 
-    def _creep_rad(self, fault: Fault) -> float:
+    def _drift_rad(self, fault: Fault) -> float:
         """Return how far a drift has progressed since it began, or since its step was entered."""
         begun_s = self._world.step()[1] / 1e9 if fault.at_s is None else fault.at_s
         acting_s = self._world.clock.now_s() - begun_s
         return radians(float(fault.arguments[1])) * acting_s / SECONDS_PER_MINUTE
 
-    def _occluder(self, share_percent: float) -> Occluder:
+    def _draw_occluder(self, share_percent: float) -> Occluder:
         direction = noise(self._world.scene.seed, f"occluder of camera {self._camera.serial}", 0)
         return Occluder(share_percent * PERCENT, float(direction.uniform(0.0, 2.0 * pi)))
 
-    def _glare(self, radius_px: float) -> Glare:
+    def _draw_glare(self, radius_px: float) -> Glare:
         place = noise(self._world.scene.seed, f"glare of camera {self._camera.serial}", 0)
         columns, rows = self._camera.sensor_px
         return Glare((float(place.uniform(0, columns)), float(place.uniform(0, rows))), radius_px)
@@ -169,7 +171,7 @@ def _target_balls(head: Head) -> tuple[Fiducial, ...]:
     )
 
 
-def _upright(post: tuple[float, float, float]) -> Pose:
+def _rotation_along_post(post: tuple[float, float, float]) -> Pose:
     """Return a rotation (3, 3) whose third column is the post; the turn about it is arbitrary but fixed."""
     hint = (0.0, 0.0, 1.0) if abs(post[2]) < max(abs(post[0]), abs(post[1])) else (1.0, 0.0, 0.0)
     return rotation_towards(post, hint)

@@ -164,8 +164,8 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
         Bootstrap.PENDING_TIMEOUT_MS: PENDING_TIMEOUT_MS,
     }
     for address, value in fixed.items():
-        registers.add(address, _constant(value))
-    registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, _attribute(privilege, "heartbeat_ms"))
+        registers.add(address, _constant_word(value))
+    registers.add(Bootstrap.HEARTBEAT_TIMEOUT_MS, _attribute_word(privilege, "heartbeat_ms"))
     registers.add(Bootstrap.CCP, Word(lambda: privilege.value))
 
     def owner() -> tuple[str, int]:
@@ -173,7 +173,7 @@ def _add_control(registers: RegisterMap, privilege: Privilege) -> None:
 
     registers.add(Bootstrap.PRIMARY_APPLICATION_PORT, Word(lambda: owner()[1]))
     registers.add(Bootstrap.PRIMARY_APPLICATION_ADDRESS, Word(lambda: _address_number(owner()[0])))
-    registers.add(Bootstrap.GVCP_CONFIGURATION, _stored(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS))
+    registers.add(Bootstrap.GVCP_CONFIGURATION, _stored_word(allowed=GVCP_CONFIGURATION_EXTENDED_STATUS))
 
 
 def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Callable[[], bool]) -> None:
@@ -187,24 +187,29 @@ def _add_stream(registers: RegisterMap, channel: StreamChannel, acquiring: Calla
         return channel.packet_size | (SCPS_DO_NOT_FRAGMENT if channel.do_not_fragment else 0)
 
     def set_size(value: int) -> None:
-        wanted = value & SCPS_SIZE_MASK
-        valid = SMALLEST_PACKET_SIZE <= wanted <= LARGEST_PACKET_SIZE and wanted % PACKET_SIZE_STEP == 0
-        if not valid:
+        requested_size = value & SCPS_SIZE_MASK
+        valid_size = (
+            SMALLEST_PACKET_SIZE <= requested_size <= LARGEST_PACKET_SIZE
+            and requested_size % PACKET_SIZE_STEP == 0
+        )
+        if not valid_size:
             raise Refusal(GevStatus.INVALID_PARAMETER)
-        if acquiring() and wanted != channel.packet_size:
+        if acquiring() and requested_size != channel.packet_size:
             raise Refusal(GevStatus.BUSY)
-        channel.packet_size = wanted
+        channel.packet_size = requested_size
         channel.do_not_fragment = bool(value & SCPS_DO_NOT_FRAGMENT)
         if value & SCPS_FIRE_TEST:
-            channel.fire_test_packet(wanted)
+            channel.fire_test_packet(requested_size)
 
     registers.add(Bootstrap.SCP, Word(lambda: channel.port, set_port))
     registers.add(Bootstrap.SCPS, Word(size, set_size))
-    registers.add(Bootstrap.SCPD, _attribute(channel, "delay_ticks"))
-    registers.add(Bootstrap.SCDA, _destination(channel))
+    registers.add(Bootstrap.SCPD, _attribute_word(channel, "delay_ticks"))
+    registers.add(Bootstrap.SCDA, _destination_word(channel))
     registers.add(Bootstrap.SCSP, Word(lambda: channel.source_port))
-    registers.add(Bootstrap.SCC, _constant(0))
-    registers.add(Bootstrap.SCCFG, _stored(allowed=0))  # clients request modes that this camera does not have
+    registers.add(Bootstrap.SCC, _constant_word(0))
+    registers.add(
+        Bootstrap.SCCFG, _stored_word(allowed=0)
+    )  # clients request modes that this camera does not have
 
 
 def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
@@ -214,24 +219,24 @@ def _add_time(registers: RegisterMap, ticks: Ticks) -> None:
         if value & TIMESTAMP_LATCH:
             ticks.latch()
 
-    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant(TICK_FREQUENCY_HZ >> 32))
-    registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant(TICK_FREQUENCY_HZ & 0xFFFFFFFF))
+    registers.add(Bootstrap.TICK_FREQUENCY_HIGH, _constant_word(TICK_FREQUENCY_HZ >> 32))
+    registers.add(Bootstrap.TICK_FREQUENCY_LOW, _constant_word(TICK_FREQUENCY_HZ & 0xFFFFFFFF))
     registers.add(Bootstrap.TIMESTAMP_CONTROL, Word(lambda: 0, control))
     registers.add(Bootstrap.TIMESTAMP_HIGH, Word(lambda: ticks.latched >> 32))
     registers.add(Bootstrap.TIMESTAMP_LOW, Word(lambda: ticks.latched & 0xFFFFFFFF))
 
 
-def _constant(value: int) -> Word:
+def _constant_word(value: int) -> Word:
     return Word(lambda: value)
 
 
-def _stored(allowed: int) -> Word:
+def _stored_word(allowed: int) -> Word:
     """Define a register that stores the allowed bits written to it, without any effect."""
     content = {"value": 0}
     return Word(lambda: content["value"], lambda value: content.update(value=value & allowed))
 
 
-def _attribute(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
+def _attribute_word(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
     """Define a register that is an attribute of a part of the camera."""
 
     def write(value: int) -> None:
@@ -242,7 +247,7 @@ def _attribute(owner: object, name: str, most: int = 0xFFFFFFFF) -> Word:
     return Word(lambda: int(getattr(owner, name)), write)
 
 
-def _destination(channel: UdpChannel) -> Word:
+def _destination_word(channel: UdpChannel) -> Word:
     def write(value: int) -> None:
         channel.destination = socket.inet_ntoa(value.to_bytes(4, "big"))
 
@@ -260,7 +265,7 @@ def add_message_channel(registers: RegisterMap, channel: MessageChannel) -> None
         channel.port = value & MCP_PORT_MASK
 
     registers.add(Bootstrap.MCP, Word(lambda: channel.port, set_port))
-    registers.add(Bootstrap.MCDA, _destination(channel))
-    registers.add(Bootstrap.MCTT_MS, _attribute(channel, "timeout_ms", LONGEST_TIMEOUT_MS))
-    registers.add(Bootstrap.MCRC, _attribute(channel, "retries", MOST_RETRIES))
+    registers.add(Bootstrap.MCDA, _destination_word(channel))
+    registers.add(Bootstrap.MCTT_MS, _attribute_word(channel, "timeout_ms", LONGEST_TIMEOUT_MS))
+    registers.add(Bootstrap.MCRC, _attribute_word(channel, "retries", MOST_RETRIES))
     registers.add(Bootstrap.MCSP, Word(lambda: channel.source_port))

@@ -17,10 +17,10 @@ from sim.basler.camera.features import (
     Kind,
     Limit,
     Number,
-    at_present,
     choice,
     command,
     constant,
+    resolve_limit,
     setting,
 )
 from sim.basler.control.registers import Refusal, RegisterMap, Word
@@ -110,8 +110,8 @@ def _is_notified(camera: CameraState) -> int:
 
 def _set_notified(camera: CameraState, value: int) -> None:
     settings = camera.settings
-    others = settings.events_notified - {settings.event_selector}
-    settings.events_notified = others | {settings.event_selector} if value == ON else others
+    other_events = settings.events_notified - {settings.event_selector}
+    settings.events_notified = other_events | {settings.event_selector} if value == ON else other_events
 
 
 EVENT_FEATURES: tuple[Feature, ...] = (
@@ -181,7 +181,7 @@ def _value_register(feature: Feature, camera: CameraState) -> Word:
 
 
 def _limit_register(feature: Feature, limit: Limit, camera: CameraState) -> Word:
-    return Word(lambda: _encode(feature, at_present(limit, camera)))
+    return Word(lambda: _encode(feature, resolve_limit(limit, camera)))
 
 
 def _encode(feature: Feature, value: Number) -> int:

@@ -44,7 +44,7 @@ MAC_BYTES = 6
 ADDRESS_BYTES = 4
 
 
-class Ignored(Exception):
+class CommandIgnored(Exception):
     """A command that gets no answer."""
 
 
@@ -116,7 +116,7 @@ class ControlPort:
             return _acknowledge(command + 1 & 0xFFFF, GevStatus.NOT_IMPLEMENTED, b"", request_id)
         try:
             content, status = handler(payload, peer, flags), GevStatus.SUCCESS
-        except Ignored:
+        except CommandIgnored:
             return None
         except Refusal as refusal:
             status = refusal.status
@@ -135,23 +135,23 @@ class ControlPort:
         if len(payload) != FORCEIP_BYTES:
             raise Refusal(GevStatus.INVALID_HEADER)
         if payload[FORCEIP_MAC_OFFSET : FORCEIP_MAC_OFFSET + MAC_BYTES] != self._mac:
-            raise Ignored
+            raise CommandIgnored
         if self._privilege.owner is not None:
             raise Refusal(GevStatus.ACCESS_DENIED)
-        wanted = payload[FORCEIP_ADDRESS_OFFSET : FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
-        if wanted not in (self._address, bytes(ADDRESS_BYTES)):
+        requested_address = payload[FORCEIP_ADDRESS_OFFSET : FORCEIP_ADDRESS_OFFSET + ADDRESS_BYTES]
+        if requested_address not in (self._address, bytes(ADDRESS_BYTES)):
             raise Refusal(GevStatus.LOCAL_PROBLEM)
         return b""
 
     def _read_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
         self._check_readable(peer)
-        addresses = [address for (address,) in _items(READREG_ITEM, payload)]
+        addresses = [address for (address,) in _unpack_items(READREG_ITEM, payload)]
         return b"".join(
             struct.pack(READREG_ACK_ITEM, self._registers.read_word(address)) for address in addresses
         )
 
     def _write_registers(self, payload: bytes, peer: Peer, _flags: int) -> bytes:
-        pairs = _items(WRITEREG_ITEM, payload)
+        pairs = _unpack_items(WRITEREG_ITEM, payload)
         for index, (address, value) in enumerate(pairs):
             try:
                 self._write_word(address, value, peer)
@@ -183,21 +183,21 @@ class ControlPort:
         # The stream's receiver requests from a port of its own, so only the address must be the owner's.
         owner = self._privilege.owner
         if owner is None or owner[0] != peer[0]:
-            raise Ignored
+            raise CommandIgnored
         if flags & GvcpFlag.EXTENDED_ID:
             _, _, first, last, block_id = struct.unpack(PACKETRESEND_EXTENDED, payload)
         else:
             _, block_id, first, last = struct.unpack(PACKETRESEND_COMMAND, payload)
             first, last = first & GVSP_PACKET_ID_MASK, last & GVSP_PACKET_ID_MASK
         self._actions.resend(block_id, first, last)
-        raise Ignored
+        raise CommandIgnored
 
     def _action(self, payload: bytes, _peer: Peer, flags: int) -> bytes:
         keys = struct.unpack_from(ACTION_COMMAND, payload)
         if flags & GvcpFlag.SCHEDULED:
             raise Refusal(GevStatus.NO_REFERENCE_TIME)  # no clock is shared with the application
         if self._privilege.owner is None or not self._actions.act(*keys):
-            raise Ignored
+            raise CommandIgnored
         return b""
 
     def _write_word(self, address: int, value: int, peer: Peer) -> None:
@@ -216,7 +216,7 @@ class ControlPort:
 
 
 @dataclass(frozen=True)
-class Answered:
+class AnsweredCommand:
     """A command and its answer, None if it required none."""
 
     datagram: bytes
@@ -232,9 +232,9 @@ class ReplayCache:
 
     def __init__(self, now_s: Callable[[], float]) -> None:
         self._now_s = now_s
-        self._last: OrderedDict[Peer, Answered] = OrderedDict()
+        self._last: OrderedDict[Peer, AnsweredCommand] = OrderedDict()
 
-    def find(self, peer: Peer, datagram: bytes) -> Answered | None:
+    def find(self, peer: Peer, datagram: bytes) -> AnsweredCommand | None:
         """Return the answer to this command, including its request id, if it was the last one."""
         last = self._last.get(peer)
         if last is None or last.datagram != datagram or self._now_s() - last.at_s > KEPT_S:
@@ -243,13 +243,13 @@ class ReplayCache:
 
     def keep(self, peer: Peer, datagram: bytes, answer: bytes | None) -> None:
         """Store the answer to a command."""
-        self._last[peer] = Answered(datagram, answer, self._now_s())
+        self._last[peer] = AnsweredCommand(datagram, answer, self._now_s())
         self._last.move_to_end(peer)
         while len(self._last) > PEERS_KEPT:
             self._last.popitem(last=False)
 
 
-def _items(layout: str, payload: bytes) -> list[tuple[int, ...]]:
+def _unpack_items(layout: str, payload: bytes) -> list[tuple[int, ...]]:
     if not payload:
         raise Refusal(GevStatus.INVALID_PARAMETER)
     return list(struct.iter_unpack(layout, payload))

@@ -64,12 +64,12 @@ class Privilege:
         if peer == self.owner:
             self._refreshed_s = self._now_s()
 
-    def seize(self, wanted: bool) -> None:
-        """Put another application in control while `wanted`, regardless of the previous state."""
-        if wanted and self.owner != OTHER_APPLICATION:
+    def seize(self, is_seized: bool) -> None:
+        """Put another application in control while `is_seized`, regardless of the previous state."""
+        if is_seized and self.owner != OTHER_APPLICATION:
             self.drop()
             self.owner, self.value = OTHER_APPLICATION, CCP_CONTROL
-        elif not wanted and self.owner == OTHER_APPLICATION:
+        elif not is_seized and self.owner == OTHER_APPLICATION:
             self.drop()
 
     def drop(self) -> None:

@@ -59,7 +59,7 @@ class RegisterMap:
         self._blocks.sort(key=lambda each: each.address)
 
     def __contains__(self, address: int) -> bool:
-        return address in self._words or self._block(address) is not None
+        return address in self._words or self._find_block(address) is not None
 
     def read_word(self, address: int) -> int:
         """Read one register; raises Refusal."""
@@ -67,7 +67,7 @@ class RegisterMap:
         word = self._words.get(address)
         if word is not None:
             return word.read() & 0xFFFFFFFF
-        block = self._block(address)
+        block = self._find_block(address)
         if block is None:
             raise Refusal(GevStatus.INVALID_ADDRESS)
         offset = address - block.address
@@ -90,7 +90,7 @@ class RegisterMap:
         content = bytearray()
         while len(content) < count:
             here = address + len(content)
-            block = None if here in self._words else self._block(here)
+            block = None if here in self._words else self._find_block(here)
             if block is None:
                 content += self.read_word(here).to_bytes(REGISTER_BYTES, "big")
             else:
@@ -103,7 +103,7 @@ class RegisterMap:
         done = 0
         while done < len(data):
             here = address + done
-            block = None if here in self._words else self._block(here)
+            block = None if here in self._words else self._find_block(here)
             try:
                 if block is None:
                     self.write_word(here, int.from_bytes(data[done : done + REGISTER_BYTES], "big"))
@@ -116,7 +116,7 @@ class RegisterMap:
                 raise Refusal(refusal.status, done) from refusal
 
     def _write_block(self, address: int, data: bytes) -> None:
-        block = self._block(address)
+        block = self._find_block(address)
         if block is None:
             raise Refusal(GevStatus.INVALID_ADDRESS)
         if block.write is None:
@@ -124,7 +124,7 @@ class RegisterMap:
         content, offset = block.content(), address - block.address
         block.write(content[:offset] + data + content[offset + len(data) :])
 
-    def _block(self, address: int) -> Memory | None:
+    def _find_block(self, address: int) -> Memory | None:
         index = bisect_right(self._blocks, address, key=lambda each: each.address) - 1
         if index >= 0 and address < self._blocks[index].address + self._blocks[index].size:
             return self._blocks[index]

@@ -67,10 +67,10 @@ def add_event_data(root: ElementTree.Element) -> None:
     Each kind has a port of its own, which a client fills from messages; addresses are offsets in an item.
     """
     for data in EVENT_DATA:
-        node = _node(root, "Integer", data.name)
-        _child(node, "ToolTip", data.about)
-        _child(node, "pValue", f"{data.name}Register")
-        register = _node(root, "IntReg", f"{data.name}Register")
+        node = _add_node(root, "Integer", data.name)
+        _add_child(node, "ToolTip", data.about)
+        _add_child(node, "pValue", f"{data.name}Register")
+        register = _add_node(root, "IntReg", f"{data.name}Register")
         for tag, text in (
             ("Address", f"0x{data.offset:X}"),
             ("Length", str(data.length)),
@@ -80,17 +80,17 @@ def add_event_data(root: ElementTree.Element) -> None:
             ("Sign", "Unsigned"),
             ("Endianess", "BigEndian"),
         ):
-            _child(register, tag, text)
+            _add_child(register, tag, text)
     for kind in EventKind:
-        port = _node(root, "Port", f"{kind.feature_name}EventPort")
-        _child(port, "EventID", f"{kind:x}")
+        port = _add_node(root, "Port", f"{kind.feature_name}EventPort")
+        _add_child(port, "EventID", f"{kind:x}")
 
 
-def _node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
+def _add_node(root: ElementTree.Element, kind: str, name: str) -> ElementTree.Element:
     return ElementTree.SubElement(root, kind, {"Name": name, "NameSpace": "Standard"})
 
 
-def _child(node: ElementTree.Element, tag: str, text: str) -> None:
+def _add_child(node: ElementTree.Element, tag: str, text: str) -> None:
     ElementTree.SubElement(node, tag).text = text
 
 
@@ -115,13 +115,13 @@ class StandardFeature:
     command: int | None = None
 
 
-def _text(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
+def _text_feature(name: str, address: Bootstrap, about: str, access: str = "RO") -> StandardFeature:
     return StandardFeature(
         name, "DeviceInformation", "StringReg", address, about, access, TEXT_BYTES[address]
     )
 
 
-def _integer(
+def _integer_feature(
     name: str, address: Bootstrap, about: str, access: str = "RW", size: int = REGISTER_BYTES
 ) -> StandardFeature:
     return StandardFeature(name, "TransportLayer", "Integer", address, about, access, size)
@@ -133,24 +133,32 @@ def _time_command(name: str, about: str, value: int) -> StandardFeature:
 
 
 STANDARD_FEATURES = (
-    _text("DeviceVendorName", Bootstrap.MANUFACTURER_NAME, "Name of the manufacturer."),
-    _text("DeviceModelName", Bootstrap.MODEL_NAME, "Model."),
-    _text("DeviceManufacturerInfo", Bootstrap.MANUFACTURER_INFO, "Information from the manufacturer."),
-    _text("DeviceVersion", Bootstrap.DEVICE_VERSION, "Version of the camera."),
-    _text("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
-    _text("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
-    _text("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
-    _integer("GevHeartbeatTimeout", Bootstrap.HEARTBEAT_TIMEOUT_MS, "Heartbeat timeout, ms."),
-    _integer("GevSCPD", Bootstrap.SCPD, "Pause between packets, ticks."),
-    _integer("GevTimestampTickFrequency", Bootstrap.TICK_FREQUENCY_HIGH, "Ticks per second.", "RO", 8),
+    _text_feature("DeviceVendorName", Bootstrap.MANUFACTURER_NAME, "Name of the manufacturer."),
+    _text_feature("DeviceModelName", Bootstrap.MODEL_NAME, "Model."),
+    _text_feature(
+        "DeviceManufacturerInfo", Bootstrap.MANUFACTURER_INFO, "Information from the manufacturer."
+    ),
+    _text_feature("DeviceVersion", Bootstrap.DEVICE_VERSION, "Version of the camera."),
+    _text_feature("DeviceFirmwareVersion", Bootstrap.DEVICE_VERSION, "Version of its firmware."),
+    _text_feature("DeviceID", Bootstrap.SERIAL_NUMBER, "Serial number."),
+    _text_feature("DeviceUserID", Bootstrap.USER_DEFINED_NAME, "User-defined name.", "RW"),
+    _integer_feature("GevHeartbeatTimeout", Bootstrap.HEARTBEAT_TIMEOUT_MS, "Heartbeat timeout, ms."),
+    _integer_feature("GevSCPD", Bootstrap.SCPD, "Pause between packets, ticks."),
+    _integer_feature(
+        "GevTimestampTickFrequency", Bootstrap.TICK_FREQUENCY_HIGH, "Ticks per second.", "RO", 8
+    ),
     _time_command("GevTimestampControlLatch", "Latch the current time stamp.", TIMESTAMP_LATCH),
     _time_command("GevTimestampControlReset", "Reset the time stamp to zero.", TIMESTAMP_RESET),
-    _integer("GevTimestampValue", Bootstrap.TIMESTAMP_HIGH, "The latched time stamp, ticks.", "RO", 8),
-    _integer("GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."),
-    _integer("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
-    _integer("GevMCTT", Bootstrap.MCTT_MS, "Timeout of a message acknowledge, ms."),
-    _integer("GevMCRC", Bootstrap.MCRC, "Number of retransmissions of a message."),
-    _integer("GevMCSP", Bootstrap.MCSP, "UDP source port of messages.", "RO"),
+    _integer_feature(
+        "GevTimestampValue", Bootstrap.TIMESTAMP_HIGH, "The latched time stamp, ticks.", "RO", 8
+    ),
+    _integer_feature(
+        "GevMCPHostPort", Bootstrap.MCP, "UDP port of the message channel's receiver; 0: closed."
+    ),
+    _integer_feature("GevMCDA", Bootstrap.MCDA, "Address of the message channel's receiver."),
+    _integer_feature("GevMCTT", Bootstrap.MCTT_MS, "Timeout of a message acknowledge, ms."),
+    _integer_feature("GevMCRC", Bootstrap.MCRC, "Number of retransmissions of a message."),
+    _integer_feature("GevMCSP", Bootstrap.MCSP, "UDP source port of messages.", "RO"),
 )
 
 
@@ -183,7 +191,7 @@ def camera_xml() -> bytes:
     for feature in FEATURES:
         _add_feature(root, feature)
     add_event_data(root)
-    _node(root, "Port", PORT)
+    _add_node(root, "Port", PORT)
     ElementTree.indent(root, space=" ")
     text: bytes = ElementTree.tostring(root, encoding="utf-8", xml_declaration=True)
     version = uuid.UUID(bytes=hashlib.sha256(text).digest()[:16], version=4)
@@ -197,54 +205,54 @@ def _add_categories(root: ElementTree.Element) -> None:
     named += [(data.category, data.name) for data in EVENT_DATA]
     for category, name in named:
         members.setdefault(category, []).append(name)
-    top = _node(root, "Category", "Root")
+    top = _add_node(root, "Category", "Root")
     for category in members:
-        _child(top, "pFeature", category)
+        _add_child(top, "pFeature", category)
     for category, names in members.items():
-        node = _node(root, "Category", category)
+        node = _add_node(root, "Category", category)
         for name in names:
-            _child(node, "pFeature", name)
+            _add_child(node, "pFeature", name)
 
 
 def _add_standard(root: ElementTree.Element, it: StandardFeature) -> None:
-    node = _node(root, it.kind, it.name)
-    _child(node, "ToolTip", it.about)
+    node = _add_node(root, it.kind, it.name)
+    _add_child(node, "ToolTip", it.about)
     if it.kind == "StringReg":
         _locate(node, it.address, it.access, it.size)
         return
-    _child(node, "pValue", f"{it.name}Register")
+    _add_child(node, "pValue", f"{it.name}Register")
     if it.command is not None:
-        _child(node, "CommandValue", str(it.command))
-    _integer_register(root, f"{it.name}Register", it.address, it.access, it.size)
+        _add_child(node, "CommandValue", str(it.command))
+    _add_integer_register(root, f"{it.name}Register", it.address, it.access, it.size)
 
 
 def _add_feature(root: ElementTree.Element, feature: Feature) -> None:
-    node = _node(root, feature.kind.value, feature.name)
-    _child(node, "ToolTip", feature.about)
+    node = _add_node(root, feature.kind.value, feature.name)
+    _add_child(node, "ToolTip", feature.about)
     if feature.visibility != "Beginner":
-        _child(node, "Visibility", feature.visibility)
+        _add_child(node, "Visibility", feature.visibility)
     if feature.locked and feature.kind is not Kind.COMMAND:
-        _child(node, "pIsLocked", LOCK)
+        _add_child(node, "pIsLocked", LOCK)
     for name, value in feature.entries.items():
         entry = ElementTree.SubElement(node, "EnumEntry", {"Name": name, "NameSpace": "Standard"})
-        _child(entry, "Value", str(int(value)))
+        _add_child(entry, "Value", str(int(value)))
     register = f"{feature.name}Register"
-    _child(node, "pValue", register)
+    _add_child(node, "pValue", register)
     address = address_of(feature.name)
     if feature.kind is Kind.COMMAND:
-        _child(node, "CommandValue", "1")
+        _add_child(node, "CommandValue", "1")
     if feature.kind is Kind.BOOLEAN:
-        _child(node, "OnValue", "1")
-        _child(node, "OffValue", "0")
+        _add_child(node, "OnValue", "1")
+        _add_child(node, "OffValue", "0")
     _add_limits(root, node, feature, address)
     if feature.unit:
-        _child(node, "Unit", feature.unit)
+        _add_child(node, "Unit", feature.unit)
     if feature.kind is Kind.FLOAT:
-        _child(node, "Representation", "Linear")
+        _add_child(node, "Representation", "Linear")
     for selected in feature.selects:
-        _child(node, "pSelected", selected)
+        _add_child(node, "pSelected", selected)
     access = "WO" if feature.read is None else ("RO" if feature.write is None else "RW")
-    _number_register(
+    _add_number_register(
         root,
         register,
         feature,
@@ -262,11 +270,11 @@ def _add_limits(root: ElementTree.Element, node: ElementTree.Element, feature: F
         limits.append(("Inc", STEP_OFFSET))
     for word, offset in limits:
         name = f"{feature.name}Register{word}"  # WidthMax is the name of a feature
-        _child(node, f"p{word}", name)
-        _number_register(root, name, feature, address + offset, "RO", ())
+        _add_child(node, f"p{word}", name)
+        _add_number_register(root, name, feature, address + offset, "RO", ())
 
 
-def _number_register(
+def _add_number_register(
     root: ElementTree.Element,
     name: str,
     feature: Feature,
@@ -275,14 +283,14 @@ def _number_register(
     invalidators: Sequence[str],
 ) -> None:
     if feature.kind is Kind.FLOAT:
-        node = _node(root, "FloatReg", name)
+        node = _add_node(root, "FloatReg", name)
         _locate(node, address, access, REGISTER_BYTES, invalidators)
-        _child(node, "Endianess", "BigEndian")
+        _add_child(node, "Endianess", "BigEndian")
         return
-    _integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
+    _add_integer_register(root, name, address, access, REGISTER_BYTES, invalidators)
 
 
-def _integer_register(
+def _add_integer_register(
     root: ElementTree.Element,
     name: str,
     address: int,
@@ -290,20 +298,20 @@ def _integer_register(
     size: int,
     invalidators: Sequence[str] = (),
 ) -> None:
-    node = _node(root, "IntReg", name)
+    node = _add_node(root, "IntReg", name)
     _locate(node, address, access, size, invalidators)
-    _child(node, "Sign", "Unsigned")
-    _child(node, "Endianess", "BigEndian")
+    _add_child(node, "Sign", "Unsigned")
+    _add_child(node, "Endianess", "BigEndian")
 
 
 def _locate(
     node: ElementTree.Element, address: int, access: str, size: int, invalidators: Sequence[str] = ()
 ) -> None:
-    _child(node, "Address", f"0x{address:X}")
-    _child(node, "Length", str(size))
-    _child(node, "AccessMode", access)
-    _child(node, "pPort", PORT)
+    _add_child(node, "Address", f"0x{address:X}")
+    _add_child(node, "Length", str(size))
+    _add_child(node, "AccessMode", access)
+    _add_child(node, "pPort", PORT)
     # Limits, status and payload size change on their own: a client must always read them.
-    _child(node, "Cachable", "NoCache")
+    _add_child(node, "Cachable", "NoCache")
     for invalidator in invalidators:
-        _child(node, "pInvalidator", invalidator)
+        _add_child(node, "pInvalidator", invalidator)

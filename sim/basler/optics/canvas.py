@@ -45,7 +45,7 @@ class Lens:
     focus_mm: float
 
     @classmethod
-    def of(cls, camera: CameraTruth) -> Lens:
+    def from_camera(cls, camera: CameraTruth) -> Lens:
         """Return the lens of a camera, focused on the tool centre point."""
         return cls(
             camera.focal_px,
@@ -101,11 +101,11 @@ class Area:
     width: int
     height: int
 
-    def grown(self, margin: int) -> Area:
+    def expand(self, margin: int) -> Area:
         """Return the area extended by a margin on all sides, possibly beyond the sensor."""
         return Area(self.x - margin, self.y - margin, self.width + 2 * margin, self.height + 2 * margin)
 
-    def common(self, other: Area) -> Area:
+    def intersect(self, other: Area) -> Area:
         """Return the intersection; width or height are 0 without one."""
         x, y = max(self.x, other.x), max(self.y, other.y)
         right = min(self.x + self.width, other.x + other.width)
@@ -170,7 +170,7 @@ class Rays:
         self._columns = np.arange(area.width) - (area.width - 1) / 2
         self._rows = np.arange(area.height) - (area.height - 1) / 2
 
-    def in_rows(self, rows: slice) -> Rays:
+    def select_rows(self, rows: slice) -> Rays:
         """Return the rays of some rows only."""
         part = object.__new__(Rays)
         part.area = Area(self.area.x, self.area.y + rows.start, self.area.width, rows.stop - rows.start)
@@ -236,13 +236,13 @@ def _convolve_axis(padded: Image, kernel: Image, axis: int) -> Image:
     spread = len(kernel) // 2
     length = padded.shape[axis] - 2 * spread
 
-    def shifted(step: int) -> Image:
+    def view_from(step: int) -> Image:
         return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
 
-    total: Image = shifted(spread) * kernel[spread]
+    total: Image = view_from(spread) * kernel[spread]
     pair = np.empty_like(total)
     for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
-        np.add(shifted(step), shifted(2 * spread - step), out=pair)
+        np.add(view_from(step), view_from(2 * spread - step), out=pair)
         pair *= kernel[step]
         total += pair
     return total

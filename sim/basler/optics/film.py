@@ -35,9 +35,9 @@ class Film:
         self._stains = stains
         self._radius_mm = radius_mm
 
-    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
+    def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
         """Return the brightness factor, with mean 1 where clean, of surface points in the sphere's frame."""
-        light = self._grain.at(x_mm, y_mm, z_mm)
+        light = self._grain.brightness_at(x_mm, y_mm, z_mm)
         for stain in self._stains:
             x, y, z = (np.float32(part) for part in stain.direction)
             height = x_mm * x
@@ -90,7 +90,7 @@ class Grain:
         values = noise(seed, f"film of sphere {number}", 0).standard_normal(TABLE_SIZE, dtype=np.float32)
         self._table: Image = np.float32(1.0) + np.float32(CONTRAST) * values
 
-    def at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
+    def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
         """Return the brightness factor, with mean 1, of surface points in the sphere's frame."""
         total: NDArray[np.int32] = np.zeros(x_mm.shape, dtype=np.int32)
         for position, multiplier in zip((x_mm, y_mm, z_mm), MULTIPLIERS, strict=True):

@@ -71,18 +71,18 @@ class Optics:
     """Lens, lighting and the grains seen so far of one camera."""
 
     def __init__(self, camera: CameraTruth, seed: int) -> None:
-        self.lens = Lens.of(camera)
+        self.lens = Lens.from_camera(camera)
         self._lighting = Lighting(seed, camera.serial, camera.sensor_px)
         self._seed = seed
         self._grains: dict[int, Grain] = {}
 
     def light_on(self, area: Area, spheres: Sequence[Sphere], disturbance: Disturbance = CLEAR) -> Image:
         """Return electrons per microsecond (height, width) on an area of the sensor."""
-        around = area.grown(MARGIN_PX) if spheres else area
+        around = area.expand(MARGIN_PX) if spheres else area
         canvas = Canvas(around, self._lighting.on_background(around))
         for sphere in sorted(spheres, key=lambda each: -each.distance_mm):
             self._draw(canvas, sphere, disturbance)
-        aimed_at = nearest_to_axis([each for each in spheres if _drawable(each)])
+        aimed_at = nearest_to_axis([each for each in spheres if _is_drawable(each)])
         if aimed_at is not None:
             sigma_px = self.lens.blur_sigma_px(float(aimed_at.centre_mm[2]))
             for occluder in disturbance.occluders:
@@ -92,24 +92,24 @@ class Optics:
         return canvas.part(area)
 
     def _draw(self, canvas: Canvas, sphere: Sphere, disturbance: Disturbance) -> None:
-        if not _drawable(sphere):
+        if not _is_drawable(sphere):
             return
         sigma_px = self.lens.blur_sigma_px(float(sphere.centre_mm[2]))
-        sphere_area = bounds_of(self.lens, sphere.outline_mm()).common(canvas.area)
-        stalk_area = bounds_of(self.lens, stalk_outline_mm(sphere)).common(canvas.area)
+        sphere_area = bounds_of(self.lens, sphere.outline_mm()).intersect(canvas.area)
+        stalk_area = bounds_of(self.lens, stalk_outline_mm(sphere)).intersect(canvas.area)
         parts = [part for part in (sphere_area, stalk_area) if not part.empty]
         if not parts:
             return
-        patch_area = _hull(parts).grown(spread_px(sigma_px)).common(canvas.area)
+        patch_area = _enclosing_area(parts).expand(spread_px(sigma_px)).intersect(canvas.area)
         patch = canvas.part(patch_area)
         drawn = Canvas(patch_area, patch.copy())
-        self._paint(drawn, sphere, self._film(sphere, disturbance), sphere_area, stalk_area)
+        self._paint(drawn, sphere, self._make_film(sphere, disturbance), sphere_area, stalk_area)
         patch[:] = blur(drawn.light, sigma_px)
 
     def _paint(self, canvas: Canvas, sphere: Sphere, film: Film, sphere_area: Area, stalk_area: Area) -> None:
         # Light falls off with the square of the distance; full strength at the focus distance.
         strength = np.float32((self.lens.focus_mm / sphere.distance_mm) ** 2)
-        stalk = self._stalk(sphere, stalk_area, strength)
+        stalk = self._draw_stalk_part(sphere, stalk_area, strength)
         if stalk is not None:
             _composite(canvas.part(stalk_area), stalk.cover, stalk.light)
         if sphere_area.empty:
@@ -117,7 +117,7 @@ class Optics:
         drawn = draw_sphere(sphere, self.lens, sphere_area, film)
         drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
         _composite(canvas.part(sphere_area), drawn.cover, drawn_light)
-        both = sphere_area.common(stalk_area)
+        both = sphere_area.intersect(stalk_area)
         if stalk is None or both.empty:
             return
         stalk_part, drawn_part = Canvas(stalk_area, stalk.depth_mm), Canvas(sphere_area, drawn.depth_mm)
@@ -126,14 +126,14 @@ class Optics:
         cover = Canvas(stalk_area, stalk.cover).part(both) * in_front
         _composite(canvas.part(both), cover, Canvas(stalk_area, stalk.light).part(both))
 
-    def _stalk(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
+    def _draw_stalk_part(self, sphere: Sphere, area: Area, strength: np.float32) -> BodyImage | None:
         """Draw the stalk in an area; None if the area is empty."""
         if area.empty:
             return None
         image = draw_stalk(sphere, self.lens, area)
         return replace(image, light=image.light * self._lighting.on_film(area) * strength)
 
-    def _film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
+    def _make_film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
         if sphere.number not in self._grains:
             self._grains[sphere.number] = Grain(self._seed, sphere.number)
         grain = self._grains[sphere.number]
@@ -163,13 +163,15 @@ def add_glare(canvas: Canvas, glare: Glare) -> None:
     sigma = max(GLARE_SOFTNESS * glare.radius_px, 1.0)
     margin = int(glare.radius_px + EDGE_SIGMAS * sigma) + 1
     x, y = (round(value) for value in glare.centre_px)
-    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).common(canvas.area)
+    part = Area(x - margin, y - margin, 2 * margin + 1, 2 * margin + 1).intersect(canvas.area)
     if part.empty:
         return
     columns = part.x + np.arange(part.width) - glare.centre_px[0]
     rows = part.y + np.arange(part.height) - glare.centre_px[1]
-    beyond = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
-    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (np.float32(1.0) - _soft_edge(beyond))
+    distance_sigmas = (np.hypot(columns[None, :], rows[:, None]) - glare.radius_px) / sigma
+    canvas.part(part)[:] += np.float32(GLARE_ELECTRONS_PER_US) * (
+        np.float32(1.0) - _soft_edge(distance_sigmas)
+    )
 
 
 def nearest_to_axis(spheres: Sequence[Sphere]) -> Sphere | None:
@@ -193,7 +195,7 @@ def _edge_table() -> tuple[Array, Array]:
     return at, cover
 
 
-def _drawable(sphere: Sphere) -> bool:
+def _is_drawable(sphere: Sphere) -> bool:
     return bool(sphere.centre_mm[2] - sphere.radius_mm >= NEAREST_MM)
 
 
@@ -202,7 +204,7 @@ def _composite(behind: Image, cover: Image, light: Image) -> None:
     behind += cover * (light - behind)
 
 
-def _hull(areas: Sequence[Area]) -> Area:
+def _enclosing_area(areas: Sequence[Area]) -> Area:
     left, top = min(area.x for area in areas), min(area.y for area in areas)
     right = max(area.x + area.width for area in areas)
     bottom = max(area.y + area.height for area in areas)

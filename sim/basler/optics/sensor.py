@@ -33,13 +33,15 @@ class Lighting:
 
     def on_film(self, area: Area) -> Image:
         """Return electrons per microsecond (height, width) from a film of unit brightness."""
-        return self._surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
+        return self._light_surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
 
     def on_background(self, area: Area) -> Image:
         """Return electrons per microsecond (height, width) from an empty background."""
-        return self._surface(area, self._background_slope, 0.0) * np.float32(BACKGROUND_ELECTRONS_PER_US)
+        return self._light_surface(area, self._background_slope, 0.0) * np.float32(
+            BACKGROUND_ELECTRONS_PER_US
+        )
 
-    def _surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
+    def _light_surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
         x = (area.x + np.arange(area.width) - self._centre[0]) / self._half_width_px
         y = (area.y + np.arange(area.height) - self._centre[1]) / self._half_width_px
         columns = 1.0 + slope[0] * x - fall_off * x * x
@@ -95,13 +97,13 @@ class Sensor:
         if noise is not None:
             spread = electrons + np.float32(self.read_noise_electrons**2)
             np.sqrt(spread, out=spread)
-            spread *= _normal(noise, light.shape[0], light.shape[1])
+            spread *= _draw_normal(noise, light.shape[0], light.shape[1])
             electrons += spread
         np.minimum(electrons, np.float32(self.full_well_electrons), out=electrons)
         return electrons
 
 
-def _normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
+def _draw_normal(generator: np.random.Generator, rows: int, columns: int) -> Image:
     """Draw normal numbers, four from each 64-bit word, in a third of the time of the usual method."""
     count = rows * columns
     words = generator.integers(0, 2**64 - 1, (count + 3) // 4, dtype=np.uint64, endpoint=True)

@@ -82,7 +82,7 @@ def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage
     image = BodyImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
     rims = []
     for rows in row_bands(*shape):
-        inside_px = _draw_inside(sphere, lens, film, whole.in_rows(rows), image, rows)
+        inside_px = _draw_inside(sphere, lens, film, whole.select_rows(rows), image, rows)
         below, right = np.nonzero(np.abs(inside_px) <= BAND_PX)
         rims.append((below + rows.start, right))
     if rims:
@@ -94,7 +94,7 @@ def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage
 def _draw_inside(sphere: Sphere, lens: Lens, film: Film, rays: Rays, image: BodyImage, rows: slice) -> Image:
     """Draw some rows, one ray per pixel; returns how far inside the outline each pixel is."""
     along = rays.dot(sphere.centre_mm)  # the centre projected on each ray, times the ray's length
-    miss = _squared_miss(rays, sphere)
+    miss = _squared_miss_distance(rays, sphere)
     inside_px: Image = sphere.radius_mm - np.sqrt(miss / rays.squared)
     inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
     # discriminant of the ray's intersections with the sphere; negative outside
@@ -106,7 +106,7 @@ def _draw_inside(sphere: Sphere, lens: Lens, film: Film, rays: Rays, image: Body
     dots = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
     np.multiply(
         _limb_brightness(discriminant, rays.squared, sphere),
-        film.at(*_surface_points(sphere, depth, dots)),
+        film.brightness_at(*_surface_points(sphere, depth, dots)),
         out=image.light[rows],
     )
     depth[outside] = np.inf
@@ -115,7 +115,7 @@ def _draw_inside(sphere: Sphere, lens: Lens, film: Film, rays: Rays, image: Body
     return inside_px
 
 
-def _squared_miss(rays: Rays, sphere: Sphere) -> Image:
+def _squared_miss_distance(rays: Rays, sphere: Sphere) -> Image:
     """Return the squared cross product of each ray with the centre: (miss distance times ray length)^2.
 
     Unlike a difference of large squares it keeps its digits in single precision.
@@ -157,7 +157,7 @@ def _sample_rim(
         weighted += (
             share
             * _limb_brightness(discriminant, squared, sphere)
-            * film.at(*_surface_points(sphere, depth, dots))
+            * film.brightness_at(*_surface_points(sphere, depth, dots))
         )
     image.cover[rows, columns] = covered / SAMPLES**2
     image.light[rows, columns] = weighted / np.maximum(covered, np.finfo(float).tiny)
@@ -221,7 +221,7 @@ def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
         area, np.zeros(shape, np.float32), np.zeros(shape, np.float32), np.full(shape, np.inf, np.float32)
     )
     for section in SECTIONS:
-        part = bounds_of(lens, stalk_outline_mm(sphere, (section,))).common(area)
+        part = bounds_of(lens, stalk_outline_mm(sphere, (section,))).intersect(area)
         if not part.empty:
             _draw_section(image, part, sphere, section, lens)
     return image
@@ -231,7 +231,7 @@ def _draw_section(image: BodyImage, part: Area, sphere: Sphere, section: Section
     whole = Rays(lens, part)
     layers = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
     for rows in row_bands(part.height, part.width):
-        _draw_section_rows([each[rows] for each in layers], whole.in_rows(rows), sphere, section, lens)
+        _draw_section_rows([each[rows] for each in layers], whole.select_rows(rows), sphere, section, lens)
 
 
 def _draw_section_rows(
@@ -244,10 +244,12 @@ def _draw_section_rows(
     length = section.end_mm - section.begin_mm
     px_per_mm = lens.focal_px[0] / sphere.distance_mm
     along_axis = rays.dot(axis)
-    cover, light, depth = _side(rays, along_axis, foot, axis, section, px_per_mm)
+    cover, light, depth = _draw_side(rays, along_axis, foot, axis, section, px_per_mm)
     # The end facing the camera covers the side.
     end_mm = length if foot @ axis + length < 0 else 0.0
-    end_cover, end_light, end_depth = _end(rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm)
+    end_cover, end_light, end_depth = _draw_end(
+        rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm
+    )
     on_end = end_cover > cover
     for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
         np.copyto(whole, end, where=on_end)
@@ -257,7 +259,7 @@ def _draw_section_rows(
     np.copyto(layers[2], depth, where=nearer)
 
 
-def _side(
+def _draw_side(
     rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
 ) -> tuple[Image, Image, Image]:
     """Return coverage, light and depth of the curved side."""
@@ -280,7 +282,7 @@ def _side(
     return cover, light, depth
 
 
-def _end(
+def _draw_end(
     rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
 ) -> tuple[Image, Image, Image]:
     """Return coverage, light and depth of a flat end."""

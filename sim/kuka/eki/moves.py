@@ -24,29 +24,29 @@ SMALLEST_TRAVEL_MM = 1e-3  # a turn about the tool centre point
 STATUS_LIMIT, TURN_LIMIT = 64, 64  # S and T have six bits
 
 
-def integer(given: Mapping[str, str], name: str, default: int | None = None) -> int:
+def integer(arguments: Mapping[str, str], name: str, default: int | None = None) -> int:
     """Parse an integer; ValueError when it is malformed, or missing without a default."""
-    if default is not None and name not in given:
+    if default is not None and name not in arguments:
         return default
     try:
-        return int(given[name])
+        return int(arguments[name])
     except (KeyError, ValueError):
         raise ValueError(f"{name} is missing or not an integer") from None
 
 
-def flag(given: Mapping[str, str], name: str) -> bool:
+def flag(arguments: Mapping[str, str], name: str) -> bool:
     """Parse 0 or 1; ValueError for anything else."""
-    if given.get(name) not in ("0", "1"):
+    if arguments.get(name) not in ("0", "1"):
         raise ValueError(f"{name} is 0 or 1")
-    return given[name] == "1"
+    return arguments[name] == "1"
 
 
-def number(given: Mapping[str, str], name: str, default: float | None = None) -> float:
+def number(arguments: Mapping[str, str], name: str, default: float | None = None) -> float:
     """Parse a number up to `LARGEST` in magnitude; ValueError for others, or if missing without a default."""
-    if default is not None and name not in given:
+    if default is not None and name not in arguments:
         return default
     try:
-        value = float(given[name])
+        value = float(arguments[name])
     except (KeyError, ValueError):
         value = float("nan")
     if not abs(value) <= LARGEST:
@@ -54,22 +54,22 @@ def number(given: Mapping[str, str], name: str, default: float | None = None) ->
     return value
 
 
-def share(given: Mapping[str, str], name: str) -> float:
+def share(arguments: Mapping[str, str], name: str) -> float:
     """Parse a percentage of at most 100 as a fraction; 1 if missing."""
-    value = number(given, name, 100.0)
+    value = number(arguments, name, 100.0)
     if not LEAST_PERCENT <= value <= 100.0:
         raise ValueError(f"{name} must be a percentage from {LEAST_PERCENT} to 100")
     return value / 100.0
 
 
-def frame(given: Mapping[str, str]) -> list[float]:
+def frame(arguments: Mapping[str, str]) -> list[float]:
     """Parse X Y Z (mm) A B C (deg)."""
-    return [number(given, name) for name in FRAME]
+    return [number(arguments, name) for name in FRAME]
 
 
-def axes(given: Mapping[str, str]) -> list[float]:
+def axes(arguments: Mapping[str, str]) -> list[float]:
     """Parse A1 to A6 (deg)."""
-    return [number(given, name) for name in AXIS_ATTRIBUTES]
+    return [number(arguments, name) for name in AXIS_ATTRIBUTES]
 
 
 def escape(content: str, longest: int) -> str:
@@ -84,32 +84,32 @@ class EkiMoves:
         self._controller = controller
         self._report_end = report_end
 
-    def ptp_axis(self, given: Mapping[str, str]) -> Acknowledgement:
+    def ptp_axis(self, arguments: Mapping[str, str]) -> Acknowledgement:
         """Move to A1..A6 (deg) with Vel and Acc (percent)."""
-        return self._point_to_point(axes(given), given)
+        return self._point_to_point(axes(arguments), arguments)
 
-    def ptp_pos(self, given: Mapping[str, str]) -> Acknowledgement:
+    def ptp_pos(self, arguments: Mapping[str, str]) -> Acknowledgement:
         """Move to X..C (mm, deg) in BASE with posture S T; Tool, Base, Vel and Acc (percent)."""
-        pose = pose_of_frame(frame(given))
-        status, turn = integer(given, "S"), integer(given, "T")
+        pose = pose_of_frame(frame(arguments))
+        status, turn = integer(arguments, "S"), integer(arguments, "T")
         if not (0 <= status < STATUS_LIMIT and 0 <= turn < TURN_LIMIT):
             raise ValueError("S and T are bits of the posture")
-        refusal = self._prepare(given)
+        refusal = self._prepare(arguments)
         if refusal is not None:
             return refusal
         controller = self._controller
         goal = controller.arm.axes_in_posture(pose, status ^ controller.parameters.inverted_status, turn)
         if goal is None:
             return Acknowledgement(AckCode.LIMIT, f"out of reach in the posture S {status} T {turn}")
-        return self._point_to_point(goal, given)
+        return self._point_to_point(goal, arguments)
 
-    def lin(self, given: Mapping[str, str]) -> Acknowledgement:
+    def lin(self, arguments: Mapping[str, str]) -> Acknowledgement:
         """Move on a line to X..C (mm, deg) in BASE; Tool, Base, Vel (m/s). S and T do not apply."""
-        pose = pose_of_frame(frame(given))
-        speed_m_s = number(given, "Vel")
+        pose = pose_of_frame(frame(arguments))
+        speed_m_s = number(arguments, "Vel")
         if not SLOWEST_LINE_M_S <= speed_m_s <= FASTEST_LINE_M_S:
             raise ValueError(f"Vel must be {SLOWEST_LINE_M_S} to {FASTEST_LINE_M_S} m/s")
-        refusal = self._prepare(given)
+        refusal = self._prepare(arguments)
         if refusal is not None:
             return refusal
         controller = self._controller
@@ -133,8 +133,8 @@ class EkiMoves:
             )
         )
 
-    def _point_to_point(self, goal_deg: list[float], given: Mapping[str, str]) -> Acknowledgement:
-        speed, acceleration = share(given, "Vel"), share(given, "Acc")
+    def _point_to_point(self, goal_deg: list[float], arguments: Mapping[str, str]) -> Acknowledgement:
+        speed, acceleration = share(arguments, "Vel"), share(arguments, "Acc")
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:
@@ -153,14 +153,16 @@ class EkiMoves:
             point_to_point(arm.description, arm.axes_deg, goal_deg, speed, acceleration, cycle_s, fastest_1_s)
         )
 
-    def _prepare(self, given: Mapping[str, str]) -> Acknowledgement | None:
+    def _prepare(self, arguments: Mapping[str, str]) -> Acknowledgement | None:
         """Activate the tool and base of a motion if it may start; otherwise return the refusal."""
         controller = self._controller
         ready = controller.ready()
         if ready.code is not AckCode.OK:
             return ready
         arm = controller.arm
-        arm.use_frames(integer(given, "Tool", arm.tool_number), integer(given, "Base", arm.base_number))
+        arm.use_frames(
+            integer(arguments, "Tool", arm.tool_number), integer(arguments, "Base", arm.base_number)
+        )
         return None
 
     def _begin(self, points: Iterator[list[float] | Message]) -> Acknowledgement:

@@ -51,10 +51,14 @@ class ProjectChannel:
         self._handlers: dict[str, Callable[[Mapping[str, str]], Acknowledgement]] = {
             CommandName.RSI_START: self._rsi_start,
             CommandName.RSI_STOP: self._rsi_stop,
-            CommandName.DRIVES: lambda given: controller.switch_drives(flag(given, "On")),
-            CommandName.SET_OV: lambda given: controller.set_override(integer(given, "Val")),
-            CommandName.SET_TOOL: lambda given: controller.set_tool(_number(given, LAST_TOOL), frame(given)),
-            CommandName.SET_BASE: lambda given: controller.set_base(_number(given, LAST_BASE), frame(given)),
+            CommandName.DRIVES: lambda arguments: controller.switch_drives(flag(arguments, "On")),
+            CommandName.SET_OV: lambda arguments: controller.set_override(integer(arguments, "Val")),
+            CommandName.SET_TOOL: lambda arguments: controller.set_tool(
+                _parse_number(arguments, LAST_TOOL), frame(arguments)
+            ),
+            CommandName.SET_BASE: lambda arguments: controller.set_base(
+                _parse_number(arguments, LAST_BASE), frame(arguments)
+            ),
             CommandName.STOP: self._stop,
             CommandName.ACK_ERRORS: lambda _: controller.acknowledge(),
             CommandName.SELECT: lambda _: controller.select(),
@@ -83,7 +87,7 @@ class ProjectChannel:
         self._idle_until_s = inf
         identifier, name = element.get("Id", UNSOLICITED), element.get("Name", "")
         if name == CommandName.STATUS:
-            self._server.send(self._state(identifier))
+            self._server.send(self._compose_state(identifier))
             return
         handler = self._handlers.get(name)
         try:
@@ -115,16 +119,16 @@ class ProjectChannel:
             self._server.drop()  # by the program; a silent one does nothing
         if not self._server.connected:
             return inf
-        facts = self._facts()
+        facts = self._collect_facts()
         if facts != self._sent or now_s >= self._next_state_s:
             self._sent = facts
             self._next_state_s = now_s + STATE_PERIOD_MS / 1000.0
-            self._server.send(self._state(UNSOLICITED))
+            self._server.send(self._compose_state(UNSOLICITED))
         return self._next_state_s
 
     # -- state
 
-    def _facts(self) -> tuple[str, ...]:
+    def _collect_facts(self) -> tuple[str, ...]:
         controller = self._controller
         facts: tuple[str | int, ...] = (
             controller.interlocks.mode.value,
@@ -149,8 +153,8 @@ class ProjectChannel:
         )
         return tuple(fact if isinstance(fact, str) else str(int(fact)) for fact in facts)
 
-    def _state(self, identifier: str) -> str:
-        values = (self._escape(identifier), *self._facts())
+    def _compose_state(self, identifier: str) -> str:
+        values = (self._escape(identifier), *self._collect_facts())
         head = " ".join(f'{name}="{value}"' for name, value in zip(StateAttribute, values, strict=True))
         arm = self._controller.arm
         axes = " ".join(
@@ -167,12 +171,12 @@ class ProjectChannel:
 
     # -- commands
 
-    def _rsi_start(self, given: Mapping[str, str]) -> Acknowledgement:
-        cycle_ms = integer(given, "Cycle") if "Cycle" in given else None
+    def _rsi_start(self, arguments: Mapping[str, str]) -> Acknowledgement:
+        cycle_ms = integer(arguments, "Cycle") if "Cycle" in arguments else None
         if cycle_ms is not None and cycle_ms not in CYCLES_MS:
             raise ValueError("Cycle is 4 or 12")
-        relative = Reference(given["Ref"]) is Reference.RELATIVE if "Ref" in given else None
-        correction = Correction(given["Corr"]).value if "Corr" in given else None
+        relative = Reference(arguments["Ref"]) is Reference.RELATIVE if "Ref" in arguments else None
+        correction = Correction(arguments["Corr"]).value if "Corr" in arguments else None
         self._autostart.yield_to_client()
         return self._controller.start(cycle_ms, relative, correction)
 
@@ -180,15 +184,15 @@ class ProjectChannel:
         self._autostart.disarm()
         return self._controller.cancel()
 
-    def _stop(self, given: Mapping[str, str]) -> Acknowledgement:
-        kind = StopRequest(given.get("Kind", StopRequest.PATH))
+    def _stop(self, arguments: Mapping[str, str]) -> Acknowledgement:
+        kind = StopRequest(arguments.get("Kind", StopRequest.PATH))
         self._autostart.disarm()
         return self._controller.stop(fast=kind is StopRequest.FAST)
 
 
-def _number(given: Mapping[str, str], last: int) -> int:
+def _parse_number(arguments: Mapping[str, str], last: int) -> int:
     """Parse the number of a tool or base."""
-    number = integer(given, "No")
+    number = integer(arguments, "No")
     if not 1 <= number <= last:
         raise ValueError(f"No is 1 to {last}")
     return number

@@ -114,7 +114,9 @@ class SdkChannel:
         if request not in ACCEPTED[self._state]:
             self._respond(Event.INVALID)
         elif request is Request.CONNECT:
-            self._server.send(f"<Robot>{_response(Event.CONNECTED)}{self._status()}{self._init()}</Robot>")
+            self._server.send(
+                f"<Robot>{_compose_response(Event.CONNECTED)}{self._compose_status()}{self._compose_init()}</Robot>"
+            )
         elif request is Request.CHANGE_MODE:
             self._change_mode(control_mode)
         elif request is Request.CHANGE_CYCLE:
@@ -131,10 +133,10 @@ class SdkChannel:
         again_s = now_s + SUBMIT_CYCLE_S
         if self._server.writes_later or now_s < self._first_status_s:
             return again_s
-        values = self._values()
+        values = self._collect_values()
         if values != self._sent:
             self._sent = values
-            self._server.send(f"<Robot>{self._status()}</Robot>")
+            self._server.send(f"<Robot>{self._compose_status()}</Robot>")
         return again_s
 
     def _command(self, request: Request) -> Event:
@@ -186,9 +188,9 @@ class SdkChannel:
             self._cycle = DEFAULT_CYCLE
 
     def _respond(self, event: Event, text: str = " ") -> None:
-        self._server.send(f"<Robot>{_response(event, text)}</Robot>")
+        self._server.send(f"<Robot>{_compose_response(event, text)}</Robot>")
 
-    def _values(self) -> tuple[int, ...]:
+    def _collect_values(self) -> tuple[int, ...]:
         controller = self._controller
         return (
             self._control_mode,
@@ -202,20 +204,20 @@ class SdkChannel:
             int(controller.message is not None),
         )
 
-    def _status(self) -> str:
-        mode, cycle, drives, stop, guard, motion, possible, operation, stopped = self._values()
+    def _compose_status(self) -> str:
+        mode, cycle, drives, stop, guard, motion, possible, operation, stopped = self._collect_values()
         return (
             f'<Status ControlMode="{mode}" CycleTime="{cycle}" DrivesPowered="{drives}"'
             f' EmergencyStop="{stop}" GuardStop="{guard}" InMotion="{motion}" MotionPossible="{possible}"'
             f' OperationMode="{operation}" RobotStopped="{stopped}"></Status>'
         )
 
-    def _init(self) -> str:
+    def _compose_init(self) -> str:
         return (
             f'<Init VER="{INTERFACE_VERSION}" NumAxes="{AXES}" NumExternalAxes="{EXTERNAL_AXES}"'
             f' Model="{self._controller.arm.description.model}" RobVer="{MACHINE_DATA_VERSION}"></Init>'
         )
 
 
-def _response(event: Event, text: str = " ") -> str:
+def _compose_response(event: Event, text: str = " ") -> str:
     return f'<Response EventID="{event.value}">{text}</Response>'

@@ -19,7 +19,7 @@ from xml.etree import ElementTree
 
 from ronna_hw.bounded_input import InputRefused, parse_xml
 from ronna_hw.endpoints import Endpoint
-from ronna_hw.host.port_users import listener_of_tcp_port
+from ronna_hw.host.port_users import find_tcp_listener
 from sim.errors import EndpointTaken
 
 BUFFER_LIMIT_BYTES = 16384  # BUFFSIZE of an EKI channel
@@ -104,7 +104,7 @@ class EkiServer:
         return bool(self._outgoing)
 
     def corrupt_next(self, how: Callable[[bytes], bytes]) -> None:
-        """Apply `half`, `with_garbage` or `padded` to the next telegram of the present client."""
+        """Apply `halve`, `prepend_garbage` or `pad_with_nul` to the next telegram of the present client."""
         self._corrupt = how if self.connected else None
 
     def fill_buffer(self) -> None:
@@ -226,17 +226,17 @@ class EkiServer:
                 self._peer.request(element)
 
 
-def half(telegram: bytes) -> bytes:
+def halve(telegram: bytes) -> bytes:
     """Return the first half of a telegram."""
     return telegram[: len(telegram) // 2]
 
 
-def with_garbage(telegram: bytes) -> bytes:
+def prepend_garbage(telegram: bytes) -> bytes:
     """Return a telegram preceded by garbage."""
     return GARBAGE + telegram
 
 
-def padded(telegram: bytes) -> bytes:
+def pad_with_nul(telegram: bytes) -> bytes:
     """Return a telegram padded with NUL on both sides."""
     return PADDING + telegram + PADDING
 
@@ -276,7 +276,7 @@ def _listen(endpoint: Endpoint) -> socket.socket:
     except OSError as error:
         listener.close()
         reason = (error.strerror or str(error)).lower()
-        if error.errno == errno.EADDRINUSE and (holder := listener_of_tcp_port(endpoint.host, endpoint.port)):
+        if error.errno == errno.EADDRINUSE and (holder := find_tcp_listener(endpoint.host, endpoint.port)):
             reason = f"in use by {holder}"
         raise EndpointTaken(f"cannot listen on {endpoint}: {reason}", action=ANOTHER_PORT) from error
     return listener

@@ -15,7 +15,7 @@ from pydantic import ValidationError
 
 from ronna_hw.bounded_input import InputRefused, parse_xml, read_bounded
 from ronna_hw.mistakes import describe_mistakes
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 from ronna_hw.wire.kuka_context import RsiContext
 from sim.kuka.errors import EthernetFileInvalid
 from sim.kuka.rsi.telegrams import AXIS, FRAME
@@ -52,7 +52,9 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     if protocol != "UDP":
         raise EthernetFileInvalid(f"{path.name}: PROTOCOL {protocol} is not supported", expected="UDP")
     elements = {
-        section: [_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")]
+        section: [
+            _parse_element(element, path, section) for element in root.findall(f"{section}/ELEMENTS/ELEMENT")
+        ]
         for section in SECTIONS
     }
     content: dict[str, Any] = (
@@ -76,7 +78,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     content["ethernet"] = {
         **parameters,
         "pc_ip": config["IP_NUMBER"],
-        "pc_port": _integer(config["PORT"], path, "PORT"),
+        "pc_port": _parse_integer(config["PORT"], path, "PORT"),
         "sentype": config["SENTYPE"],
         "only_send": (config["ONLYSEND"] or "FALSE").upper() == "TRUE",
     }
@@ -89,7 +91,7 @@ def read_ethernet_file(path: Path, context: RsiContext | None, longest_name: int
     except ValidationError as error:
         mistakes = describe_mistakes(error)
         raise EthernetFileInvalid(
-            f"{path.name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+            f"{path.name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
         ) from None
 
 
@@ -107,7 +109,7 @@ def _read_root(path: Path) -> ElementTree.Element:
     return root
 
 
-def _element(element: ElementTree.Element, path: Path, section: str) -> dict[str, Any]:
+def _parse_element(element: ElementTree.Element, path: Path, section: str) -> dict[str, Any]:
     tag = element.get("TAG", "")
     if not _TAG.fullmatch(tag):
         raise EthernetFileInvalid(f"{path.name}: {section} has an element with TAG {tag!r}")
@@ -115,12 +117,12 @@ def _element(element: ElementTree.Element, path: Path, section: str) -> dict[str
     return {
         "tag": tag,
         "type": element.get("TYPE", "").upper(),
-        "indx": INTERNAL if indx.upper() == INTERNAL else _integer(indx, path, f"INDX of {tag}"),
-        "holdon": _integer(element.get("HOLDON", "0"), path, f"HOLDON of {tag}"),
+        "indx": INTERNAL if indx.upper() == INTERNAL else _parse_integer(indx, path, f"INDX of {tag}"),
+        "holdon": _parse_integer(element.get("HOLDON", "0"), path, f"HOLDON of {tag}"),
     }
 
 
-def _integer(text: str, path: Path, what: str) -> int:
+def _parse_integer(text: str, path: Path, what: str) -> int:
     try:
         return int(text)
     except ValueError:

@@ -151,7 +151,7 @@ class LinkFaults:
         now = [data for arrival, data in self._in_transit if arrival <= self.cycle]
         self._in_transit = [item for item in self._in_transit if item[0] > self.cycle]
         if datagram is not None:
-            now = self._arriving(datagram, now)
+            now = self._list_arriving(datagram, now)
         if self.is_active("network_cut"):
             return None
         replies = [reply for reply in map(read, now) if reply is not None]
@@ -159,7 +159,7 @@ class LinkFaults:
             return None
         return replies[-1] if self._takes_second else replies[0]
 
-    def _arriving(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
+    def _list_arriving(self, datagram: bytes, before: list[bytes]) -> list[bytes]:
         if self._strikes("drop"):
             return before
         if self._strikes("corrupt_replies"):
@@ -195,28 +195,28 @@ class LinkFaults:
         if self._strikes("wrong_type"):
             datagram = TYPE.sub(STRANGE_TYPE, datagram)
         if self._strikes("bad_number"):
-            chance = self._chance("bad_number")
+            chance = self._draw_chance("bad_number")
             chance.random()  # skip the draw that selected it
             datagram = NUMBER.sub(NO_NUMBERS[int(chance.integers(0, len(NO_NUMBERS)))], datagram, count=1)
         return datagram
 
     def _strikes(self, kind: str) -> bool:
         shares = [float(fault.argument) for fault in self._active.get(kind, ())]
-        if not shares or self._chance(kind).random() * PERCENT >= max(shares):
+        if not shares or self._draw_chance(kind).random() * PERCENT >= max(shares):
             return False
         self._hit(kind)
         return True
 
     def _corrupt_data(self, data: bytes, kind: str) -> bytes:
         """Truncate the data, or invalidate one byte."""
-        chance = self._chance(kind)
+        chance = self._draw_chance(kind)
         chance.random()  # skip the draw that selected it
         place = int(chance.integers(0, len(data)))
         if chance.random() < 0.5:
             return data[:place]
         return data[:place] + bytes([NOT_TEXT]) + data[place + 1 :]
 
-    def _chance(self, kind: str) -> np.random.Generator:
+    def _draw_chance(self, kind: str) -> np.random.Generator:
         return noise(self._seed, f"robot {kind}", self.cycle)
 
 

@@ -173,7 +173,7 @@ class RsiRun:
             return
         acts = self.state is RsiState.MOVECORR
         if acts or (self._acts_early and not self.held):
-            self._correct(values, heard=reply is not None)
+            self._correct(values, has_reply=reply is not None)
         if not acts:
             self._enter_movecorr()
 
@@ -206,13 +206,13 @@ class RsiRun:
             return self.late
         return self._late_in_a_row if self._parameters.delay_tells == "in_a_row" else 0
 
-    def _correct(self, values: list[float], *, heard: bool) -> None:
+    def _correct(self, values: list[float], *, has_reply: bool) -> None:
         before = self.flow.command_deg
         message = self.flow.correct(values)
         if message is None:
             if self._parameters.at_end_switch == "clamp":
-                self.flow.command_deg = self._supervision.within_range(self.flow.command_deg)
-            message = self._supervision.judge(self.flow.command_deg, before, heard=heard)
+                self.flow.command_deg = self._supervision.clip_to_range(self.flow.command_deg)
+            message = self._supervision.judge(self.flow.command_deg, before, has_reply=has_reply)
         if message is not None:
             self.flow.command_deg = before
             self._end(message)

@@ -238,11 +238,11 @@ def resolve_inputs(context: RsiContext) -> Inputs:
         (wire.object, wire.input): position[wire.indx] for wire in context.wiring
     }
 
-    def six(name: str, inputs: Sequence[str]) -> tuple[int | None, ...] | None:
+    def resolve_six(name: str, inputs: Sequence[str]) -> tuple[int | None, ...] | None:
         places = tuple(fed.get((name, item)) for item in inputs)
         return places if any(place is not None for place in places) else None
 
-    return Inputs(six("AXISCORR", AXIS), six("POSCORR", FRAME), fed.get(("STOP", "In1")))
+    return Inputs(resolve_six("AXISCORR", AXIS), resolve_six("POSCORR", FRAME), fed.get(("STOP", "In1")))
 
 
 class SignalFlow:
@@ -286,18 +286,18 @@ class SignalFlow:
         self._last = values
         joints_deg, changed = self._base_deg, False
         if self._position is not None and self._inputs.frame is not None:
-            given = self._pick(values, self._inputs.frame)
-            if any(given) or not self._relative:
+            frame_inputs = self._pick_values(values, self._inputs.frame)
+            if any(frame_inputs) or not self._relative:
                 changed = True
-                message = self._position.apply(given)
+                message = self._position.apply(frame_inputs)
                 if message is not None:
                     return message
             joints_deg = self._position.joints_deg
         if self._axis is not None and self._inputs.axes is not None:
-            given = self._pick(values, self._inputs.axes)
-            if any(given) or not self._relative:
+            frame_inputs = self._pick_values(values, self._inputs.axes)
+            if any(frame_inputs) or not self._relative:
                 changed = True
-                message = self._axis.apply(given)
+                message = self._axis.apply(frame_inputs)
                 if message is not None:
                     return message
             joints_deg = [a + b for a, b in zip(joints_deg, self._axis.totals_deg, strict=True)]
@@ -318,6 +318,6 @@ class SignalFlow:
             self._position.stat if self._position is not None else 0,
         )
 
-    def _pick(self, values: list[float], places: tuple[int | None, ...]) -> list[float]:
-        given = [0.0 if place is None else values[place] for place in places]
-        return given if self._share == 1.0 else [self._share * value for value in given]
+    def _pick_values(self, values: list[float], places: tuple[int | None, ...]) -> list[float]:
+        frame_inputs = [0.0 if place is None else values[place] for place in places]
+        return frame_inputs if self._share == 1.0 else [self._share * value for value in frame_inputs]

@@ -188,7 +188,7 @@ class ReplyReader:
             name, _, attribute = element.tag.partition(".")
             self._places[name, attribute] = number
             self._digits_in_names |= attribute[:1].isdigit()
-        self._match = re.compile(self._pattern(elements).encode()).fullmatch
+        self._match = re.compile(self._compile_pattern(elements).encode()).fullmatch
         # The groups of the expression are then the elements; messages and generators have no group.
         self._dense = list(self._places.values()) == list(range(self._count))
 
@@ -206,7 +206,7 @@ class ReplyReader:
             values[place] = number
         return Reply(int(ipoc), values)
 
-    def _pattern(self, elements: Sequence[ReceiveElement]) -> str:
+    def _compile_pattern(self, elements: Sequence[ReceiveElement]) -> str:
         # Only the usual form: configured order, plain decimals. Everything else uses the parser.
         number = r"([-+]?\d{1,15}(?:\.\d{0,15})?)"
         parts = [rf'\s*<Sen Type="{re.escape(self._sentype)}">\s*']
@@ -240,11 +240,11 @@ class ReplyReader:
         if self._digits_in_names:  # a manufacturer's own client sends GPIO 01="1", which is not XML
             content = _DIGIT_ATTRIBUTE.sub(rb"\1_\2", content)
         try:
-            return self._reply_of(parse_xml(content, len(content)))
+            return self._parse_root(parse_xml(content, len(content)))
         except InputRefused:
             return None
 
-    def _reply_of(self, root: ElementTree.Element) -> Reply | None:
+    def _parse_root(self, root: ElementTree.Element) -> Reply | None:
         if root.tag != "Sen" or root.get("Type") != self._sentype:
             return None
         found: dict[tuple[str, str], str] = {}
@@ -261,13 +261,13 @@ class ReplyReader:
             text = found.get(key)
             if text is None:
                 continue
-            number = self._number_in(text.strip())
+            number = self._parse_number(text.strip())
             if number is None and self._rejects_bad_numbers:
                 return None
             values[place] = number
         return Reply(int(stamp), values, found.get(("EStr", ""), ""))
 
-    def _number_in(self, text: str) -> float | None:
+    def _parse_number(self, text: str) -> float | None:
         if not self._number.fullmatch(text):
             return None
         number = float(text)
@@ -297,9 +297,9 @@ class RejectedReplies:
         if self.count == self._reported or now_s < self._reported_s + AGAIN_S:
             return
         self._reported, self._reported_s = self.count, now_s
-        say(f"reply rejected: {self._reason()}", self.count)
+        say(f"reply rejected: {self._describe_reason()}", self.count)
 
-    def _reason(self) -> str:
+    def _describe_reason(self) -> str:
         data, expected = self._last
         found = _TYPE.search(data)
         if found is None:

@@ -12,7 +12,7 @@ from math import cos, pi, sin
 
 import numpy as np
 
-from sim.phantom.head.anatomy import Marker, shifted
+from sim.phantom.head.anatomy import Marker, shift_point
 from sim.phantom.head.look_alikes import CAPS, ENDS, FITTINGS, HOLLOW, JOINED, PLATES, ROUNDED, SIZES, Draw
 from sim.phantom.head.painting import Band
 from sim.world.scene.model import CtProtocol
@@ -101,7 +101,9 @@ class Family:
     edge: bool = False  # the field of view ends next to one sphere and cuts another
 
 
-def _beside_objects(name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]) -> Family:
+def _define_look_alike_family(
+    name: str, purpose: Purpose, shows: str, look_alikes: tuple[Draw, ...]
+) -> Family:
     return Family(
         name, purpose, shows, headrest=Headrest.NONE, cable=False, look_alikes=look_alikes, markers=5
     )
@@ -132,10 +134,16 @@ FAMILIES: dict[str, Family] = {
             bandage_mm=(6.0, 14.0),
             bandage_hu=(20.0, 60.0),
         ),
-        _beside_objects("rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED),
-        _beside_objects("caps", Purpose.TUNING, "domes on the skin, mushroom shapes, barrels, buttons", CAPS),
-        _beside_objects("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
-        _beside_objects("sizes", Purpose.TUNING, "balls half a millimetre smaller than markers", SIZES),
+        _define_look_alike_family(
+            "rounded", Purpose.TUNING, "capsules, rods with round ends and ellipsoids", ROUNDED
+        ),
+        _define_look_alike_family(
+            "caps", Purpose.TUNING, "domes on the skin, mushroom shapes, barrels, buttons", CAPS
+        ),
+        _define_look_alike_family("joined", Purpose.TUNING, "beads in rows and balls on thick rods", JOINED),
+        _define_look_alike_family(
+            "sizes", Purpose.TUNING, "balls half a millimetre smaller than markers", SIZES
+        ),
         Family(
             "narrow",
             Purpose.JUDGING,
@@ -216,14 +224,16 @@ FAMILIES: dict[str, Family] = {
             cable=False,
             bare=True,
         ),
-        _beside_objects("ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS),
-        _beside_objects(
+        _define_look_alike_family(
+            "ends", Purpose.JUDGING, "elbows, tapered and plain rods with round ends", ENDS
+        ),
+        _define_look_alike_family(
             "plates", Purpose.JUDGING, "domes on plates and over metal discs, merged balls", PLATES
         ),
-        _beside_objects(
+        _define_look_alike_family(
             "hollow", Purpose.JUDGING, "hollow balls, balls of other sizes, gel with bubbles, rings", HOLLOW
         ),
-        _beside_objects(
+        _define_look_alike_family(
             "fittings", Purpose.JUDGING, "artificial teeth, balls with a metal core, balls on a pin", FITTINGS
         ),
     )
@@ -237,25 +247,25 @@ def draw_bands(
     if kind is None:
         return ()
     return tuple(
-        _band(kind, marker, generator)
+        _draw_band(kind, marker, generator)
         for marker in markers
         for _ in range(int(generator.integers(kind.count[0], kind.count[1] + 1)))
     )
 
 
-def _band(kind: MarkerBands, marker: Marker, generator: np.random.Generator) -> Band:
+def _draw_band(kind: MarkerBands, marker: Marker, generator: np.random.Generator) -> Band:
     angle = float(generator.uniform(0.0, 2.0 * pi))
     sign = float(generator.choice((-1.0, 1.0)))
     below = float(generator.uniform(*kind.below_mm))
     beside = float(generator.uniform(*kind.beside_mm))
     fiducial = marker.fiducial
     if kind.from_metal:
-        middle = shifted(fiducial.centre_ct_mm, fiducial.post_ct, -below)
-        middle = shifted(middle, (cos(angle), sin(angle), 0.0), RAY_MM)
+        middle = shift_point(fiducial.centre_ct_mm, fiducial.post_ct, -below)
+        middle = shift_point(middle, (cos(angle), sin(angle), 0.0), RAY_MM)
     else:
-        middle = shifted(fiducial.centre_ct_mm, (0.0, 0.0, -1.0), below)
+        middle = shift_point(fiducial.centre_ct_mm, (0.0, 0.0, -1.0), below)
     return Band(
-        shifted(middle, (-sin(angle), cos(angle), 0.0), beside),
+        shift_point(middle, (-sin(angle), cos(angle), 0.0), beside),
         sign * float(generator.uniform(*kind.hu)),
         angle,
         float(generator.uniform(*kind.width_mm)),

@@ -20,7 +20,7 @@ from sim.phantom.head.anatomy import (
     bare_marker,
     jaw_teeth,
     marker_on_post,
-    shifted,
+    shift_point,
     side_cable,
     sinuses,
     trough,
@@ -42,10 +42,10 @@ from sim.phantom.head.shapes import ellipsoid_depth
 from sim.phantom.scan import Scan
 from sim.phantom.scanner.grid import CtGrid, grid_ending_at_spheres, place_grid
 from sim.world.noise import noise
-from sim.world.rigid import rounded_point
+from sim.world.rigid import as_rounded_point
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, draw_direction
 from sim.world.scene.model import CtProtocol, Fiducial, Head, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Target
 
 Vector = NDArray[np.float64]
@@ -77,18 +77,18 @@ def family_scan(
     family, generator = FAMILIES[name], noise(seed, f"family {name}", 0)
     count = markers or (SPHERES if fiducials in FRAMES else family.markers)
     head, sphere_centres = _draw_head(family, seed, count, fiducials, generator)
-    scene = _scene(family, protocol, seed, head, fiducials)
+    scene = _build_scene(family, protocol, seed, head, fiducials)
     covering_mm = 0.0 if family.bandage_mm is None else float(generator.uniform(*family.bandage_mm))
-    around, distractors = _obstacles(family, head, sphere_centres, covering_mm, generator)
-    grid, marks = place_grid(head, scene.ct), _buried_shares(head, covering_mm)
-    objects = _look_alikes(family, head, grid, sphere_centres, generator)
+    around, distractors = _draw_obstacles(family, head, sphere_centres, covering_mm, generator)
+    grid, marks = place_grid(head, scene.ct), _compute_burial_shares(head, covering_mm)
+    objects = _draw_look_alikes(family, head, grid, sphere_centres, generator)
     if family.bare:
         built = tuple(bare_marker(fiducial, generator) for fiducial in head.fiducials)
     elif fiducials in FRAMES:
         built = frame_markers(head, generator)
     else:
         built = tuple(marker_on_post(fiducial, head, generator) for fiducial in head.fiducials)
-    anatomy = _anatomy(family, head, built, around, fiducials, generator)
+    anatomy = _draw_anatomy(family, head, built, around, fiducials, generator)
     if objects:
         bodies = tuple(shape for one in objects for shape in one.shapes)
         places = tuple(place for one in objects for place in one.places)
@@ -117,9 +117,9 @@ def protocol_named(name: str) -> CtProtocol:
     return PROTOCOLS[name]
 
 
-def _scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str) -> Scene:
+def _build_scene(family: Family, protocol: str, seed: int, head: Head, fiducials: str) -> Scene:
     words = [family.name, protocol] + ([fiducials] if fiducials != FREE else [])
-    room = named_scene("default", seed=seed)
+    room = draw_scene("default", seed=seed)
     return room.model_copy(update={"name": "-".join(words), "head": head, "ct": protocol_named(protocol)})
 
 
@@ -130,25 +130,25 @@ def _draw_head(
     sizes = (family.half_width_mm, family.half_depth_mm, family.half_height_mm)
     width, depth, height = (float(generator.uniform(*size)) for size in sizes)
     along = np.array(CAP_AXIS_CT) / np.linalg.norm(CAP_AXIS_CT)
-    bare = named_scene("default", seed=seed).head.model_copy(
+    bare = draw_scene("default", seed=seed).head.model_copy(
         update={"centre_ct_mm": CENTRE_CT_MM, "semi_axes_mm": (width, depth, height)}
     )
     entry, normal = skin_point(bare, along)
     target = Target(
         identifier="T1",
-        entry_ct_mm=rounded_point(entry),
-        target_ct_mm=rounded_point(entry - TARGET_DEPTH_MM * normal),
+        entry_ct_mm=as_rounded_point(entry),
+        target_ct_mm=as_rounded_point(entry - TARGET_DEPTH_MM * normal),
     )
     found = (
-        _frame_and_more_fiducials(family, bare, fiducials, count, generator)
+        _draw_frame_and_more(family, bare, fiducials, count, generator)
         if fiducials in FRAMES
-        else _free_fiducials(family, bare, count, generator)
+        else _draw_free_fiducials(family, bare, count, generator)
     )
     head = bare.model_copy(update={"fiducials": found, "targets": (target,)})
     return head, np.array([fiducial.centre_ct_mm for fiducial in found])
 
 
-def _free_fiducials(
+def _draw_free_fiducials(
     family: Family, head: Head, count: int, generator: np.random.Generator
 ) -> tuple[Fiducial, ...]:
     least = max(2 * family.pairs, 1)
@@ -158,7 +158,7 @@ def _free_fiducials(
     centres: list[Vector] = []
     posts: list[Vector] = []
     for _ in range(ATTEMPTS):
-        skin, normal = skin_point(head, _cap_direction(generator))
+        skin, normal = skin_point(head, _draw_cap_direction(generator))
         centre = skin + normal * generator.uniform(*family.standoff_mm)
         room = CLEARANCE_MM + (PAIR_DISTANCE_MM if family.pairs else 0.0)
         if _is_clear_of_cable(centre, head) and all(
@@ -175,12 +175,12 @@ def _free_fiducials(
         centres.append(centres[number] + PAIR_DISTANCE_MM * side / np.linalg.norm(side))
         posts.append(posts[number])
     return tuple(
-        Fiducial(number=k + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(post))
+        Fiducial(number=k + 1, centre_ct_mm=as_rounded_point(centre), post_ct=as_rounded_point(post))
         for k, (centre, post) in enumerate(zip(centres, posts, strict=True))
     )
 
 
-def _frame_and_more_fiducials(
+def _draw_frame_and_more(
     family: Family, head: Head, frame: str, count: int, generator: np.random.Generator
 ) -> tuple[Fiducial, ...]:
     """Place the frame's spheres, and any others next to the frame."""
@@ -190,7 +190,7 @@ def _frame_and_more_fiducials(
     for _ in range(ATTEMPTS):
         if len(found) == count:
             return tuple(found)
-        skin, normal = skin_point(head, _cap_direction(generator, BESIDE_FRAME_RAD))
+        skin, normal = skin_point(head, _draw_cap_direction(generator, BESIDE_FRAME_RAD))
         centre = skin + normal * generator.uniform(*family.standoff_mm)
         if (
             _is_clear_of_cable(centre, head)
@@ -200,16 +200,18 @@ def _frame_and_more_fiducials(
             centres.append(centre)
             found.append(
                 Fiducial(
-                    number=len(found) + 1, centre_ct_mm=rounded_point(centre), post_ct=rounded_point(normal)
+                    number=len(found) + 1,
+                    centre_ct_mm=as_rounded_point(centre),
+                    post_ct=as_rounded_point(normal),
                 )
             )
     raise BadScene(f"{count - SPHERES} markers do not fit next to the frame")
 
 
 def _distance_to_segment_mm(point: Vector, start: Vector, end: Vector) -> float:
-    way = end - start
-    share = np.clip((point - start) @ way / (way @ way), 0.0, 1.0)
-    return float(np.linalg.norm(point - start - share * way))
+    along_segment = end - start
+    share = np.clip((point - start) @ along_segment / (along_segment @ along_segment), 0.0, 1.0)
+    return float(np.linalg.norm(point - start - share * along_segment))
 
 
 def _is_clear_of_spheres(bodies: Obstacles, centres: Vector) -> bool:
@@ -223,7 +225,7 @@ def _is_clear_of_cable(centre: Vector, head: Head) -> bool:
     return bool(np.linalg.norm(centre[:2] - cable) > CABLE_ROOM_MM)
 
 
-def _obstacles(
+def _draw_obstacles(
     family: Family, head: Head, sphere_centres: Vector, covering_mm: float, generator: np.random.Generator
 ) -> tuple[Obstacles, list[tuple[float, float, float]]]:
     """Draw the objects around the head; returns them and the centres of the distractors."""
@@ -234,39 +236,41 @@ def _obstacles(
         around += obstacles.cushion(head)
     if family.pins:
         around += obstacles.clamp(head, family.pins, generator)
-    taken = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
+    occupied_points = [skin_point(head, centre - head.centre_ct_mm)[0] for centre in sphere_centres]
     for number in range(family.electrodes + family.bolts):
         fixed = obstacles.electrode if number < family.electrodes else obstacles.bolt
         for _ in range(ATTEMPTS):
-            direction = _free_direction(head, taken, SHORT_CLEARANCE_MM, 0.0, generator)
+            direction = _find_free_direction(head, occupied_points, SHORT_CLEARANCE_MM, 0.0, generator)
             if _is_clear_of_spheres(fixed(head, direction), sphere_centres):
                 break
         around += fixed(head, direction)
-        taken.append(skin_point(head, direction)[0])
-    taken = list(sphere_centres)
+        occupied_points.append(skin_point(head, direction)[0])
+    occupied_points = list(sphere_centres)
     distractors = []
     for number in range(2 * family.distractors):
         # far enough for the longest cylinder
-        direction = _free_direction(head, taken, 1.4 * CLEARANCE_MM, 25.0, generator, cap_rad=pi / 2)
+        direction = _find_free_direction(
+            head, occupied_points, 1.4 * CLEARANCE_MM, 25.0, generator, cap_rad=pi / 2
+        )
         shape, middle = obstacles.distractor(head, direction, bool(number % 2), generator)
         around += Obstacles((shape,))
         distractors.append(middle)
-        taken.append(np.array(middle))
+        occupied_points.append(np.array(middle))
     return around, distractors
 
 
-def _look_alikes(
+def _draw_look_alikes(
     family: Family, head: Head, grid: CtGrid, sphere_centres: Vector, generator: np.random.Generator
 ) -> list[LookAlike]:
     """Draw look-alikes clear of the markers and of each other, within the field."""
     first = np.array(grid.origin_mm) + LOOK_ALIKE_MARGIN_MM
     last = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]]) - LOOK_ALIKE_MARGIN_MM
-    taken = list(sphere_centres)
+    occupied_points = list(sphere_centres)
     drawn = []
     for draw in family.look_alikes * LOOK_ALIKES_OF_A_KIND:
         for _ in range(ATTEMPTS):
-            direction = _free_direction(
-                head, taken, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
+            direction = _find_free_direction(
+                head, occupied_points, LOOK_ALIKE_ROOM_MM, LOOK_ALIKE_HEIGHT_MM, generator, cap_rad=pi / 2
             )
             skin, normal = skin_point(head, direction)
             drawn_one = draw(Seat(skin, normal, generator))
@@ -275,11 +279,11 @@ def _look_alikes(
         else:
             raise BadScene("the objects of this family do not fit in the CT's field of view")
         drawn.append(drawn_one)
-        taken.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
+        occupied_points.append(skin + LOOK_ALIKE_HEIGHT_MM * normal)
     return drawn
 
 
-def _anatomy(
+def _draw_anatomy(
     family: Family,
     head: Head,
     markers: tuple[Marker, ...],
@@ -297,12 +301,12 @@ def _anatomy(
         surroundings=(*cable, *inside, *around.shapes, *frame),
         markers=markers,
         fillings=fillings,
-        streaks=around.streaks + _post_streaks(family, markers, generator),
+        streaks=around.streaks + _draw_post_streaks(family, markers, generator),
         bands=draw_bands(family.bands, markers, generator),
     )
 
 
-def _post_streaks(
+def _draw_post_streaks(
     family: Family, markers: tuple[Marker, ...], generator: np.random.Generator
 ) -> tuple[Streak, ...]:
     kind = family.post_streaks
@@ -310,7 +314,7 @@ def _post_streaks(
         return ()
     return tuple(
         Streak(
-            shifted(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
+            shift_point(marker.fiducial.centre_ct_mm, marker.fiducial.post_ct, -STREAK_BELOW_MM),
             float(generator.uniform(*kind.hu)),
             float(generator.uniform(*kind.fall_mm)),
             int(generator.choice(kind.lobes)),
@@ -321,7 +325,7 @@ def _post_streaks(
     )
 
 
-def _buried_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
+def _compute_burial_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]]:
     """Return how deep a bandage buries each sphere, as a share of its height."""
     if covering_mm <= 0.0:
         return {}
@@ -335,22 +339,22 @@ def _buried_shares(head: Head, covering_mm: float) -> dict[int, dict[str, float]
     return marks
 
 
-def _cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
+def _draw_cap_direction(generator: np.random.Generator, half_angle_rad: float = CAP_HALF_ANGLE_RAD) -> Vector:
     return draw_direction(generator, np.array(CAP_AXIS_CT), half_angle_rad)
 
 
-def _free_direction(
+def _find_free_direction(
     head: Head,
-    taken: list[Vector],
+    occupied_points: list[Vector],
     clearance_mm: float,
     standoff_mm: float,
     generator: np.random.Generator,
     cap_rad: float = CAP_HALF_ANGLE_RAD,
 ) -> Vector:
     for _ in range(ATTEMPTS):
-        direction = _cap_direction(generator, cap_rad)
+        direction = _draw_cap_direction(generator, cap_rad)
         skin, normal = skin_point(head, direction)
         place = skin + standoff_mm * normal
-        if all(np.linalg.norm(place - other) > clearance_mm for other in taken):
+        if all(np.linalg.norm(place - other) > clearance_mm for other in occupied_points):
             return direction
     raise BadScene("no room left on the head")

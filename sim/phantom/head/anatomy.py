@@ -89,9 +89,9 @@ class HeadLayers:
         for thickness, hu in LAYERS:
             table[depths >= top] = hu
             top += thickness
-        self._table = _blurred_table(table, blur_mm / STEP_MM).astype(np.float32)
+        self._table = _blur_table(table, blur_mm / STEP_MM).astype(np.float32)
 
-    def at(self, x: Values, y: Values, z: Values) -> Values:
+    def hu_at(self, x: Values, y: Values, z: Values) -> Values:
         """Return the HU at these points; air outside the head."""
         depth = ellipsoid_depth(x, y, z, self.centre, self.semi_axes)
         place = (depth + np.float32(OUTSIDE_MM)) * np.float32(1.0 / STEP_MM) + np.float32(0.5)
@@ -106,7 +106,7 @@ class HeadLayers:
         return None if squared <= 0.0 else (a * sqrt(squared), b * sqrt(squared))
 
 
-def _blurred_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
+def _blur_table(table: NDArray[np.float64], sigma: float) -> NDArray[np.float64]:
     if sigma <= 0.0:
         return table
     margin = int(np.ceil(BLUR_MARGIN * sigma))
@@ -183,13 +183,13 @@ def marker_on_foot(
     metal = bool(generator.uniform() < METAL_POSTS)
     post_hu = POST_METAL_HU if metal else POST_POLYMER_HU
     centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
-    inward = scaled(fiducial.post_ct, -1.0)
+    inward = scale_vector(fiducial.post_ct, -1.0)
     top = radius - POST_DEPTH_MM
     shapes = (
         Ball(FILM_HU, centre, radius + FILM_MM),
         Ball(sphere_hu, centre, radius),
-        Rod(post_hu, shifted(centre, inward, top), inward, tip_mm - top, POST_RADIUS_MM),
-        Rod(post_hu, shifted(centre, inward, flange_mm), inward, FLANGE_MM, FLANGE_RADIUS_MM),
+        Rod(post_hu, shift_point(centre, inward, top), inward, tip_mm - top, POST_RADIUS_MM),
+        Rod(post_hu, shift_point(centre, inward, flange_mm), inward, FLANGE_MM, FLANGE_RADIUS_MM),
     )
     return Marker(fiducial, sphere_hu, "metal" if metal else "polymer", shapes)
 
@@ -219,8 +219,8 @@ def trough(head: Head) -> tuple[Shape, ...]:
 
 def side_cable(head: Head) -> tuple[Shape, ...]:
     """A sheathed wire next to the head."""
-    centre = shifted(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
-    centre = shifted(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
+    centre = shift_point(head.centre_ct_mm, (1.0, 0.0, 0.0), head.semi_axes_mm[0] + CABLE_GAP_MM)
+    centre = shift_point(centre, (0.0, 1.0, 0.0), CABLE_BEHIND_MM)
     return tuple(
         Cable(hu, centre, radius, CABLE_SWING_MM, CABLE_WAVE_MM)
         for hu, radius in ((SHEATH_HU, SHEATH_RADIUS_MM), (METAL_HU, WIRE_RADIUS_MM))
@@ -229,7 +229,8 @@ def side_cable(head: Head) -> tuple[Shape, ...]:
 
 def ventricles(head: Head) -> tuple[Shape, ...]:
     return tuple(
-        Ellipsoid(CSF_HU, at_share(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0)) for side in (-1, 1)
+        Ellipsoid(CSF_HU, point_at_share(head, (side * 0.14, 0.0, 0.08)), (5.0, 26.0, 9.0))
+        for side in (-1, 1)
     )
 
 
@@ -238,33 +239,35 @@ def sinuses(head: Head) -> tuple[Shape, ...]:
     frontal = [((side * 0.14, -0.80, -0.12), (7.0, 4.0, 8.0)) for side in (-1, 1)]
     cheeks = [((side * 0.30, -0.52, -0.45), (11.0, 13.0, 12.0)) for side in (-1, 1)]
     places = [*frontal, *cheeks, ((0.0, -0.30, -0.38), (8.0, 10.0, 7.0))]
-    return tuple(Ellipsoid(AIR_HU, at_share(head, place), size) for place, size in places)
+    return tuple(Ellipsoid(AIR_HU, point_at_share(head, place), size) for place, size in places)
 
 
 def jaw_teeth(
     head: Head, generator: np.random.Generator, count: int = FILLINGS
 ) -> tuple[tuple[Shape, ...], tuple[Ball, ...]]:
     """An arch of teeth in a jaw; some of them have metal fillings."""
-    middle = at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
+    middle = point_at_share(head, (0.0, -TEETH_FRONT, -TEETH_BELOW_CENTRE))
     width, depth = TEETH_ARC_MM
     angles = np.linspace(-TEETH_ARC_RAD, TEETH_ARC_RAD, TEETH)
     crowns = [
-        shifted(shifted(middle, (1.0, 0.0, 0.0), width * sin(angle)), (0.0, -1.0, 0.0), depth * cos(angle))
+        shift_point(
+            shift_point(middle, (1.0, 0.0, 0.0), width * sin(angle)), (0.0, -1.0, 0.0), depth * cos(angle)
+        )
         for angle in angles
     ]
     jaw = tuple(
-        Ball(JAW_HU, shifted(crown, (0.0, 0.0, -1.0), TOOTH_MM[2]), JAW_RADIUS_MM) for crown in crowns
+        Ball(JAW_HU, shift_point(crown, (0.0, 0.0, -1.0), TOOTH_MM[2]), JAW_RADIUS_MM) for crown in crowns
     )
     teeth = tuple(Ellipsoid(ENAMEL_HU, crown, TOOTH_MM) for crown in crowns)
     filled = sorted(generator.choice(TEETH, size=count, replace=False).tolist())
     fillings = tuple(
-        Ball(METAL_HU, shifted(crowns[k], (0.0, 0.0, 1.0), TOOTH_MM[2] / 2), FILLING_RADIUS_MM)
+        Ball(METAL_HU, shift_point(crowns[k], (0.0, 0.0, 1.0), TOOTH_MM[2] / 2), FILLING_RADIUS_MM)
         for k in filled
     )
     return (*jaw, *teeth), fillings
 
 
-def at_share(head: Head, relative: Point) -> Point:
+def point_at_share(head: Head, relative: Point) -> Point:
     """Return a point given in semi-axes of the head from its centre."""
     x, y, z = (
         centre + axis * part
@@ -273,11 +276,11 @@ def at_share(head: Head, relative: Point) -> Point:
     return x, y, z
 
 
-def shifted(point: Point, along: Point, distance: float) -> Point:
+def shift_point(point: Point, along: Point, distance: float) -> Point:
     x, y, z = (value + distance * part for value, part in zip(point, along, strict=True))
     return x, y, z
 
 
-def scaled(vector: Point, factor: float) -> Point:
+def scale_vector(vector: Point, factor: float) -> Point:
     x, y, z = (factor * value for value in vector)
     return x, y, z

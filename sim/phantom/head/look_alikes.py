@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from sim.phantom.head.anatomy import AIR_HU, METAL_HU
 from sim.phantom.head.shapes import Ball, Barrel, Capsule, Dome, Egg, Ring, Rod, Shape
-from sim.world.rigid import Point, rounded_point
+from sim.world.rigid import Point, as_rounded_point
 
 Vector = NDArray[np.float64]
 
@@ -62,37 +62,37 @@ class Seat:
     def axes(self) -> tuple[Point, Point, Point]:
         """Draw three perpendicular directions."""
         turned, _ = np.linalg.qr(self.random.standard_normal((3, 3)))
-        first, second, third = (rounded_point(row) for row in turned)
+        first, second, third = (as_rounded_point(row) for row in turned)
         return first, second, third
 
 
 Draw = Callable[[Seat], LookAlike]
 
 
-def _look_alike(kind: str, shapes: Sequence[Shape], *places: Vector) -> LookAlike:
-    return LookAlike(kind, tuple(shapes), tuple(rounded_point(place) for place in places))
+def _make_look_alike(kind: str, shapes: Sequence[Shape], *places: Vector) -> LookAlike:
+    return LookAlike(kind, tuple(shapes), tuple(as_rounded_point(place) for place in places))
 
 
 def _ball(hu: float, centre: Vector, radius: float) -> Ball:
-    return Ball(hu, rounded_point(centre), radius)
+    return Ball(hu, as_rounded_point(centre), radius)
 
 
 def _rod(hu: float, start: Vector, along: Vector, length: float, radius: float) -> Rod:
-    return Rod(hu, rounded_point(start), rounded_point(along), length, radius)
+    return Rod(hu, as_rounded_point(start), as_rounded_point(along), length, radius)
 
 
 def _capsule(hu: float, start: Vector, end: Vector, radius: float) -> Capsule:
-    return Capsule(hu, rounded_point(start), rounded_point(end), radius)
+    return Capsule(hu, as_rounded_point(start), as_rounded_point(end), radius)
 
 
 def _dome(hu: float, centre: Vector, outward: Vector, radius: float, height: float) -> Dome:
-    return Dome(hu, rounded_point(centre), rounded_point(outward), radius, height)
+    return Dome(hu, as_rounded_point(centre), as_rounded_point(outward), radius, height)
 
 
 def _egg(seat: Seat, hu: float, centre: Vector, *semi_axes: float) -> Egg:
     """Turn an ellipsoid in any direction."""
     a, b, c = semi_axes
-    return Egg(hu, rounded_point(centre), (a, b, c), seat.axes())
+    return Egg(hu, as_rounded_point(centre), (a, b, c), seat.axes())
 
 
 def capsule(seat: Seat) -> LookAlike:
@@ -100,7 +100,7 @@ def capsule(seat: Seat) -> LookAlike:
     middle, along = seat.middle(), seat.along()
     half = 0.5 * along * seat.between(2.0, 24.0)
     body = _capsule(seat.polymer(), middle - half, middle + half, seat.between(5.5, 6.0))
-    return _look_alike("capsule", [body], middle - half, middle, middle + half)
+    return _make_look_alike("capsule", [body], middle - half, middle, middle + half)
 
 
 def round_ended_rod(seat: Seat) -> LookAlike:
@@ -108,14 +108,14 @@ def round_ended_rod(seat: Seat) -> LookAlike:
     end, along = seat.middle(), seat.along()
     radius, hu = seat.between(5.4, 6.1), seat.polymer()
     rod = _rod(hu, end, along, seat.between(12.0, 30.0), radius)
-    return _look_alike("round-ended rod", [_ball(hu, end, radius), rod], end)
+    return _make_look_alike("round-ended rod", [_ball(hu, end, radius), rod], end)
 
 
 def egg(seat: Seat) -> LookAlike:
     """An ellipsoid a quarter to a seventh longer than wide."""
     middle, longer = seat.middle(), seat.between(0.07, 0.2)
     sizes = (RADIUS_MM * (1.0 - longer), RADIUS_MM, RADIUS_MM * (1.0 + longer))
-    return _look_alike("egg", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
+    return _make_look_alike("egg", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def beads(seat: Seat) -> LookAlike:
@@ -125,22 +125,22 @@ def beads(seat: Seat) -> LookAlike:
     radius = seat.between(5.6, 5.9)
     places = [first + along * spacing * (k - 0.5 * (count - 1)) for k in range(count)]
     string = _rod(hu, places[0], along, spacing * (count - 1), seat.between(0.5, 1.0))
-    return _look_alike("beads", [string, *(_ball(hu, place, radius) for place in places)], *places)
+    return _make_look_alike("beads", [string, *(_ball(hu, place, radius) for place in places)], *places)
 
 
 def knob(seat: Seat) -> LookAlike:
     """A ball at the end of a rod that is much thicker than a post."""
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     rod = _rod(hu, middle, along, seat.between(16.0, 26.0), seat.between(3.6, 5.0))
-    return _look_alike("knob", [rod, _ball(hu, middle, seat.between(5.6, 5.9))], middle)
+    return _make_look_alike("knob", [rod, _ball(hu, middle, seat.between(5.6, 5.9))], middle)
 
 
 def elbow(seat: Seat) -> LookAlike:
     """Two rods that meet in a round joint."""
     joint, hu, radius = seat.middle(), seat.polymer(), seat.between(5.5, 6.0)
-    ways = seat.along(), seat.along()
-    ends = [joint + way * seat.between(8.0, 22.0) for way in ways]
-    return _look_alike("elbow", [_capsule(hu, joint, end, radius) for end in ends], joint, *ends)
+    arm_directions = seat.along(), seat.along()
+    ends = [joint + arm_direction * seat.between(8.0, 22.0) for arm_direction in arm_directions]
+    return _make_look_alike("elbow", [_capsule(hu, joint, end, radius) for end in ends], joint, *ends)
 
 
 def thumb(seat: Seat) -> LookAlike:
@@ -149,7 +149,7 @@ def thumb(seat: Seat) -> LookAlike:
     radius, opening = seat.between(5.3, 5.9), seat.between(0.05, 0.25)
     steps = np.arange(0.0, 16.0, 1.0)
     balls = [_ball(hu, end + along * step, radius + opening * step) for step in steps]
-    return _look_alike("thumb", balls, end)
+    return _make_look_alike("thumb", balls, end)
 
 
 def dome(seat: Seat) -> LookAlike:
@@ -157,7 +157,7 @@ def dome(seat: Seat) -> LookAlike:
     centre = seat.skin + seat.normal * seat.between(-0.5, 2.0)
     radius = seat.between(5.6, 6.0)
     ball = _dome(seat.polymer(), centre, seat.normal, radius, -seat.between(0.0, 2.0))
-    return _look_alike("dome", [ball], centre)
+    return _make_look_alike("dome", [ball], centre)
 
 
 def mushroom(seat: Seat) -> LookAlike:
@@ -165,29 +165,31 @@ def mushroom(seat: Seat) -> LookAlike:
     middle, hu = seat.middle(), seat.polymer()
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -RADIUS_MM * seat.between(0.3, 0.75))
     stem = _rod(METAL_HU, middle + 2.5 * -seat.normal, -seat.normal, 24.0, 1.5)
-    return _look_alike("mushroom", [cap, stem], middle)
+    return _make_look_alike("mushroom", [cap, stem], middle)
 
 
 def barrel(seat: Seat) -> LookAlike:
     """A cylinder as high as wide, with rounded edges."""
     middle, radius = seat.middle(), seat.between(5.2, 5.9)
-    hu, along = seat.polymer(), rounded_point(seat.along())
+    hu, along = seat.polymer(), as_rounded_point(seat.along())
     length, edge = seat.between(10.5, 12.5), seat.between(2.0, 4.2)
-    return _look_alike("barrel", [Barrel(hu, rounded_point(middle), along, length, radius, edge)], middle)
+    return _make_look_alike(
+        "barrel", [Barrel(hu, as_rounded_point(middle), along, length, radius, edge)], middle
+    )
 
 
 def button(seat: Seat) -> LookAlike:
     """A lens: an ellipsoid flattened by a fifth to a half."""
     middle, width = seat.middle(), seat.between(5.75, 6.6)
     sizes = (width, width, width * seat.between(0.5, 0.8))
-    return _look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
+    return _make_look_alike("button", [_egg(seat, seat.polymer(), middle, *sizes)], middle)
 
 
 def hollow_ball(seat: Seat) -> LookAlike:
     """A ball of a marker's size with air inside."""
     middle = seat.middle()
     core = _ball(AIR_HU, middle, RADIUS_MM - seat.between(1.2, 3.0))
-    return _look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
+    return _make_look_alike("hollow ball", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def other_ball(seat: Seat) -> LookAlike:
@@ -195,13 +197,13 @@ def other_ball(seat: Seat) -> LookAlike:
     middle = seat.middle()
     small = bool(seat.random.uniform() < 0.5)
     radius = seat.between(4.75, 5.3) if small else seat.between(6.25, 7.0)
-    return _look_alike("other ball", [_ball(seat.polymer(), middle, radius)], middle)
+    return _make_look_alike("other ball", [_ball(seat.polymer(), middle, radius)], middle)
 
 
 def near_ball(seat: Seat) -> LookAlike:
     """A whole ball with a diameter of 10.6 to 11.2 mm: nearer to a marker's than other balls."""
     middle = seat.middle()
-    return _look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
+    return _make_look_alike("near ball", [_ball(seat.polymer(), middle, seat.between(5.3, 5.6))], middle)
 
 
 def gel(seat: Seat) -> LookAlike:
@@ -209,17 +211,17 @@ def gel(seat: Seat) -> LookAlike:
     middle, hu = seat.middle(), seat.between(*GEL_HU)
     bubbles = []
     for _ in range(int(seat.random.integers(2, 5))):
-        way = seat.random.standard_normal(3)
-        place = middle + way / np.linalg.norm(way) * seat.between(1.5, 5.0)
+        arm_direction = seat.random.standard_normal(3)
+        place = middle + arm_direction / np.linalg.norm(arm_direction) * seat.between(1.5, 5.0)
         bubbles.append(_ball(AIR_HU, place, seat.between(1.5, 3.0)))
-    return _look_alike("gel with bubbles", [_ball(hu, middle, seat.between(5.6, 6.6)), *bubbles], middle)
+    return _make_look_alike("gel with bubbles", [_ball(hu, middle, seat.between(5.6, 6.6)), *bubbles], middle)
 
 
 def ring(seat: Seat) -> LookAlike:
     """A thick ring."""
     middle, tube = seat.middle(), seat.between(2.4, 3.2)
-    body = Ring(seat.polymer(), rounded_point(middle), seat.axes()[0], seat.between(2.6, 3.4), tube)
-    return _look_alike("ring", [body], middle)
+    body = Ring(seat.polymer(), as_rounded_point(middle), seat.axes()[0], seat.between(2.6, 3.4), tube)
+    return _make_look_alike("ring", [body], middle)
 
 
 def acrylic_teeth(seat: Seat) -> LookAlike:
@@ -228,21 +230,21 @@ def acrylic_teeth(seat: Seat) -> LookAlike:
     places = [middle + along * 9.0 * k for k in (-1, 0, 1)]
     sizes = ((4.6, 5.4), (5.0, 5.8), (5.6, 7.0))
     bodies = [_egg(seat, hu, place, *(seat.between(*size) for size in sizes)) for place in places]
-    return _look_alike("acrylic teeth", bodies, *places)
+    return _make_look_alike("acrylic teeth", bodies, *places)
 
 
 def pearl(seat: Seat) -> LookAlike:
     """A ball of polymer around a metal core."""
     middle = seat.middle()
     core = _ball(METAL_HU, middle, seat.between(1.0, 2.2))
-    return _look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
+    return _make_look_alike("pearl", [_ball(seat.polymer(), middle, RADIUS_MM), core], middle)
 
 
 def threaded_ball(seat: Seat) -> LookAlike:
     """A ball with a pin all the way through it."""
     middle, along = seat.middle(), seat.along()
     pin = _rod(METAL_HU, middle - 12.0 * along, along, 24.0, seat.between(0.8, 1.6))
-    return _look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
+    return _make_look_alike("threaded ball", [_ball(seat.polymer(), middle, RADIUS_MM), pin], middle)
 
 
 def plated_dome(seat: Seat) -> LookAlike:
@@ -251,7 +253,7 @@ def plated_dome(seat: Seat) -> LookAlike:
     below = seat.between(0.0, 3.5)
     cap = _dome(hu, middle, seat.normal, RADIUS_MM, -below)
     plate = _rod(hu, middle + below * inward, inward, seat.between(1.5, 3.0), seat.between(6.5, 10.0))
-    return _look_alike("plated dome", [cap, plate], middle)
+    return _make_look_alike("plated dome", [cap, plate], middle)
 
 
 def peanut(seat: Seat) -> LookAlike:
@@ -259,7 +261,7 @@ def peanut(seat: Seat) -> LookAlike:
     middle, along, hu = seat.middle(), seat.along(), seat.polymer()
     apart = along * seat.between(1.5, 5.0)
     balls = [_ball(hu, middle, seat.between(5.5, 5.9)), _ball(hu, middle + apart, seat.between(4.5, 5.9))]
-    return _look_alike("peanut", balls, middle, middle + 0.5 * apart)
+    return _make_look_alike("peanut", balls, middle, middle + 0.5 * apart)
 
 
 def cup_electrode(seat: Seat) -> LookAlike:
@@ -267,7 +269,7 @@ def cup_electrode(seat: Seat) -> LookAlike:
     centre = seat.skin + seat.normal * seat.between(1.5, 3.0)
     cap = _dome(seat.polymer(), centre, seat.normal, seat.between(5.6, 6.0), 0.0)
     disc = _rod(METAL_HU, centre - 1.5 * seat.normal, seat.normal, 1.5, seat.between(3.0, 5.0))
-    return _look_alike("cup electrode", [disc, cap], centre)
+    return _make_look_alike("cup electrode", [disc, cap], centre)
 
 
 ROUNDED: tuple[Draw, ...] = (capsule, round_ended_rod, egg)

@@ -26,7 +26,7 @@ from sim.phantom.head.anatomy import (
     Marker,
     marker_on_foot,
     marker_on_post,
-    shifted,
+    shift_point,
 )
 from sim.phantom.head.painting import Streak
 from sim.phantom.head.shapes import Ball, EllipsoidShell, Rod, Shape, Slab
@@ -102,11 +102,11 @@ def clamp(head: Head, count: int, generator: np.random.Generator) -> Obstacles:
         turn = azimuth + generator.uniform(-0.2, 0.2)
         skin, normal = skin_point(head, np.array([np.cos(turn), np.sin(turn), -PIN_HEIGHT]))
         outward = as_point(normal)
-        tip = shifted(as_point(skin), outward, -PIN_IN_SKULL_MM)
+        tip = shift_point(as_point(skin), outward, -PIN_IN_SKULL_MM)
         shapes.append(Rod(METAL_HU, tip, outward, PIN_MM, PIN_RADIUS_MM))
-        holder = shifted(tip, outward, PIN_MM)
+        holder = shift_point(tip, outward, PIN_MM)
         shapes.append(Rod(HOLDER_HU, holder, outward, HOLDER_MM, HOLDER_RADIUS_MM))
-        middle = shifted(tip, outward, PIN_MM / 2)
+        middle = shift_point(tip, outward, PIN_MM / 2)
         phase = float(generator.uniform(0.0, 2 * pi))
         streaks.append(
             Streak(middle, PIN_STREAK_HU, PIN_STREAK_FALL_MM, PIN_STREAK_LOBES, phase, PIN_RADIUS_MM)
@@ -120,7 +120,7 @@ def electrode(head: Head, direction: Vector) -> Obstacles:
     outward = as_point(normal)
     downwards = np.array([0.0, 0.0, -1.0]) + 0.4 * normal  # clear of the skin
     downwards /= np.linalg.norm(downwards)
-    start = shifted(as_point(skin), outward, CUP_MM)
+    start = shift_point(as_point(skin), outward, CUP_MM)
     return Obstacles(
         (
             Rod(CUP_HU, as_point(skin), outward, CUP_MM, CUP_RADIUS_MM),
@@ -133,7 +133,7 @@ def bolt(head: Head, direction: Vector) -> Obstacles:
     """The bolt of a depth electrode."""
     skin, normal = skin_point(head, direction)
     outward = as_point(normal)
-    start = shifted(as_point(skin), outward, -BOLT_IN_SKULL_MM)
+    start = shift_point(as_point(skin), outward, -BOLT_IN_SKULL_MM)
     return Obstacles((Rod(CUP_HU, start, outward, BOLT_IN_SKULL_MM + BOLT_MM, BOLT_RADIUS_MM),))
 
 
@@ -157,7 +157,7 @@ def distractor(
     along = along / np.linalg.norm(along) + generator.uniform(-0.5, 0.5) * normal
     along /= np.linalg.norm(along)
     length = float(generator.uniform(*CYLINDER_LENGTH_MM))
-    start = shifted(middle, as_point(along), -length / 2)
+    start = shift_point(middle, as_point(along), -length / 2)
     return Rod(hu, start, as_point(along), length, DISTRACTOR_CYLINDER_MM / 2), middle
 
 
@@ -192,7 +192,7 @@ def frame_shapes(head: Head, frame: str, generator: np.random.Generator) -> tupl
     first_x, third_x = FRAMES[frame][0][0], FRAMES[frame][2][0]
     hu = float(generator.choice(BAR_HU))
     down = as_point(-np.array(head.fiducials[0].post_ct))
-    ends = [np.array(shifted(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials[:SPHERES]]
+    ends = [np.array(shift_point(one.centre_ct_mm, down, BAR_BELOW_MM)) for one in head.fiducials[:SPHERES]]
     bars: list[Shape] = []
     for first, second in BARS:
         length = float(np.linalg.norm(ends[second] - ends[first]))

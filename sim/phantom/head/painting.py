@@ -115,8 +115,8 @@ def add_band(image: Values, x: Values, y: Values, z_mm: float, band: Band) -> No
     dx, dy = x[None, :] - np.float32(band.centre[0]), y[:, None] - np.float32(band.centre[1])
     across = np.float32(cos(band.angle_rad)) * dy - np.float32(sin(band.angle_rad)) * dx
     along = np.float32(cos(band.angle_rad)) * dx + np.float32(sin(band.angle_rad)) * dy
-    beyond = np.maximum(np.abs(along) / np.float32(band.half_length_mm) - 1.0, np.float32(0.0))
-    square = (across / np.float32(band.width_mm)) ** 2 + (beyond / np.float32(BAND_FADES)) ** 2
+    share_past_end = np.maximum(np.abs(along) / np.float32(band.half_length_mm) - 1.0, np.float32(0.0))
+    square = (across / np.float32(band.width_mm)) ** 2 + (share_past_end / np.float32(BAND_FADES)) ** 2
     image += np.float32(share * band.hu) * np.exp(np.float32(-0.5) * square)
 
 

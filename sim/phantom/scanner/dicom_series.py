@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from ronna_hw.records import write_whole
+from ronna_hw.records import write_atomically
 from sim.phantom.head.shapes import Values
 from sim.phantom.scanner.faults import KERNELS, NO_FAULTS, ScannerFaults
 from sim.phantom.scanner.grid import CtGrid
@@ -56,9 +56,9 @@ class DicomSeries:
         self._described = (
             "Head phantom after the operation" if occasion else "Head phantom with fiducial spheres"
         )
-        self.series_instance_uid = self._uid("series")
-        self._study_uid = self._uid("study")
-        self._frame_uid = self._uid("frame of reference")
+        self.series_instance_uid = self._make_uid("series")
+        self._study_uid = self._make_uid("study")
+        self._frame_uid = self._make_uid("frame of reference")
 
     def prepare(self) -> None:
         """Create the folder, and remove the slices of an earlier series."""
@@ -72,16 +72,16 @@ class DicomSeries:
         from pydicom.uid import UID
 
         data = self._header
-        instance = self._uid(f"slice {number}")
+        instance = self._make_uid(f"slice {number}")
         data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = UID(instance)
         data.InstanceNumber = number + 1
         position = self._first_pixel_mm(number)
-        data.ImagePositionPatient = [_decimal(value) for value in position]
-        data.SliceLocation = _decimal(position[2])
+        data.ImagePositionPatient = [_format_decimal(value) for value in position]
+        data.SliceLocation = _format_decimal(position[2])
         data.PixelData = stored.tobytes()
         content = BytesIO()
         dcmwrite(content, data, enforce_file_format=True)
-        write_whole(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
+        write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
         """Return the position of the first pixel of a slice tilted about its middle row."""
@@ -113,9 +113,9 @@ class DicomSeries:
         data.PatientBirthDate = data.PatientSex = ""
         data.BodyPartExamined = "HEAD"
         data.KVP = "120"
-        data.SliceThickness = _decimal(self._faults.thickness_mm or grid.slice_mm)
+        data.SliceThickness = _format_decimal(self._faults.thickness_mm or grid.slice_mm)
         if not self._faults.tilt_hidden:
-            data.GantryDetectorTilt = _decimal(self._faults.tilt_deg)
+            data.GantryDetectorTilt = _format_decimal(self._faults.tilt_deg)
         data.ConvolutionKernel = KERNELS[self._faults.kernel].name
         data.PatientPosition = PATIENT_POSITION
         data.StudyInstanceUID, data.SeriesInstanceUID = self._study_uid, self.series_instance_uid
@@ -125,30 +125,30 @@ class DicomSeries:
             "0",
             "0",
             "0",
-            _decimal(cos(self._tilt_rad), DIRECTION_DIGITS),
-            _decimal(sin(self._tilt_rad), DIRECTION_DIGITS),
+            _format_decimal(cos(self._tilt_rad), DIRECTION_DIGITS),
+            _format_decimal(sin(self._tilt_rad), DIRECTION_DIGITS),
         ]
         data.FrameOfReferenceUID, data.PositionReferenceIndicator = self._frame_uid, ""
         data.SamplesPerPixel, data.PhotometricInterpretation = 1, "MONOCHROME2"
         data.Rows, data.Columns = protocol.rows, protocol.columns
-        data.PixelSpacing = [_decimal(grid.pixel_mm)] * 2
+        data.PixelSpacing = [_format_decimal(grid.pixel_mm)] * 2
         bits = 16 if self._faults.extended_range else 12
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
         data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
         return data
 
-    def _uid(self, what: str) -> str:
+    def _make_uid(self, what: str) -> str:
         digest = hashlib.sha256(self._content + what.encode()).digest()
         return UID_PREFIX + str(int.from_bytes(digest[: UID_BITS // 8], "big"))
 
 
-def stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
+def to_stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
     """Convert HU to stored values up to `largest`; values beyond saturate, as on a scanner."""
     return np.clip(np.rint(hu) - np.float32(INTERCEPT_HU), 0, largest).astype("<u2")
 
 
-def _decimal(value: float, digits: int = COORDINATE_DIGITS) -> str:
+def _format_decimal(value: float, digits: int = COORDINATE_DIGITS) -> str:
     """Format a DICOM decimal string of at most 16 characters."""
     text = f"{value:.{digits}f}".rstrip("0").rstrip(".")
     return "0" if text in ("", "-0") else text

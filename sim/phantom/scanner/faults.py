@@ -113,7 +113,7 @@ def hardening(image: Values, pixel_mm: float, strength: float) -> Values:
     for turn, back in _turns(side):
         whole = cv2.warpAffine(water, turn, (side, side)).sum(axis=0) * cell_cm
         through = cv2.warpAffine(dense, turn, (side, side)).sum(axis=0) * cell_cm
-        filtered = _ramp_filtered(loss * through * whole, cell_cm)
+        filtered = _filter_ramp(loss * through * whole, cell_cm)
         smeared = np.broadcast_to(filtered.astype(np.float32), (side, side))
         error += cv2.warpAffine(np.ascontiguousarray(smeared), back, (side, side))
     error *= np.float32(np.pi / ANGLES * HU_PER_WATER)
@@ -133,7 +133,7 @@ def _turns(side: int) -> tuple[tuple[np.ndarray, np.ndarray], ...]:
     )
 
 
-def _ramp_filtered(projection: Values, cell_cm: float) -> Values:
+def _filter_ramp(projection: Values, cell_cm: float) -> Values:
     """Apply a ramp filter with cosine roll-off (Shepp-Logan would ring at a post)."""
     count = 2 * len(projection)
     cycles = np.fft.rfftfreq(count, cell_cm)

@@ -41,20 +41,20 @@ def paint_patch(
     thickness_mm: float,
 ) -> Patch:
     """Paint the surroundings of a marker's centre, into which any of `shapes` may extend."""
-    where = [
+    ranges = [
         grid.indices(axis, centre[axis] - HALF_SIDE_MM, centre[axis] + HALF_SIDE_MM) for axis in range(3)
     ]
     voxels = [
-        positions[part] for positions, part in zip((grid.x_mm, grid.y_mm, grid.z_mm), where, strict=True)
+        positions[part] for positions, part in zip((grid.x_mm, grid.y_mm, grid.z_mm), ranges, strict=True)
     ]
     spacing = (grid.pixel_mm, grid.pixel_mm, grid.slice_mm)
     sigma = (kernel.plane_sigma_mm, kernel.plane_sigma_mm, SLICE_SIGMA_MM)
     boxes = (grid.pixel_mm, grid.pixel_mm, thickness_mm)
     wide = WIDER if kernel.enhanced else 1.0
     spreads = [blur_spread_mm(box, wide * g) for box, g in zip(boxes, sigma, strict=True)]
-    fine = [_samples(v, s, far) for v, s, far in zip(voxels, spacing, spreads, strict=True)]
+    fine = [_sample_positions(v, s, far) for v, s, far in zip(voxels, spacing, spreads, strict=True)]
     x, y, z = (axis.astype(np.float32) for axis in fine)
-    image = sharp_head.at(x[None, None, :], y[None, :, None], z[:, None, None])
+    image = sharp_head.hu_at(x[None, None, :], y[None, :, None], z[:, None, None])
     for shape in shapes:
         paint(image, (x, y, z), shape, FINE_MM)
     by_x, by_y, by_z = (
@@ -70,10 +70,10 @@ def paint_patch(
     image = np.ascontiguousarray(image.transpose(0, 2, 1)).reshape(-1, len(y)) @ by_y.T
     image = by_z @ image.reshape(len(z), -1)
     image = image.reshape(len(by_z), len(by_x), len(by_y)).transpose(0, 2, 1)
-    return Patch(slices=where[2], rows=where[1], columns=where[0], hu=np.ascontiguousarray(image))
+    return Patch(slices=ranges[2], rows=ranges[1], columns=ranges[0], hu=np.ascontiguousarray(image))
 
 
-def _samples(voxels: NDArray[np.float64], spacing: float, spread: float) -> NDArray[np.float64]:
+def _sample_positions(voxels: NDArray[np.float64], spacing: float, spread: float) -> NDArray[np.float64]:
     """Return fine positions around a row of voxels, a whole number of them per voxel."""
     per_voxel = int(np.ceil(spacing / FINE_MM))
     step = spacing / per_voxel

@@ -76,14 +76,14 @@ def place_grid(head: Head, protocol: CtProtocol) -> CtGrid:
     if (high - low > field).any():
         raise BadScene(
             "markers and trajectories do not fit in the CT's field of view",
-            expected=f"a field of {_dimensions(high - low)} mm",
-            got=f"{_dimensions(field)} mm",
+            expected=f"a field of {_format_dimensions(high - low)} mm",
+            got=f"{_format_dimensions(field)} mm",
         )
     middle = 0.5 * (np.minimum(low, centre - semi_axes) + np.maximum(high, centre + semi_axes))
-    return centred_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
+    return centre_grid(np.clip(middle, high - field / 2, low + field / 2), protocol)
 
 
-def centred_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:
+def centre_grid(middle_mm: Vector, protocol: CtProtocol) -> CtGrid:
     """Return the protocol's field, centred on a point."""
     counts = np.array([protocol.columns, protocol.rows, protocol.slices])
     spacing = np.array([protocol.pixel_mm, protocol.pixel_mm, protocol.slice_mm])
@@ -112,9 +112,11 @@ def grid_ending_at_spheres(
     shares = {}
     for fiducial in head.fiducials:
         centre, radius = fiducial.centre_ct_mm, fiducial.radius_mm
-        beyond = max(centre[0] + radius - x_mm, centre[2] + radius - top_mm, 0.0)
-        if beyond > 0.0:
-            shares[fiducial.number] = round(1.0 - beyond / (2.0 * radius), 3)  # of a cap, by its height
+        cut_height_mm = max(centre[0] + radius - x_mm, centre[2] + radius - top_mm, 0.0)
+        if cut_height_mm > 0.0:
+            shares[fiducial.number] = round(
+                1.0 - cut_height_mm / (2.0 * radius), 3
+            )  # of a cap, by its height
     return replace(grid, origin_mm=origin), shares
 
 
@@ -123,5 +125,5 @@ def _positions(first_mm: float, spacing_mm: float, count: int) -> Vector:
     return positions
 
 
-def _dimensions(values: Vector) -> str:
+def _format_dimensions(values: Vector) -> str:
     return " x ".join(f"{value:.0f}" for value in values)

@@ -47,7 +47,7 @@ def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> 
                 parts.append(_status_text(frame, port, tracked))
         parts.append(wire.LF)
     if options & ReplyOption.STRAY_PASSIVE:
-        parts.append(_markers_text(*_stray_list(frame.strays, options), behaviour))
+        parts.append(_markers_text(*_select_strays(frame.strays, options), behaviour))
     parts.append(f"{int(frame.system_status):04X}")
     return "".join(parts)
 
@@ -56,7 +56,7 @@ def _tool_text(
     frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
 ) -> list[str]:
     parts = []
-    tracked = reported_tool(tracked, options, behaviour)
+    tracked = omit_unreported(tracked, options, behaviour)
     if options & ReplyOption.TRANSFORMS:
         pose = None if tracked is None else tracked.pose
         parts.append(wire.REPLY_MISSING if pose is None else _pose_text(pose))
@@ -68,7 +68,7 @@ def _tool_text(
         words = behaviour.text_active_stray == "words"
         parts.append(wire.REPLY_MISSING if words else f"{HandleStatus.MISSING:02X}")
     if options & ReplyOption.TOOL_MARKERS:
-        markers = seen_markers(tracked)
+        markers = list_markers(tracked)
         parts.append(_markers_text(markers, [position for position, _ in markers], behaviour))
     return parts
 
@@ -91,11 +91,11 @@ def _position_text(position_mm: Point) -> str:
 def _markers_text(markers: Markers, sent_mm: list[Point], behaviour: UnitBehaviour) -> str:
     """Count, out-of-volume flags, and the positions that are sent."""
     outside = [not inside for _, inside in markers]
-    bits = _bit_digits(outside, first_is_high=behaviour.first_stray_is_high_bit)
+    bits = _format_bits(outside, first_is_high=behaviour.first_stray_is_high_bit)
     return f"{len(markers):02X}{bits}" + "".join(map(_position_text, sent_mm))
 
 
-def _bit_digits(flags: Sequence[bool], *, first_is_high: bool) -> str:
+def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
     """Flags as hexadecimal digits: one number with flag 0 highest, or four flags per digit in order."""
     digits = -(-len(flags) // HEX_DIGIT_BITS)
     if not digits:
@@ -116,7 +116,7 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) ->
         else:  # no options apply
             parts.append(_HANDLE.pack(port.handle, HandleStatus.DISABLED))
     if options & ReplyOption.STRAY_PASSIVE:
-        parts.append(_markers_bytes(*_stray_list(frame.strays, options), behaviour))
+        parts.append(_markers_bytes(*_select_strays(frame.strays, options), behaviour))
     parts.append(_U16.pack(frame.system_status))
     return b"".join(parts)
 
@@ -124,7 +124,7 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) ->
 def _tool_bytes(
     frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
 ) -> list[bytes]:
-    tracked = reported_tool(tracked, options, behaviour)
+    tracked = omit_unreported(tracked, options, behaviour)
     pose = None if tracked is None else tracked.pose
     parts = [_HANDLE.pack(port.handle, HandleStatus.MISSING if pose is None else HandleStatus.VALID)]
     if options & ReplyOption.TRANSFORMS:
@@ -138,7 +138,7 @@ def _tool_bytes(
         always = behaviour.binary_active_stray_always
         parts.append(bytes([HandleStatus.MISSING]) + NO_POSITION if always else b"\0")
     if options & ReplyOption.TOOL_MARKERS:
-        markers = seen_markers(tracked)
+        markers = list_markers(tracked)
         parts.append(_markers_bytes(markers, [position for position, _ in markers], behaviour))
     return parts
 
@@ -151,7 +151,9 @@ def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavi
     return bytes([len(markers)]) + flags + b"".join(_POINT.pack(*position) for position in sent_mm)
 
 
-def reported_tool(tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour) -> Tracked | None:
+def omit_unreported(
+    tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
+) -> Tracked | None:
     """Omit what neither request nor unit reports of a tool outside the volume."""
     if tracked is None or not tracked.volume_status:
         return tracked
@@ -176,7 +178,7 @@ def marker_digits(tracked: Tracked | None, *, first_first: bool) -> str:
     return digits if first_first else digits[::-1]
 
 
-def seen_markers(tracked: Tracked | None) -> Markers:
+def list_markers(tracked: Tracked | None) -> Markers:
     """Return (position, inside the volume) for each measured marker of a tool."""
     if tracked is None:
         return []
@@ -184,7 +186,7 @@ def seen_markers(tracked: Tracked | None) -> Markers:
     return [(position, inside) for position, inside in pairs if position is not None]
 
 
-def _stray_list(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Markers, list[Point]]:
+def _select_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Markers, list[Point]]:
     """All strays, and the positions sent: those inside the volume; all with option 0800."""
     whole = bool(options & ReplyOption.OUT_OF_VOLUME)
     markers = [(stray.position_mm, stray.inside) for stray in strays]

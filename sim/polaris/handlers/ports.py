@@ -49,35 +49,35 @@ def search(unit: Unit, argument: str) -> str:
     if option not in list(HandleQuery):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     unit.port_changes = SystemStatus(0)  # the host knows them now
-    ports = unit.ports.matching(HandleQuery(option))
+    ports = unit.ports.list_matching(HandleQuery(option))
     return f"{len(ports):02X}" + "".join(f"{port.handle:02X}{int(port.status):03X}" for port in ports)
 
 
 def request(unit: Unit, argument: str) -> str:
     """PHRQ"""
-    asked = _PORT_DESCRIPTION.fullmatch(argument)
-    if asked is None:
+    requested_port = _PORT_DESCRIPTION.fullmatch(argument)
+    if requested_port is None:
         raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
-    kind, number, load = asked.groups()
-    port = _wired(unit, number, load) if kind == WIRED else _wireless(unit, number, load)
+    kind, number, load = requested_port.groups()
+    port = _request_wired(unit, number, load) if kind == WIRED else _request_wireless(unit, number, load)
     return f"{port.handle:02X}"
 
 
 def free(unit: Unit, argument: str) -> None:
     """PHF hh"""
-    unit.ports.free(unit.ports.addressed(argument).handle)
+    unit.ports.free(unit.ports.require_port(argument).handle)
 
 
 def initialise(unit: Unit, argument: str) -> str:
     """PINIT hh"""
-    port = unit.ports.addressed_occupied(argument)
+    port = unit.ports.require_occupied(argument)
     if port.dummy:
         port.initialised = True
         return wire.REPLY_OKAY
     if not port.written:
         raise Refusal(ErrorCode.NO_TOOL)
     _read_definition(unit, port)
-    warning = _warning(unit, port)
+    warning = _find_warning(unit, port)
     port.initialised = True
     if warning is None:
         return wire.REPLY_OKAY
@@ -89,7 +89,7 @@ def enable(unit: Unit, argument: str) -> None:
     priority = argument[HANDLE_DIGITS]
     if priority not in PRIORITIES:
         raise Refusal(ErrorCode.BAD_PRIORITY)
-    port = unit.ports.addressed_initialised(argument)
+    port = unit.ports.require_initialised(argument)
     if not port.enabled and len(unit.ports.enabled()) >= unit.model.enabled_tools:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
     port.priority = priority
@@ -98,7 +98,7 @@ def enable(unit: Unit, argument: str) -> None:
 
 def disable(unit: Unit, argument: str) -> None:
     """PDIS hh"""
-    port = unit.ports.addressed_initialised(argument)
+    port = unit.ports.require_initialised(argument)
     if not port.enabled:
         raise Refusal(ErrorCode.HANDLE_NOT_ENABLED)
     port.enabled = False
@@ -106,13 +106,13 @@ def disable(unit: Unit, argument: str) -> None:
 
 def information(unit: Unit, argument: str) -> str:
     """PHINF hh oooo: the parts of all requested options, lowest bit first"""
-    asked = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
-    if not asked or asked & ~sum(PORT_INFORMATION):
+    requested_port = hexadecimal(argument[HANDLE_DIGITS:] or DEFAULT_INFORMATION)
+    if not requested_port or requested_port & ~sum(PORT_INFORMATION):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    port = unit.ports.addressed(argument)
+    port = unit.ports.require_port(argument)
     if not port.occupied:
         return wire.REPLY_UNOCCUPIED
-    return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if asked & bit)
+    return "".join(part(unit, port) for bit, part in PORT_INFORMATION.items() if requested_port & bit)
 
 
 def select_faces(unit: Unit, argument: str) -> None:
@@ -120,7 +120,7 @@ def select_faces(unit: Unit, argument: str) -> None:
     faces = hexadecimal(argument[HANDLE_DIGITS:])
     if not 0 < faces <= ALL_FACES:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    unit.ports.addressed_initialised(argument).faces = faces
+    unit.ports.require_initialised(argument).faces = faces
 
 
 def _read_definition(unit: Unit, port: Port) -> None:
@@ -135,7 +135,7 @@ def _read_definition(unit: Unit, port: Port) -> None:
         port.place = unit.ports.free_place()
 
 
-def _warning(unit: Unit, port: Port) -> WarningCode | None:
+def _find_warning(unit: Unit, port: Port) -> WarningCode | None:
     tool = port.definition
     if tool is None or port.wired_port:  # active markers fire in turn: geometry does not identify them
         return None
@@ -146,18 +146,18 @@ def _warning(unit: Unit, port: Port) -> WarningCode | None:
     return warning
 
 
-def _wireless(unit: Unit, number: str, load: str) -> Port:
+def _request_wireless(unit: Unit, number: str, load: str) -> Port:
     if number not in (ANY_PORT, NO_PORT):
         raise Refusal(ErrorCode.BAD_PORT_DESCRIPTION)
     active = load == ACTIVE_WIRELESS_DUMMY
     return unit.ports.request(dummy=load in DUMMIES, active_wireless=active)
 
 
-def _wired(unit: Unit, number: str, load: str) -> Port:
+def _request_wired(unit: Unit, number: str, load: str) -> Port:
     """Request a handle for a socket by number, or for the first socket without one."""
     sockets = range(1, unit.wired.count + 1)
     if number == ANY_PORT:
-        free_ones = [socket for socket in sockets if unit.ports.of_socket(socket) is None]
+        free_ones = [socket for socket in sockets if unit.ports.find_by_socket(socket) is None]
         if not free_ones:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE if sockets else ErrorCode.BAD_PORT_DESCRIPTION)
         socket = free_ones[0]

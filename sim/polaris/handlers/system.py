@@ -168,7 +168,7 @@ def feature_list(unit: Unit, argument: str) -> str:
     model = unit.model
     volumes = "".join(volume.feature_line() for volume in model.volumes)
     lists = {
-        0x00: f"{_features(unit):08X}",
+        0x00: f"{_feature_bits(unit):08X}",
         0x01: f"{unit.wired.count:X}",
         0x02: f"{model.passive_ports:X}",
         int(wire.SFLIST_VOLUMES, 16): f"{len(model.volumes)}{volumes}",
@@ -185,8 +185,8 @@ def feature_list(unit: Unit, argument: str) -> str:
 
 def system_checks(unit: Unit, argument: str) -> str:
     """SSTAT oooo: two digits per option, 00 when healthy."""
-    asked = hexadecimal(argument)
-    if not asked or asked & ~(CONTROL | SENSORS | TOOL_INTERFACE):
+    requested_options = hexadecimal(argument)
+    if not requested_options or requested_options & ~(CONTROL | SENSORS | TOOL_INTERFACE):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     alerts = unit.alerts.current
     sensors_wrong = alerts & (Alert.SENSOR_PARAMETER | Alert.SENSOR_VOLTAGE)
@@ -195,10 +195,10 @@ def system_checks(unit: Unit, argument: str) -> str:
         SENSORS: LEFT_ROM | RIGHT_ROM if sensors_wrong else 0,
         TOOL_INTERFACE: INTERFACE_VOLTAGES if alerts & Alert.MAIN_VOLTAGE else 0,
     }
-    return "".join(f"{value:02X}" for option, value in found.items() if asked & option)
+    return "".join(f"{value:02X}" for option, value in found.items() if requested_options & option)
 
 
-def _features(unit: Unit) -> int:
+def _feature_bits(unit: Unit) -> int:
     model = unit.model
     return (
         FEATURE_PASSIVE_PORTS

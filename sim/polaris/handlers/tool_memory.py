@@ -10,7 +10,7 @@ from ronna_hw.wire.polaris import HANDLE_DIGITS
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.ports import WiredTool
 from sim.polaris.unit.refusal import ErrorCode, Refusal, hexadecimal
-from sim.polaris.unit.tool_definition import built_in_definition
+from sim.polaris.unit.tool_definition import build_test_definition
 
 ADDRESS_DIGITS = 4
 BLOCK_DIGITS = 2 * wire.PVWR_BLOCK_BYTES
@@ -23,8 +23,8 @@ OUTPUT_STATES = frozenset("NSPO")  # no change, solid, pulse, off
 
 def write_virtual(unit: Unit, argument: str) -> None:
     """PVWR hh aaaa and 64 bytes: loaded unchecked, PINIT checks the content"""
-    address, content = _block(argument, wire.PVWR_SPACE_BYTES)
-    port = unit.ports.addressed(argument)
+    address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
+    port = unit.ports.require_port(argument)
     if port.unoccupied:
         raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
     if port.dummy:
@@ -35,8 +35,8 @@ def write_virtual(unit: Unit, argument: str) -> None:
 
 def read(unit: Unit, argument: str) -> str:
     """PPRD hh aaaa: 64 bytes of a wired tool's memory"""
-    address = _address(argument, wire.PVWR_SPACE_BYTES)
-    tool = _tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    address = _parse_address(argument, wire.PVWR_SPACE_BYTES)
+    tool = _require_tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
     if tool.memory is None:
         raise Refusal(ErrorCode.CANNOT_READ_MEMORY)
     return tool.memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
@@ -44,31 +44,31 @@ def read(unit: Unit, argument: str) -> str:
 
 def write(unit: Unit, argument: str) -> None:
     """PPWR hh aaaa and 64 bytes: stored in the tool"""
-    address, content = _block(argument, wire.PVWR_SPACE_BYTES)
-    tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    address, content = _parse_block(argument, wire.PVWR_SPACE_BYTES)
+    tool = _require_tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     if tool.memory is None:
         raise Refusal(ErrorCode.CANNOT_WRITE_MEMORY)
     tool.memory[address : address + len(content)] = content
-    unit.ports.addressed(argument).memory[:] = tool.memory
+    unit.ports.require_port(argument).memory[:] = tool.memory
 
 
 def read_user_area(unit: Unit, argument: str) -> str:
     """PURD hh aaaa"""
-    address = _address(argument, unit.behaviour.user_memory_bytes)
-    tool = _tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
+    address = _parse_address(argument, unit.behaviour.user_memory_bytes)
+    tool = _require_tool(unit, argument, ErrorCode.CANNOT_READ_MEMORY)
     return tool.user_memory[address : address + wire.PVWR_BLOCK_BYTES].hex().upper()
 
 
 def write_user_area(unit: Unit, argument: str) -> None:
     """PUWR hh aaaa and 64 bytes"""
-    address, content = _block(argument, unit.behaviour.user_memory_bytes)
-    tool = _tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
+    address, content = _parse_block(argument, unit.behaviour.user_memory_bytes)
+    tool = _require_tool(unit, argument, ErrorCode.CANNOT_WRITE_MEMORY)
     tool.user_memory[address : address + len(content)] = content
 
 
 def search(unit: Unit, argument: str) -> str:
     """PSRCH hh: number and identifiers of the tool's memory devices"""
-    tool = unit.ports.addressed_wired(argument).tool
+    tool = unit.ports.require_wired(argument).tool
     return "0" if tool is None or tool.memory is None else f"1{tool.identifier}"
 
 
@@ -76,25 +76,25 @@ def select(unit: Unit, argument: str) -> None:
     """PSEL hh d...: select a memory device by its identifier"""
     if len(argument) <= HANDLE_DIGITS:
         raise Refusal(ErrorCode.PARAMETER_COUNT)
-    tool = unit.ports.addressed_wired(argument).tool
+    tool = unit.ports.require_wired(argument).tool
     if tool is None or tool.memory is None or argument[HANDLE_DIGITS:].upper() != tool.identifier:
         raise Refusal(ErrorCode.CANNOT_SELECT_MEMORY)
 
 
 def use_test_definition(unit: Unit, argument: str) -> None:
     """TTCFG hh: load the test definition, for a tool without memory"""
-    port = unit.ports.addressed_wired(argument)
+    port = unit.ports.require_wired(argument)
     if port.written and not unit.behaviour.replaces_definition_by_test:
         raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
-    content = built_in_definition()
+    content = build_test_definition()
     port.memory[: len(content)] = content
     port.written = True
 
 
 def test_current(unit: Unit, argument: str) -> None:
     """TCTST hh: test the markers' current; PHINF 0002 reads the result"""
-    port = unit.ports.addressed_wired(argument)
-    definition = unit.ports.addressed_initialised(argument).definition
+    port = unit.ports.require_wired(argument)
+    definition = unit.ports.require_initialised(argument).definition
     if definition is None:  # a dummy draws no current
         raise Refusal(ErrorCode.CURRENT_TEST_FAILED)
     port.current_test = (1 << len(definition.markers_mm)) - 1  # every marker passes
@@ -107,36 +107,36 @@ def light(unit: Unit, argument: str) -> None:
         raise Refusal(ErrorCode.BAD_LED_NUMBER)
     if state not in LIGHT_STATES:
         raise Refusal(ErrorCode.BAD_LED_STATE)
-    unit.ports.addressed_wired(argument)
-    unit.ports.addressed_initialised(argument)
+    unit.ports.require_wired(argument)
+    unit.ports.require_initialised(argument)
 
 
 def general_purpose(unit: Unit, argument: str) -> None:
     """PSOUT hh abc"""
     if not OUTPUT_STATES.issuperset(argument[HANDLE_DIGITS:]):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    unit.ports.addressed_wired(argument)
-    unit.ports.addressed_initialised(argument)
+    unit.ports.require_wired(argument)
+    unit.ports.require_initialised(argument)
 
 
-def _address(argument: str, space_bytes: int) -> int:
+def _parse_address(argument: str, space_bytes: int) -> int:
     address = hexadecimal(argument[HANDLE_DIGITS:ADDRESSED])
     if address % wire.PVWR_BLOCK_BYTES or address + wire.PVWR_BLOCK_BYTES > space_bytes:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     return address
 
 
-def _block(argument: str, space_bytes: int) -> tuple[int, bytes]:
-    address = _address(argument, space_bytes)
+def _parse_block(argument: str, space_bytes: int) -> tuple[int, bytes]:
+    address = _parse_address(argument, space_bytes)
     hexadecimal(argument[ADDRESSED:])
     return address, bytes.fromhex(argument[ADDRESSED:])
 
 
-def _tool(unit: Unit, argument: str, without_memory: ErrorCode) -> WiredTool:
-    port = unit.ports.addressed(argument)
+def _require_tool(unit: Unit, argument: str, without_memory: ErrorCode) -> WiredTool:
+    port = unit.ports.require_port(argument)
     if not port.wired_port and unit.behaviour.memory_of_passive == "1E/1F":
         raise Refusal(without_memory)
-    tool = unit.ports.addressed_wired(argument).tool
+    tool = unit.ports.require_wired(argument).tool
     if tool is None:
         raise Refusal(without_memory)
     return tool

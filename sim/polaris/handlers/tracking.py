@@ -33,7 +33,7 @@ def start(unit: Unit, argument: str) -> None:
     enabled = unit.ports.enabled()
     faulty = unit.alerts.current & HARDWARE_ALERTS and not unit.behaviour.starts_with_hardware_fault
     idle = not enabled and not unit.behaviour.starts_without_tools
-    if faulty or idle or _dummy_beside_tool(enabled):
+    if faulty or idle or _has_dummy_beside_tool(enabled):
         raise Refusal(ErrorCode.CANNOT_START_TRACKING)
     if len(enabled) > unit.behaviour.most_tracked:
         raise Refusal(ErrorCode.TOO_MANY_ENABLED)
@@ -57,7 +57,7 @@ def stop(unit: Unit, _argument: str) -> None:
 
 def text_frame(unit: Unit, argument: str) -> bytes:
     """TX [oooo]"""
-    options = _options(argument)
+    options = _parse_options(argument)
     if options & ReplyOption.TOOL_MARKERS and not unit.behaviour.text_tool_markers:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     return ascii_reply(text_reply(unit.frame(), options, unit.behaviour))
@@ -65,18 +65,18 @@ def text_frame(unit: Unit, argument: str) -> bytes:
 
 def binary_frame(unit: Unit, argument: str) -> bytes:
     """BX [oooo]"""
-    options = _options(argument)
+    options = _parse_options(argument)
     return binary_reply(binary_body(unit.frame(), options, unit.behaviour))
 
 
-def _options(argument: str) -> ReplyOption:
-    asked = hexadecimal(argument) if argument else int(ReplyOption.TRANSFORMS)
-    if not asked or asked & ~OPTIONS:
+def _parse_options(argument: str) -> ReplyOption:
+    requested_options = hexadecimal(argument) if argument else int(ReplyOption.TRANSFORMS)
+    if not requested_options or requested_options & ~OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    return ReplyOption(asked)
+    return ReplyOption(requested_options)
 
 
-def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
+def _has_dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
     """Whether a dummy and a real tool of one type are both enabled."""
     dummies = {(bool(port.wired_port), port.active_wireless) for port in ports if port.dummy}
     return any((bool(port.wired_port), port.active_wireless) in dummies for port in ports if not port.dummy)
@@ -85,8 +85,8 @@ def _dummy_beside_tool(ports: tuple[Port, ...]) -> bool:
 def fire(unit: Unit, argument: str) -> None:
     """IRED hh bbbbbbbb: one bit per marker to fire"""
     bits = hexadecimal(argument[HANDLE_DIGITS:])
-    port = unit.ports.addressed_wired(argument)
-    unit.ports.addressed_initialised(argument)
+    port = unit.ports.require_wired(argument)
+    unit.ports.require_initialised(argument)
     port.firing = bits
 
 
@@ -94,7 +94,7 @@ def markers(unit: Unit, argument: str) -> str:
     """3D hh n: every marker in view, of a tool or stray"""
     if argument[HANDLE_DIGITS] != EVERYTHING_SEEN:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    port = unit.ports.addressed_initialised(argument)
+    port = unit.ports.require_initialised(argument)
     frame = unit.diagnostic_frame(port)
     seen = [(stray.position_mm, stray.inside) for stray in frame.strays]
     for own, tracked in frame.tools:
@@ -119,12 +119,12 @@ def prepare_infrared_check(unit: Unit, _argument: str) -> None:
 
 def check_infrared(unit: Unit, argument: str) -> str:
     """IRCHK [oooo]: whether and where there is ambient infrared light"""
-    asked = hexadecimal(argument) if argument else DETECTED
-    if not asked or asked & ~(DETECTED | SOURCES):
+    requested_options = hexadecimal(argument) if argument else DETECTED
+    if not requested_options or requested_options & ~(DETECTED | SOURCES):
         raise Refusal(ErrorCode.OUT_OF_RANGE)
     if not unit.infrared_checked:
         raise Refusal(ErrorCode.INFRARED_CHECK_NOT_READY)
     if unit.measurer.light:
         raise Refusal(ErrorCode.TOO_MUCH_INFRARED)
-    detected = "0" if asked & DETECTED else ""
-    return detected + (2 * NO_SOURCES if asked & SOURCES else "")
+    detected = "0" if requested_options & DETECTED else ""
+    return detected + (2 * NO_SOURCES if requested_options & SOURCES else "")

@@ -74,11 +74,11 @@ class CommandInterpreter:
             self.unit.line = DEFAULT_LINE
 
     def due_s(self) -> float:
-        """Host time at which `unsolicited` should be called again."""
+        """Host time at which `unsolicited_bytes` should be called again."""
         moments_s = (time.monotonic() + POLL_S, self._break_s, self._starts_s)
         return min(moment_s for moment_s in moments_s if moment_s is not None)
 
-    def unsolicited(self) -> bytes:
+    def unsolicited_bytes(self) -> bytes:
         """Return what the unit sends of its own accord now: RESET after a restart, otherwise nothing."""
         if self._watch_dog_ns:
             self._check_watch_dog()

@@ -109,7 +109,7 @@ class PseudoTerminal:
             time.sleep(max(0.0, self._arrived_s - time.monotonic()))
 
     def send(self, data: bytes, line: LineSettings) -> None:
-        if time.monotonic() - self._heard_s > SLOW_ANSWER_S and self._sent_break():
+        if time.monotonic() - self._heard_s > SLOW_ANSWER_S and self._suspects_break():
             return
         if line.data_bits == 7 and self._behaviour.strips_eighth_bit:
             data = data.translate(SEVEN_BITS)
@@ -124,7 +124,7 @@ class PseudoTerminal:
             piece = data[start : start + step]
             moment_s += len(piece) * line.seconds_per_byte
             time.sleep(max(0.0, moment_s - time.monotonic()))
-            if self._sent_break():
+            if self._suspects_break():
                 return
             self._write(piece)
 
@@ -142,7 +142,7 @@ class PseudoTerminal:
             self._opened_s = time.monotonic()
             self._spoken_to = False
 
-    def _sent_break(self) -> bool:
+    def _suspects_break(self) -> bool:
         """Whether the host seems to have sent a break while its command was executed."""
         suspected = False
         while (events := self._controls.poll(0)) and events[0][1] & select.POLLPRI:

@@ -115,7 +115,7 @@ class Server:
         waiting = self._poll(listener.fileno())
         while (ready := self._wait(waiting)) is not None:
             if not ready:
-                self._interpreter.unsolicited()  # no host is connected
+                self._interpreter.unsolicited_bytes()  # no host is connected
                 continue
             connection = Connection(listener.accept()[0], self._silent_host_s)
             try:
@@ -134,8 +134,8 @@ class Server:
         while (ready := self._wait(waiting)) is not None:
             if self._must_yield():
                 return
-            if unsolicited := interpreter.unsolicited():
-                channel.send(unsolicited, interpreter.reply_line)
+            if unsolicited_bytes := interpreter.unsolicited_bytes():
+                channel.send(unsolicited_bytes, interpreter.reply_line)
             received = channel.receive(ready) if ready else b""
             if received is None:
                 return

@@ -18,7 +18,7 @@ from sim.polaris.measurement.optics import (
     Sight,
     extra_strays,
     eyes_mm,
-    in_field,
+    is_in_field,
     phantoms,
     reflecting_places,
     reflections,
@@ -115,15 +115,15 @@ class Measurer:
         tools: list[tuple[Port, Tracked | None]] = []
         unclaimed: list[tuple[float, float, float]] = []  # markers of tools without a pose
         for port in ports:
-            tracked = self._tool(port, in_view.tools[port.handle], generator, volume)
+            tracked = self._measure_tool(port, in_view.tools[port.handle], generator, volume)
             tools.append((port, tracked))
             if tracked is not None and tracked.pose is None:
                 unclaimed += tracked.measured_mm
         # Illuminators fire for enabled handles only.
-        strays = self._strays(since_start, in_view, disturbance, unclaimed, volume) if ports else ()
+        strays = self._measure_strays(since_start, in_view, disturbance, unclaimed, volume) if ports else ()
         return Frame(number, tuple(tools), strays, status)
 
-    def _tool(
+    def _measure_tool(
         self, port: Port, group: Group | None, generator: np.random.Generator, volume: Volume
     ) -> Tracked | None:
         definition = port.definition
@@ -146,7 +146,7 @@ class Measurer:
             information=tracked.information | INFRARED_COPY,
         )
 
-    def _strays(
+    def _measure_strays(
         self,
         since_start: int,
         in_view: VisibleMarkers,
@@ -154,15 +154,15 @@ class Measurer:
         unclaimed: list[tuple[float, float, float]],
         volume: Volume,
     ) -> tuple[Stray, ...]:
-        points = self._points(in_view.fixed, since_start, STRAY_LANE) + unclaimed
+        points = self._measure_points(in_view.fixed, since_start, STRAY_LANE) + unclaimed
         if in_view.frame is not None:  # its spheres are in view even if the tool is not loaded
-            points += self._points(in_view.frame, since_start, FRAME_LANE)
-        points += self._points(in_view.phantoms, since_start, PHANTOM_LANE)
+            points += self._measure_points(in_view.frame, since_start, FRAME_LANE)
+        points += self._measure_points(in_view.phantoms, since_start, PHANTOM_LANE)
         glints = self._usual_reflections + disturbance.reflections
         glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
         if glints:
             places = reflecting_places(self._seed, glints, self._first_volume)
-            points += _triples(
+            points += _as_triples(
                 reflections(places, noise(self._seed, self._noise_key, since_start, REFLECTION_LANE))
             )
         points = points[:MAXIMUM_STRAYS]
@@ -170,17 +170,17 @@ class Measurer:
         order = noise(self._seed, self._noise_key, since_start, ORDER_LANE).permutation(len(points)).tolist()
         return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
-    def _points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
+    def _measure_points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
         """Measure the visible markers of a group once."""
         if not group.seen:
             return []
         generator = noise(self._seed, self._noise_key, since_start, lane)
-        return _triples(
+        return _as_triples(
             group.sight.measured(generator.standard_normal(group.sight.mean_mm.shape))[group.seen]
         )
 
 
-def _triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
+def _as_triples(points_mm: Vectors) -> list[tuple[float, float, float]]:
     return [(x, y, z) for x, y, z in points_mm.tolist()]
 
 
@@ -242,7 +242,7 @@ class MarkerVisibility:
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
         on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
-        fixed = self._fixed_spheres(disturbance, as_tool=on_head)
+        fixed = self._list_fixed_spheres(disturbance, as_tool=on_head)
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
@@ -251,17 +251,17 @@ class MarkerVisibility:
         ends = np.cumsum([len(group.markers_mm) for group in groups]).tolist()
         for group, end in zip(groups, ends, strict=True):
             first = end - len(group.markers_mm)
-            if scene.on_mount(group):
+            if scene.is_on_mount(group):
                 seen[:, first:end] = visible(eyes_mm(), points[first:end], bodies_past_mount)
             seen[:, [first + row for row in group.covered]] = False
-        seen &= in_field(points)
+        seen &= is_in_field(points)
         rows = {
             id(group): seen[:, end - len(group.markers_mm) : end]
             for group, end in zip(groups, ends, strict=True)
         }
 
         def group_of(tool: TrueTool | None) -> Group | None:
-            return None if tool is None else self._group(tool, rows[id(tool)], disturbance)
+            return None if tool is None else self._make_group(tool, rows[id(tool)], disturbance)
 
         ghosts = phantoms(
             eyes_mm(), points, seen, max(self._line_separation_mm, disturbance.line_separation_mm)
@@ -270,11 +270,11 @@ class MarkerVisibility:
         return VisibleMarkers(
             tools={handle: group_of(tool) for handle, tool in tools.items()},
             frame=group_of(frame),
-            fixed=self._group(fixed, rows[id(fixed)], disturbance),
+            fixed=self._make_group(fixed, rows[id(fixed)], disturbance),
             phantoms=ghost_group,
         )
 
-    def _fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
+    def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
         """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
         scene = self._scene
         more = extra_strays(self._seed, disturbance.strays, self._volume)
@@ -287,7 +287,7 @@ class MarkerVisibility:
             frozenset(), np.vstack([scene.fiducials_at(disturbance.room), scene.strays_mm, more]), covered
         )
 
-    def _group(self, tool: TrueTool, seen: Flags, disturbance: Disturbance) -> Group:
+    def _make_group(self, tool: TrueTool, seen: Flags, disturbance: Disturbance) -> Group:
         sight = self._optics.sight(tool.markers_mm)
         disturbed = disturbance.sunlight or bool(tool.names & disturbance.interfered)
         if disturbed:

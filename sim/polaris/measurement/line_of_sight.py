@@ -98,13 +98,13 @@ class Capsules:
 
     def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
         starts, ends, radii = self.starts_mm[:, None], self.ends_mm[:, None], self.radii_mm[:, None]
-        blocked = _distances(starts, ends, eyes_mm[:, None, None], points_mm) < radii
-        mounted = _distances(starts, ends, points_mm, points_mm) < radii
+        blocked = _segment_distances(starts, ends, eyes_mm[:, None, None], points_mm) < radii
+        mounted = _segment_distances(starts, ends, points_mm, points_mm) < radii
         hidden: Flags = np.logical_or.reduce(blocked & ~mounted, axis=1)
         return hidden
 
 
-def _distances(starts: Vectors, ends: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
+def _segment_distances(starts: Vectors, ends: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
     """Distance between each segment start-end and each segment eye-point (Ericson 2005, 5.1.9).
 
     All four (..., 3), broadcast against each other.

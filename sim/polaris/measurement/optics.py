@@ -65,7 +65,7 @@ class Optics:
     def sight(self, points_mm: Vectors) -> Sight:
         """Mean and noise of markers at `points_mm` (n, 3)."""
         growth = (points_mm[:, 2:] / self._middle_mm) ** 2
-        return Sight(points_mm + self.bias_field.at(points_mm), growth * self._sigma_mm)
+        return Sight(points_mm + self.bias_field.error_at(points_mm), growth * self._sigma_mm)
 
 
 def eyes_mm() -> Vectors:
@@ -73,7 +73,7 @@ def eyes_mm() -> Vectors:
     return np.array([[0.0, -HALF_BASE_MM, 0.0], [0.0, HALF_BASE_MM, 0.0]])
 
 
-def in_field(points_mm: Vectors) -> NDArray[np.bool_]:
+def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
     """Flags (n,): whether each point (n, 3) is in the field of view of both sensors."""
     x, y, z = points_mm.T
     nearest, farthest = FIELD_DEPTHS_MM
@@ -108,20 +108,20 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
     gap = on_a - on_b
     meet = apart & ((gap * gap).sum(axis=1) <= line_separation_mm**2)
     middle = (eyes_mm[0] + eyes_mm[1]) / 2.0 + (on_a[meet] + on_b[meet]) / 2.0
-    found: Vectors = middle[in_field(middle)]
+    found: Vectors = middle[is_in_field(middle)]
     return found
 
 
 @lru_cache(maxsize=8)
 def extra_strays(seed: int, count: int, volume: Volume) -> Vectors:
     """Positions (n, 3) of spheres added by a fault; the first do not depend on the count."""
-    return _places(seed, SPHERES, count, volume)
+    return _draw_places(seed, SPHERES, count, volume)
 
 
 @lru_cache(maxsize=8)
 def reflecting_places(seed: int, count: int, volume: Volume) -> Vectors:
     """Positions (n, 3) of reflecting surfaces, which flicker."""
-    return _places(seed, REFLECTIONS, count, volume)
+    return _draw_places(seed, REFLECTIONS, count, volume)
 
 
 def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
@@ -132,7 +132,7 @@ def reflections(places_mm: Vectors, generator: np.random.Generator) -> Vectors:
     return found
 
 
-def _places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
+def _draw_places(seed: int, what: str, count: int, volume: Volume) -> Vectors:
     near, far = volume.depths_mm
     middle, half = (near + far) / 2.0, INNER_SHARE * (far - near) / 2.0
     places = np.empty((count, 3))
@@ -163,13 +163,14 @@ class BiasField:
         self._middle_mm = stated[0][0].middle_depth_mm
         self._power = 0.0
         sizes = [
-            _Sizes(self.at(grid), self._depths(grid)) for grid in (_grid(volume) for volume, _ in stated)
+            _Sizes(self.error_at(grid), self._depths(grid))
+            for grid in (_grid(volume) for volume, _ in stated)
         ]
         if len(stated) > 1 and stated[0][1] > 0.0:
             self._power = _fit_power(sizes[0], sizes[1], stated[1][1] / stated[0][1])
         self._amplitudes_mm *= stated[0][1] / sizes[0].rms(self._power)
 
-    def at(self, points_mm: Vectors) -> Vectors:
+    def error_at(self, points_mm: Vectors) -> Vectors:
         """Error (n, 3) at points (n, 3)."""
         waves = np.sin(points_mm @ self._waves.T + self._phases) @ self._amplitudes_mm
         field: Vectors = waves * self._depths(points_mm)[:, None] ** self._power

@@ -114,20 +114,20 @@ class _Judge:
     def tracked(self, chosen: FittedFace | None, previous_face: int) -> Tracked:
         definition = self._definition
         if chosen is None:
-            status = _status(self._inside, definition)
-            return self._verdict(None, status, ToolInformation.TOO_FEW_MARKERS, previous_face)
+            status = _volume_status(self._inside, definition)
+            return self._build_verdict(None, status, ToolInformation.TOO_FEW_MARKERS, previous_face)
         fit, markers, rows = chosen.fit, chosen.markers, chosen.rows
         measured = self._measured_mm if len(rows) == len(self._seen) else self._measured_mm[rows]
         within = [self._inside[row] for row in rows]
 
         normals = definition.normals[markers] @ fit.rotation.T
-        facing = _facing(normals, measured, definition.maximum_angle_deg)
+        facing = _find_facing(normals, measured, definition.maximum_angle_deg)
         used = self._keep(list(range(len(markers))), facing, markers, MarkerState.BEYOND_ANGLE)
-        status = _status([within[k] for k in used], definition)
+        status = _volume_status([within[k] for k in used], definition)
         if sum(within[k] for k in used) >= definition.minimum_markers:
             used = self._keep(used, within, markers, DROPPED_OUT_OF_VOLUME)
         if len(used) < definition.minimum_markers:
-            return self._verdict(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
+            return self._build_verdict(None, status, ToolInformation.TOO_FEW_MARKERS, chosen.face)
 
         body = definition.markers_mm[markers]
         if len(used) < len(markers):
@@ -137,12 +137,12 @@ class _Judge:
             near[k] = distance <= definition.maximum_error_mm
         good = self._keep(used, near, markers, MarkerState.BEYOND_ERROR)
         if len(good) < definition.minimum_markers or not _is_spread_enough(body[good], definition):
-            return self._verdict(None, status, ToolInformation.BAD_FIT, chosen.face)
+            return self._build_verdict(None, status, ToolInformation.BAD_FIT, chosen.face)
         if len(good) < len(used):
             fit = fit_rigid_body(body[good], measured[good])
         for k in good:
             self._digits[markers[k]] = int(MarkerState.USED) if within[k] else USED_OUT_OF_VOLUME
-        return self._verdict(_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
+        return self._build_verdict(_as_tool_pose(fit), status, chosen.face << FACE_BITS, chosen.face)
 
     def _keep(self, numbers: list[int], keep: list[bool], markers: list[int], digit: int) -> list[int]:
         """Keep the markers that pass a rule; the others get the digit of that rule."""
@@ -151,13 +151,15 @@ class _Judge:
                 self._digits[markers[k]] = int(digit)
         return [k for k in numbers if keep[k]]
 
-    def _verdict(self, pose: ToolPose | None, status: PortStatus, information: int, face: int) -> Tracked:
+    def _build_verdict(
+        self, pose: ToolPose | None, status: PortStatus, information: int, face: int
+    ) -> Tracked:
         points = tuple((x, y, z) for x, y, z in self._measured_mm.tolist())
         seen, inside = tuple(self._seen), tuple(self._inside)
         return Tracked(pose, status, int(information), tuple(self._digits), face, seen, points, inside)
 
 
-def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
+def _find_facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> list[bool]:
     """Whether each marker faces the sensor (the origin) within the maximum angle."""
     towards = -(normals * markers_mm).sum(axis=1)
     limit = cos(radians(maximum_angle_deg)) * np.sqrt((markers_mm * markers_mm).sum(axis=1))
@@ -165,7 +167,7 @@ def _facing(normals: Vectors, markers_mm: Vectors, maximum_angle_deg: float) -> 
     return facing
 
 
-def _status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
+def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus:
     """Volume status: out with every marker outside, partially out with too few inside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
@@ -185,7 +187,7 @@ def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
     return bool((extents >= np.array(definition.minimum_spread_mm)).all())
 
 
-def _pose(fit: RigidFit) -> ToolPose:
+def _as_tool_pose(fit: RigidFit) -> ToolPose:
     w, qx, qy, qz = quaternion_from_rotation(fit.rotation).tolist()
     x, y, z = fit.translation_mm.tolist()
     return ToolPose((w, qx, qy, qz), (x, y, z), float(np.sqrt(np.mean(fit.distances_mm**2))))

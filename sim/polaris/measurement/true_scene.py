@@ -82,7 +82,9 @@ class TrueScene:
 
     def fiducials_at(self, room: RoomShift) -> Vectors:
         """Fiducials (n, 3), displaced by the room's faults."""
-        return apply(self._tracker_from(room), room.moved_spheres_mm(self._centres_mm, self.fiducial_numbers))
+        return apply(
+            self._tracker_from(room), room.displace_spheres_mm(self._centres_mm, self.fiducial_numbers)
+        )
 
     def bodies(
         self,
@@ -108,7 +110,7 @@ class TrueScene:
         """Whether this is the reference frame M, with an arm to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
-    def on_mount(self, tool: TrueTool) -> bool:
+    def is_on_mount(self, tool: TrueTool) -> bool:
         """Whether a tool is on the arm's mount or the guide."""
         return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
@@ -233,14 +235,14 @@ class Disturbances:
             return UNDISTURBED
         found = Disturbance(
             hidden_fiducials=frozenset(int(fault.argument) for fault in board.active("occlude_marker")),
-            hidden_tools=_names(board.active("occlude_tool")),
+            hidden_tools=_tool_names(board.active("occlude_tool")),
             hidden_tool_markers=frozenset(
                 (fault.arguments[0], int(fault.arguments[1])) for fault in board.active("occlude_tool_marker")
             ),
-            bent=_amounts(board.active("bend_tool")),
-            turned=_amounts(board.active("turn_tool")),
-            moved=tuple((fault.arguments[0], _vector(fault)) for fault in board.active("move_tool")),
-            interfered=_names(board.active("interference")),
+            bent=_amounts_by_tool(board.active("bend_tool")),
+            turned=_amounts_by_tool(board.active("turn_tool")),
+            moved=tuple((fault.arguments[0], _argument_vector(fault)) for fault in board.active("move_tool")),
+            interfered=_tool_names(board.active("interference")),
             strays=sum(int(fault.argument) for fault in board.active("strays")),
             reflections=sum(int(fault.argument) for fault in board.active("reflections")),
             line_separation_mm=max((float(f.argument) for f in board.active("phantoms")), default=0.0),
@@ -250,14 +252,14 @@ class Disturbances:
         return UNDISTURBED if found == UNDISTURBED else found
 
 
-def _names(faults: tuple[Fault, ...]) -> frozenset[str]:
+def _tool_names(faults: tuple[Fault, ...]) -> frozenset[str]:
     return frozenset(fault.argument for fault in faults)
 
 
-def _amounts(faults: tuple[Fault, ...]) -> tuple[tuple[str, float], ...]:
+def _amounts_by_tool(faults: tuple[Fault, ...]) -> tuple[tuple[str, float], ...]:
     return tuple((fault.arguments[0], float(fault.arguments[1])) for fault in faults)
 
 
-def _vector(fault: Fault) -> Vector:
+def _argument_vector(fault: Fault) -> Vector:
     x, y, z = (float(value) for value in fault.arguments[1:])
     return x, y, z

@@ -10,7 +10,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from sim.named_parameters import changed
+from sim.named_parameters import apply_assignments
 from sim.polaris.errors import BadUnitParameter
 from sim.polaris.unit.refusal import ErrorCode
 
@@ -168,4 +168,4 @@ class UnitBehaviour:
 
 def parse_behaviour(assignments: Iterable[str]) -> UnitBehaviour:
     """Apply `NAME=VALUE` assignments to the defaults; raises PSU-001."""
-    return changed(UnitBehaviour(), assignments, BadUnitParameter)
+    return apply_assignments(UnitBehaviour(), assignments, BadUnitParameter)

@@ -92,7 +92,7 @@ class PortTable:
 
     def request_wired(self, number: int, tool: WiredTool | None, *, dummy: bool = False) -> Port:
         """Allocate a handle for a socket; raises Refusal if it already has one, or none is left."""
-        if self.of_socket(number) is not None:
+        if self.find_by_socket(number) is not None:
             raise Refusal(ErrorCode.PORT_HAS_HANDLE)
         port = self.request(dummy=dummy, wired_port=number, tool=None if dummy else tool)
         if port.tool is not None and port.tool.memory is not None:
@@ -100,13 +100,13 @@ class PortTable:
             port.written = True
         return port
 
-    def of_socket(self, number: int) -> Port | None:
+    def find_by_socket(self, number: int) -> Port | None:
         """The handle of a socket, unless its tool was unplugged since."""
         return next((p for p in self if p.wired_port == number and not p.unoccupied), None)
 
     def unplug(self, number: int) -> None:
         """Mark the tool of a socket as unplugged; the handle stays until freed."""
-        port = self.of_socket(number)
+        port = self.find_by_socket(number)
         if port is not None:
             port.unoccupied = True
             port.tool = None
@@ -118,29 +118,29 @@ class PortTable:
         except KeyError:
             raise Refusal(ErrorCode.HANDLE_NOT_ALLOCATED) from None
 
-    def addressed(self, argument: str) -> Port:
+    def require_port(self, argument: str) -> Port:
         """The port whose handle begins a command's argument; raises Refusal for a bad or unknown handle."""
         return self.port(hexadecimal(argument[:HANDLE_DIGITS], ErrorCode.BAD_HANDLE))
 
-    def addressed_occupied(self, argument: str) -> Port:
+    def require_occupied(self, argument: str) -> Port:
         """The addressed port; raises Refusal if its tool was unplugged or never plugged in."""
-        port = self.addressed(argument)
+        port = self.require_port(argument)
         if port.unoccupied:
             raise Refusal(ErrorCode.HANDLE_UNOCCUPIED)
         if not port.occupied:
             raise Refusal(ErrorCode.NO_TOOL)
         return port
 
-    def addressed_initialised(self, argument: str) -> Port:
+    def require_initialised(self, argument: str) -> Port:
         """The addressed port; raises Refusal unless it is occupied and initialised."""
-        port = self.addressed_occupied(argument)
+        port = self.require_occupied(argument)
         if not port.initialised:
             raise Refusal(ErrorCode.HANDLE_NOT_INITIALISED)
         return port
 
-    def addressed_wired(self, argument: str) -> Port:
+    def require_wired(self, argument: str) -> Port:
         """The addressed port; raises Refusal unless it is the occupied port of a wired tool."""
-        port = self.addressed_occupied(argument)
+        port = self.require_occupied(argument)
         if not port.wired_port:
             raise Refusal(ErrorCode.NOT_FOR_THIS_DEVICE)
         return port
@@ -159,10 +159,10 @@ class PortTable:
 
     def free_place(self) -> int:
         """Lowest place in the scene without a loaded tool."""
-        taken = {port.place for port in self._ports.values()}
-        return next(place for place in range(self._size + 1) if place not in taken)
+        occupied_places = {port.place for port in self._ports.values()}
+        return next(place for place in range(self._size + 1) if place not in occupied_places)
 
-    def matching(self, query: HandleQuery) -> tuple[Port, ...]:
+    def list_matching(self, query: HandleQuery) -> tuple[Port, ...]:
         """Ports that a PHSR option lists."""
         if query is HandleQuery.ALL:
             return tuple(self)

@@ -110,10 +110,10 @@ def parse_definition(content: bytes) -> ToolDefinition:
         maximum_angle_deg=float(content[rom.MAXIMUM_ANGLE_OFFSET]),
         minimum_markers=minimum,
         maximum_error_mm=maximum_error_mm,
-        markers_mm=_vectors(content, rom.MARKER_POSITIONS_OFFSET, count, "marker positions"),
-        normals=_unit(_vectors(content, rom.MARKER_NORMALS_OFFSET, count, "marker normals")),
-        manufacturer=_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES),
-        part_number=_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
+        markers_mm=_read_vectors(content, rom.MARKER_POSITIONS_OFFSET, count, "marker positions"),
+        normals=_normalize(_read_vectors(content, rom.MARKER_NORMALS_OFFSET, count, "marker normals")),
+        manufacturer=_read_text(content, rom.MANUFACTURER_OFFSET, rom.MANUFACTURER_BYTES),
+        part_number=_read_text(content, rom.PART_NUMBER_OFFSET, rom.PART_NUMBER_BYTES),
         marker_type=content[rom.MARKER_TYPE_OFFSET],
         flags=content[rom.FLAGS_OFFSET],
         faces=faces,
@@ -159,7 +159,7 @@ def write_definition(tool: TrackerTool) -> bytes:
     return bytes(content)
 
 
-def built_in_definition() -> bytes:
+def build_test_definition() -> bytes:
     """Test definition that TTCFG loads for a wired tool without memory."""
     tool = TrackerTool(name="test", part_number="TEST", markers_mm=TEST_MARKERS_MM)
     return write_definition(tool)
@@ -170,14 +170,14 @@ def checksum(content: bytes) -> int:
     return sum(content[rom.CHECKSUM_FROM :]) & 0xFFFF
 
 
-def _vectors(content: bytes, offset: int, count: int, what: str) -> Vectors:
+def _read_vectors(content: bytes, offset: int, count: int, what: str) -> Vectors:
     values = np.array(_positions.unpack_from(content, offset)[: 3 * count]).reshape(count, 3)
     if not np.isfinite(values).all():
         raise BadDefinition(f"{what}: not finite numbers")
     return values
 
 
-def _unit(normals: Vectors) -> Vectors:
+def _normalize(normals: Vectors) -> Vectors:
     lengths = np.linalg.norm(normals, axis=1, keepdims=True)
     if (lengths < LEAST_NORMAL_LENGTH).any():
         raise BadDefinition("a marker normal has length zero")
@@ -185,7 +185,7 @@ def _unit(normals: Vectors) -> Vectors:
     return unit
 
 
-def _text(content: bytes, offset: int, length: int) -> str:
+def _read_text(content: bytes, offset: int, length: int) -> str:
     raw = content[offset : offset + length].split(b"\0", 1)[0]
     return "".join(chr(byte) if 32 <= byte < 127 else "?" for byte in raw)
 
@@ -199,7 +199,7 @@ def warning_of(
 ) -> WarningCode | None:
     """Warning of PINIT for a tool in the presence of others; None for a valid tool."""
     unique = _has_unique_segments(tool, behaviour)
-    conflicts = any(_conflict(tool, other, behaviour) for other in others)
+    conflicts = any(_conflicts(tool, other, behaviour) for other in others)
     if not unique:
         return WarningCode.NOT_UNIQUE_AND_CONFLICTS if conflicts else WarningCode.GEOMETRY_NOT_UNIQUE
     if conflicts:
@@ -223,7 +223,7 @@ def _has_unique_segments(tool: ToolDefinition, behaviour: UnitBehaviour) -> bool
     return all(b - a >= behaviour.segment_tolerance_mm for a, b in pairwise(lengths))
 
 
-def _conflict(tool: ToolDefinition, other: ToolDefinition, behaviour: UnitBehaviour) -> bool:
+def _conflicts(tool: ToolDefinition, other: ToolDefinition, behaviour: UnitBehaviour) -> bool:
     if not (_is_judged(tool, behaviour) and _is_judged(other, behaviour)):
         return False
     tolerance_mm = behaviour.conflict_tolerance_mm

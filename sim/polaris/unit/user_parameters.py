@@ -56,13 +56,13 @@ class UserParameters:
             SYSTEM_MODE: mode_name,
             wire.PARAMETER_ALERTS: lambda: str(int(alerts.current)),
             wire.PARAMETER_NEW_ALERTS: lambda: str(alerts.read_new()),
-            BUMP_DETECTED: self._bumped,
-            wire.PARAMETER_BUMPED: self._bumped,
+            BUMP_DETECTED: self._bump_status,
+            wire.PARAMETER_BUMPED: self._bump_status,
         }
 
     def value(self, name: str) -> str:
         """Value of a parameter; raises Refusal for an unknown name."""
-        known = self._find(name)
+        known = self._require_parameter(name)
         live = self._live.get(known.name)
         return live() if live else self._values[known.name]
 
@@ -73,7 +73,7 @@ class UserParameters:
     def list(self, pattern: str) -> tuple[Parameter, ...]:
         """Parameters selected by a name, or by a prefix and `*`; raises Refusal if there is none."""
         if not pattern.endswith(WILDCARD):
-            return (self._find(pattern),)
+            return (self._require_parameter(pattern),)
         beginning = pattern.removeprefix(DEVICE_PREFIX).removesuffix(WILDCARD)
         found = tuple(p for name, p in self._parameters.items() if name.startswith(beginning))
         if not found:
@@ -91,9 +91,9 @@ class UserParameters:
 
     def set(self, name: str, value: str, *, tracking: bool) -> None:
         """Change a parameter; raises Refusal if it is unknown or read-only, or the value invalid."""
-        parameter = self._writable(name, tracking=tracking)
+        parameter = self._require_writable(name, tracking=tracking)
         if parameter.limits is not None:
-            value = str(_number_within(value, parameter.limits))
+            value = str(_parse_number_within(value, parameter.limits))
         elif len(value) > LONGEST_TEXT:
             raise Refusal(ErrorCode.WRONG_SIZE)
         self._store(parameter, value)
@@ -101,7 +101,7 @@ class UserParameters:
     def set_default(self, pattern: str, *, tracking: bool) -> None:
         """Restore factory values; a wildcard skips read-only parameters."""
         if not pattern.endswith(WILDCARD):
-            parameter = self._writable(pattern, tracking=tracking)
+            parameter = self._require_writable(pattern, tracking=tracking)
             self._store(parameter, parameter.default)
             return
         for parameter in self.list(pattern):
@@ -133,25 +133,25 @@ class UserParameters:
         elif parameter.name == BUMP_DETECTION:
             self._alerts.detects_bumps = value == "1"
 
-    def _writable(self, name: str, *, tracking: bool) -> Parameter:
-        parameter = self._find(name)
+    def _require_writable(self, name: str, *, tracking: bool) -> Parameter:
+        parameter = self._require_parameter(name)
         if not parameter.writable:
             raise Refusal(ErrorCode.READ_ONLY)
         if tracking and not parameter.while_tracking:
             raise Refusal(ErrorCode.WRONG_MODE)
         return parameter
 
-    def _find(self, name: str) -> Parameter:
+    def _require_parameter(self, name: str) -> Parameter:
         parameter = self._parameters.get(name.removeprefix(DEVICE_PREFIX))
         if parameter is None:
             raise Refusal(ErrorCode.NO_SUCH_PARAMETER)
         return parameter
 
-    def _bumped(self) -> str:
+    def _bump_status(self) -> str:
         return "1" if self._alerts.current & Alert.BUMP else "0"
 
 
-def _number_within(value: str, limits: tuple[int, int]) -> int:
+def _parse_number_within(value: str, limits: tuple[int, int]) -> int:
     if not (value.isascii() and value.removeprefix("-").isdigit()):
         raise Refusal(ErrorCode.WRONG_VALUE_TYPE)
     low, high = limits
@@ -179,10 +179,10 @@ class Parameter:
 
 def parameter_table(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
     """All parameters with factory values, in the order in which a wildcard lists them."""
-    return (*_features(model, wired_ports), *_settings(model), *_status(model))
+    return (*_feature_parameters(model, wired_ports), *_setting_parameters(model), *_status_parameters(model))
 
 
-def _features(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
+def _feature_parameters(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
     major, minor, build = model.firmware.split(".")
     return (
         Parameter(wire.PARAMETER_MODEL, model.name, "Hardware model"),
@@ -201,27 +201,27 @@ def _features(model: UnitModel, wired_ports: int) -> tuple[Parameter, ...]:
     )
 
 
-def _settings(model: UnitModel) -> tuple[Parameter, ...]:
+def _setting_parameters(model: UnitModel) -> tuple[Parameter, ...]:
     volumes = ",".join(volume.name for volume in model.volumes)
     rates = ",".join(f"{wire.ILLUMINATOR_RATES_HZ[code]}Hz" for code in model.illuminator_rates)
     last_volume = len(model.volumes) - 1
     return (
         Parameter("Param.Tracking.Available Volumes", volumes),
-        _number(wire.PARAMETER_SELECTED_VOLUME, 0, (0, last_volume), "From 0", options=volumes),
-        _number("Param.Tracking.Sensitivity", 4, (1, LARGEST_SENSITIVITY), "Of the sensors"),
-        _number(
+        _number_parameter(wire.PARAMETER_SELECTED_VOLUME, 0, (0, last_volume), "From 0", options=volumes),
+        _number_parameter("Param.Tracking.Sensitivity", 4, (1, LARGEST_SENSITIVITY), "Of the sensors"),
+        _number_parameter(
             wire.PARAMETER_ILLUMINATOR_RATE,
             0,
             (0, max(model.illuminator_rates)),
             "Passive measurements per second",
             options=rates,
         ),
-        _number(RETURN_WARNING, 1, (0, 1), "PINIT warns of a missing wavelength"),
-        _number(BUMP_DETECTION, 1, (0, 1), "Bumps raise an alert"),
+        _number_parameter(RETURN_WARNING, 1, (0, 1), "PINIT warns of a missing wavelength"),
+        _number_parameter(BUMP_DETECTION, 1, (0, 1), "Bumps raise an alert"),
         Parameter(wire.PARAMETER_BUMP_CLEAR, "0", "Write 1 to clear", True, True, (0, 1)),
         Parameter(wire.PARAMETER_BUMPED, "0", "A bump has not been cleared"),
-        _number("Param.System Beeper", 1, (0, 1), "Beeps at power-up", while_tracking=True),
-        _number(WATCH_DOG, 0, (0, LONGEST_WATCH_DOG_S), "Seconds, 0 off", while_tracking=True),
+        _number_parameter("Param.System Beeper", 1, (0, 1), "Beeps at power-up", while_tracking=True),
+        _number_parameter(WATCH_DOG, 0, (0, LONGEST_WATCH_DOG_S), "Seconds, 0 off", while_tracking=True),
         Parameter(SIMULATED_ALERTS, "0", "Raises alerts", True, True, (0, ALL_ALERTS)),
         Parameter("Param.Host Connection", "0", "0 serial"),
         *(
@@ -231,7 +231,7 @@ def _settings(model: UnitModel) -> tuple[Parameter, ...]:
     )
 
 
-def _status(model: UnitModel) -> tuple[Parameter, ...]:
+def _status_parameters(model: UnitModel) -> tuple[Parameter, ...]:
     timeouts = (
         Parameter(f"{wire.PARAMETER_TIMEOUT_PREFIX}{name}", f"{seconds:g}", "Seconds")
         for name, seconds in wire.COMMAND_TIMEOUT_S.items()
@@ -252,7 +252,7 @@ def _status(model: UnitModel) -> tuple[Parameter, ...]:
     )
 
 
-def _number(
+def _number_parameter(
     name: str,
     default: int,
     limits: tuple[int, int],

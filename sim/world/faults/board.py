@@ -26,7 +26,7 @@ class FaultBoard:
         self._version = -1
         self._faults: tuple[Fault, ...] = ()
         # Momentary faults already reported, with their onset.
-        self._happened: set[tuple[Fault, float]] = set()
+        self._reported: set[tuple[Fault, float]] = set()
 
     @property
     def empty(self) -> bool:
@@ -47,7 +47,7 @@ class FaultBoard:
         now_s = self._world.clock.now_s()
         return tuple(
             (fault, onset_s)
-            for fault, onset_s in self._onsets(now_s)
+            for fault, onset_s in self._list_onsets(now_s)
             if onset_s <= now_s < onset_s + fault.duration_s
         )
 
@@ -58,14 +58,14 @@ class FaultBoard:
         """
         now_s = self._world.clock.now_s()
         due = []
-        for fault, onset_s in self._onsets(now_s):
-            happening = (fault, onset_s)
-            if fault.kind.name == kind and onset_s <= now_s and happening not in self._happened:
-                self._happened.add(happening)
+        for fault, onset_s in self._list_onsets(now_s):
+            occurrence = (fault, onset_s)
+            if fault.kind.name == kind and onset_s <= now_s and occurrence not in self._reported:
+                self._reported.add(occurrence)
                 due.append(fault)
         return tuple(due)
 
-    def _onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
+    def _list_onsets(self, now_s: float) -> Iterator[tuple[Fault, float]]:
         """Yield each fault with the theatre time of its onset."""
         self._refresh()
         if not self._faults:
@@ -85,11 +85,11 @@ class FaultBoard:
             version, text = self._world.fault_script()
             faults = parse_faults(text) if text.strip() else ()
             self._faults = tuple(fault for fault in faults if fault.kind.device == self._device)
-            self._happened = {one for one in self._happened if one[0] in self._faults}
+            self._reported = {one for one in self._reported if one[0] in self._faults}
             self._version = version
 
 
-def at_moment(now_s: float) -> str:
+def format_beginning(now_s: float) -> str:
     """Beginning of a line that acts from that theatre time on, to the nanosecond.
 
     Coarser rounding could place it ahead of a clock that stands still until someone advances it.
@@ -100,9 +100,9 @@ def at_moment(now_s: float) -> str:
 def begin_now(line: str, now_s: float) -> str:
     """Replace `now`, or a missing beginning, by the present theatre time."""
     if not has_beginning(line):
-        return f"{at_moment(now_s)}: {line}"
+        return f"{format_beginning(now_s)}: {line}"
     trigger, colon, rest = line.partition(":")
-    return f"{at_moment(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
+    return f"{format_beginning(now_s)}{colon}{rest}" if trigger.strip() == NOW else line
 
 
 def begin_with_step(text: str, step: str, now_s: float) -> str:
@@ -110,7 +110,7 @@ def begin_with_step(text: str, step: str, now_s: float) -> str:
     lines = text.split("\n")
     for fault in parse_faults(text):
         if fault.lasts and fault.begins_in(step):
-            begins = f"{at_moment(now_s + fault.after_s)}:"
+            begins = f"{format_beginning(now_s + fault.after_s)}:"
             lines[fault.line - 1] = _SINCE_STEP.sub(begins, lines[fault.line - 1])
     return "\n".join(lines)
 

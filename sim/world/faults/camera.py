@@ -10,7 +10,7 @@ from sim.world.faults.fault import (
     Both,
     DeviceFaults,
     OneOf,
-    at_most,
+    check_at_most,
     fiducial_number,
 )
 from sim.world.scene.model import Scene
@@ -23,42 +23,42 @@ MOST_STAINED_PERCENT = 60.0  # spots overlap: more would take long and look alik
 SIGHT = DeviceFaults("camera")
 PAIR = DeviceFaults("camera", prefix="camera_")
 CAMERA = DeviceFaults("camera", prefix="camera_", first=OneOf("camera", ("left", "right", BOTH)))
-lasting, share, once = CAMERA.lasting, CAMERA.share, CAMERA.once
+declare_lasting, share, declare_momentary = CAMERA.declare_lasting, CAMERA.share, CAMERA.declare_momentary
 _side = OneOf("camera", ("left", "right"))
 
 
-def _path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
+def _check_path(arguments: Arguments, _scene: Scene) -> Iterator[str]:
     if int(arguments[1]) < SMALLEST_PATH_BYTES:
         yield f"expected at least {SMALLEST_PATH_BYTES} bytes, got {arguments[1]}"
 
 
-TWIST = SIGHT.lasting(
+TWIST = SIGHT.declare_lasting(
     "twist",
     "twist NAME SIGNED deg",
     "The left or right camera is rotated by that angle in its mount, in the plane of both cameras.",
     _side,
 )
 SIGHT_FAULTS = (
-    SIGHT.lasting(
+    SIGHT.declare_lasting(
         "stain",
         "stain marker INT NUMBER %",
         "Spots of blood cover that share of a fiducial's film.",
-        Both(fiducial_number, at_most(MOST_STAINED_PERCENT, "%", argument=1)),
+        Both(fiducial_number, check_at_most(MOST_STAINED_PERCENT, "%", argument=1)),
     ),
-    SIGHT.lasting(
+    SIGHT.declare_lasting(
         "glare",
         "glare NAME NUMBER px",
         "A lamp reflects into the image of the left or right camera, with that radius.",
         _side,
     ),
-    SIGHT.lasting(
+    SIGHT.declare_lasting(
         "occluder",
         "occlude NAME NUMBER %",
         "A straight edge hides that share of the sphere's rim from the left or right camera.",
-        Both(_side, at_most(WHOLE_PERCENT, "%", argument=1)),
+        Both(_side, check_at_most(WHOLE_PERCENT, "%", argument=1)),
     ),
     TWIST,
-    SIGHT.lasting(
+    SIGHT.declare_lasting(
         "creep",
         "creep NAME SIGNED deg per min",
         "The left or right camera keeps rotating in its mount at that rate, in the plane of both cameras.",
@@ -70,50 +70,64 @@ STREAM_FAULTS = (
     share(
         "lose", "lose NAME NUMBER %", "That share of one camera's image packets is lost (left, right, both)."
     ),
-    lasting("forget", "forget NAME", "Packets are not resent: a request is answered with 0x800C."),
-    lasting("omit_leader", "omit leader NAME", "The first packet (leader) of every image is lost."),
-    lasting("omit_trailer", "omit trailer NAME", "The last packet (trailer) of every image is lost."),
-    lasting("omit_frames", "omit frames NAME", "Every packet of every image is lost; they can be resent."),
-    lasting("shuffle", "shuffle NAME", "The packets of an image arrive out of order."),
+    declare_lasting("forget", "forget NAME", "Packets are not resent: a request is answered with 0x800C."),
+    declare_lasting("omit_leader", "omit leader NAME", "The first packet (leader) of every image is lost."),
+    declare_lasting("omit_trailer", "omit trailer NAME", "The last packet (trailer) of every image is lost."),
+    declare_lasting(
+        "omit_frames", "omit frames NAME", "Every packet of every image is lost; they can be resent."
+    ),
+    declare_lasting("shuffle", "shuffle NAME", "The packets of an image arrive out of order."),
     share("duplicate", "duplicate NAME NUMBER %", "That share of the image packets arrives twice."),
-    lasting("shift_area", "shift area NAME", "The leader reports an area 16 px off the configured one."),
-    lasting("truncate", "truncate NAME", "Images contain only half of their data."),
-    lasting("path", "narrow path NAME INT bytes", "The network drops larger stream packets.", _path),
+    declare_lasting(
+        "shift_area", "shift area NAME", "The leader reports an area 16 px off the configured one."
+    ),
+    declare_lasting("truncate", "truncate NAME", "Images contain only half of their data."),
+    declare_lasting(
+        "path", "narrow path NAME INT bytes", "The network drops larger stream packets.", _check_path
+    ),
 )
 CONTROL_FAULTS = (
-    lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),
-    lasting("deaf", "ignore heartbeat NAME", "Commands do not refresh the heartbeat: control lapses."),
-    lasting("taken", "seize NAME", "Another application has control."),
-    lasting("delay_answers", "delay answers NAME INT ms", "Acknowledgements are delayed by that time."),
-    lasting(
+    declare_lasting("unplug", "unplug NAME", "No packets reach or leave the camera."),
+    declare_lasting(
+        "deaf", "ignore heartbeat NAME", "Commands do not refresh the heartbeat: control lapses."
+    ),
+    declare_lasting("taken", "seize NAME", "Another application has control."),
+    declare_lasting(
+        "delay_answers", "delay answers NAME INT ms", "Acknowledgements are delayed by that time."
+    ),
+    declare_lasting(
         "pend_answers",
         "announce answers NAME INT ms",
         "Acknowledgements are delayed by that time, each announced immediately by a PENDING_ACK.",
     ),
     share("lose_answers", "lose answers NAME NUMBER %", "That share of the acknowledgements is lost."),
     share("lose_events", "lose events NAME NUMBER %", "That share of the event messages is lost."),
-    once("restart", "restart NAME", "The camera restarts: power-on settings, no application in control."),
+    declare_momentary(
+        "restart", "restart NAME", "The camera restarts: power-on settings, no application in control."
+    ),
 )
 TRIGGER_FAULTS = (
-    lasting("miss", "miss triggers NAME", "Triggers have no effect and are not counted."),
-    lasting("late", "expose late NAME NUMBER ms", "The exposure starts that long after its trigger."),
-    lasting("drift", "drift NAME SIGNED ppm", "The time stamp counter runs fast by that much."),
-    once("reset_clock", "reset clock NAME", "The time stamp counter restarts at zero."),
-    PAIR.once(
+    declare_lasting("miss", "miss triggers NAME", "Triggers have no effect and are not counted."),
+    declare_lasting("late", "expose late NAME NUMBER ms", "The exposure starts that long after its trigger."),
+    declare_lasting("drift", "drift NAME SIGNED ppm", "The time stamp counter runs fast by that much."),
+    declare_momentary("reset_clock", "reset clock NAME", "The time stamp counter restarts at zero."),
+    PAIR.declare_momentary(
         "pulse",
         "pulse line",
         "Not a fault: a pulse on the trigger line of both cameras (TriggerSource Line1).",
     ),
 )
 LENS_FAULTS = (
-    lasting("saturate", "saturate NAME", "Overexposure: every pixel saturates."),
-    lasting("darken", "darken NAME", "No light: only noise remains."),
-    lasting("defocus", "defocus NAME NUMBER px", "The whole image is blurred with that standard deviation."),
-    lasting(
+    declare_lasting("saturate", "saturate NAME", "Overexposure: every pixel saturates."),
+    declare_lasting("darken", "darken NAME", "No light: only noise remains."),
+    declare_lasting(
+        "defocus", "defocus NAME NUMBER px", "The whole image is blurred with that standard deviation."
+    ),
+    declare_lasting(
         "dust",
         "dust NAME INT spots",
         "That many dark spots on the sensor, at the same places in every image.",
-        at_most(MOST_SPOTS, "spots", argument=1),
+        check_at_most(MOST_SPOTS, "spots", argument=1),
     ),
 )
 CAMERA_FAULTS = (*SIGHT_FAULTS, *STREAM_FAULTS, *CONTROL_FAULTS, *TRIGGER_FAULTS, *LENS_FAULTS)

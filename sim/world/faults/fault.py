@@ -61,7 +61,8 @@ class Fault:
         lasts = "until cleared" if math.isinf(self.duration_s) else f"for {self.duration_s:g} s"
         if self.step is not None and not self.lasts:
             lasts = "until that step ends" if math.isinf(self.duration_s) else f"{lasts} of that step"
-        return f"{self.phrase}, {begins}, {'once' if self.kind.momentary else lasts}. {self.kind.meaning}"
+        duration = "once" if self.kind.momentary else lasts
+        return f"{self.phrase}, {begins}, {duration}. {self.kind.meaning}"
 
     def onset_s(self, step: str, step_started_s: float, cycle_began_s: Callable[[int], float]) -> float:
         """Theatre time of the beginning; infinite while its step is not running, or before its cycle."""
@@ -98,7 +99,7 @@ class FaultKind:
     @cached_property
     def usage(self) -> str:
         """Phrase with readable arguments."""
-        return _replaced(f"{self.device} {self.phrase}", USAGE)
+        return _replace_words(f"{self.device} {self.phrase}", USAGE)
 
     @property
     def choices(self) -> Sequence[str]:
@@ -110,7 +111,7 @@ class FaultKind:
     def example(self) -> str:
         """Complete line of a script."""
         name = self.choices[0] if self.choices else EXAMPLE_NAME
-        phrase = _replaced(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
+        phrase = _replace_words(f"{self.device} {self.phrase}", (*EXAMPLE, ("NAME", name)))
         return f"at 12.5 s: {phrase}" + ("" if self.momentary else " for 2 s")
 
 
@@ -130,20 +131,20 @@ class DeviceFaults:
         self._prefix = prefix
         self._first = first
 
-    def lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+    def declare_lasting(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
         """Declare a fault that acts for its duration."""
-        return self._kind(name, phrase, meaning, check, momentary=False)
+        return self._declare(name, phrase, meaning, check, momentary=False)
 
-    def once(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
+    def declare_momentary(self, name: str, phrase: str, meaning: str, check: Check = accept_any) -> FaultKind:
         """Declare a fault that happens once."""
-        return self._kind(name, phrase, meaning, check, momentary=True)
+        return self._declare(name, phrase, meaning, check, momentary=True)
 
     def share(self, name: str, phrase: str, meaning: str) -> FaultKind:
         """Declare a lasting fault with a percentage, after the first argument if that is checked."""
-        percent = at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
-        return self.lasting(name, phrase, meaning, percent)
+        percent = check_at_most(WHOLE_PERCENT, "%", argument=0 if self._first is None else 1)
+        return self.declare_lasting(name, phrase, meaning, percent)
 
-    def _kind(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
+    def _declare(self, name: str, phrase: str, meaning: str, check: Check, *, momentary: bool) -> FaultKind:
         if self._first is not None:
             check = self._first if check is accept_any else Both(self._first, check)
         return FaultKind(self._prefix + name, self._device, phrase, meaning, momentary, check)
@@ -160,7 +161,7 @@ class OneOf:
         yield from unless_known(self.what, self.known, arguments[0])
 
 
-def at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
+def check_at_most(largest: float, unit: str, *, argument: int = 0) -> Check:
     """Check that an argument does not exceed a limit."""
 
     def check(arguments: Arguments, _scene: Scene) -> Iterator[str]:
@@ -200,7 +201,7 @@ def fiducial_number(arguments: Arguments, scene: Scene) -> Iterator[str]:
     )
 
 
-def _replaced(phrase: str, words: Iterable[tuple[str, str]]) -> str:
+def _replace_words(phrase: str, words: Iterable[tuple[str, str]]) -> str:
     for word, value in words:
         phrase = phrase.replace(word, value)
     return phrase

@@ -29,7 +29,7 @@ from sim.world.faults.camera import CAMERA_FAULTS
 from sim.world.faults.fault import TERMINALS, Fault, FaultKind, join_choices
 from sim.world.faults.robot import ROBOT_FAULTS
 from sim.world.faults.room import ROOM_FAULTS
-from sim.world.faults.tracker import TRACKER_FAULTS, tool_is_there
+from sim.world.faults.tracker import TRACKER_FAULTS, check_tool_is_there
 from sim.world.scene.model import Scene
 
 if TYPE_CHECKING:
@@ -95,14 +95,14 @@ def parse_faults(text: str) -> tuple[Fault, ...]:
     mistakes: list[Mistake] = []
     for number, line in enumerate(text.split("\n"), 1):
         try:
-            tree = _grammar().parse(line.rstrip())
+            tree = _build_grammar().parse(line.rstrip())
         except UnexpectedInput as error:
-            mistakes.append(_unexpected(error, line.rstrip(), number, advises=not mistakes))
+            mistakes.append(_describe_unexpected(error, line.rstrip(), number, advises=not mistakes))
             if len(mistakes) == MOST_MISTAKES:
                 break
             continue
         for statement in tree.children:
-            fault, has_duration = _fault(statement, number)
+            fault, has_duration = _build_fault(statement, number)
             faults.append(fault)
             if has_duration and fault.kind.momentary:
                 got = f"got 'for {fault.duration_s:g} s': this fault is momentary"
@@ -160,16 +160,16 @@ def check_faults(
     """
     mistakes = []
     for fault in faults:
-        found = list(_mistakes(fault, scene, devices))
+        found = list(_list_mistakes(fault, scene, devices))
         if not found and loaded is not None:
-            found = list(tool_is_there(fault, scene, loaded))
+            found = list(check_tool_is_there(fault, scene, loaded))
         here = fault.kind.device in devices
         shown = fault.kind if here else next(kind for kind in FAULT_KINDS if kind.device in devices)
         mistakes += [Mistake(f"line {fault.line}: {mistake}", shown.example) for mistake in found]
     _refuse(mistakes)
 
 
-def _mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
+def _list_mistakes(fault: Fault, scene: Scene, devices: Sequence[str]) -> Iterator[str]:
     if fault.kind.device not in devices:
         yield f"expected a fault of the {join_choices(devices)}, got {fault.phrase!r}: no other device here"
         return
@@ -197,7 +197,7 @@ def _refuse(mistakes: list[Mistake]) -> None:
         raise BadFaultScript(what, action=f"{write} `ronna-sim fault` lists all faults.")
 
 
-def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
+def _describe_unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool) -> Mistake:
     """Describe the mistake at which the parser stopped; search for the intended line only if it `advises`."""
     from lark.exceptions import UnexpectedCharacters, UnexpectedToken
 
@@ -211,38 +211,38 @@ def _unexpected(error: UnexpectedInput, line: str, number: int, *, advises: bool
     got = "the end of the line" if ended else repr(line[column - 1 :].split()[0])
     names -= {END, END_OF_TEXT, "COMMENT", "WS_INLINE"}
     words = sorted(
-        {READABLE.get(name) or repr(_grammar().get_terminal(name).pattern.value) for name in names}
+        {READABLE.get(name) or repr(_build_grammar().get_terminal(name).pattern.value) for name in names}
     )
     words = words or ["the end of the line"]
     if len(words) > MOST_LISTED:
         words = get_close_matches(got, words) or [*words[:MOST_LISTED], "another fault"]
     typed = line.removeprefix(BEGINS_NOW)
     place = f"line {number}, column {column - len(line) + len(typed)}"
-    if not has_beginning(line) and _reads(f"{BEGINS_NOW}{line}"):
+    if not has_beginning(line) and _is_valid_line(f"{BEGINS_NOW}{line}"):
         what = f"{place}: expected 'at' or 'when', to say when the fault begins, got {got}"
         return Mistake(what, EXAMPLE, f"at 12.5 s: {line}")
     what = f"{place}: expected {join_choices(words)}, got {got}"
     if not advises:
         return Mistake(what)
     wrong_argument = all(word in READABLE.values() for word in words)  # the parser's words say it best
-    intended = None if wrong_argument else _intended_line(typed)
-    nearest = None if intended else _nearest_kind(typed)
+    intended = None if wrong_argument else _find_intended_line(typed)
+    nearest = None if intended else _find_nearest_kind(typed)
     return Mistake(what, nearest.example if nearest else EXAMPLE, intended)
 
 
-def _reads(line: str) -> bool:
+def _is_valid_line(line: str) -> bool:
     """Whether the parser accepts a line."""
     from lark.exceptions import UnexpectedInput
 
     try:
-        _grammar().parse(line)
+        _build_grammar().parse(line)
     except UnexpectedInput:
         return False
     return True
 
 
 @cache
-def _grammar() -> Lark:
+def _build_grammar() -> Lark:
     from lark import Lark
 
     alternatives = []
@@ -254,7 +254,7 @@ def _grammar() -> Lark:
     return Lark(GRAMMAR.replace("{faults}", faults).replace("{step}", STEP), parser="lalr")
 
 
-def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
+def _build_fault(statement: Any, line: int) -> tuple[Fault, bool]:
     """Build the fault of a parsed line; also return whether the line states a duration."""
     trigger, phrase, *ending = statement.children
     kind = next(kind for kind in FAULT_KINDS if kind.name == phrase.data)
@@ -274,32 +274,32 @@ def _fault(statement: Any, line: int) -> tuple[Fault, bool]:
     return fault, bool(ending)
 
 
-def _nearest_kind(line: str) -> FaultKind | None:
+def _find_nearest_kind(line: str) -> FaultKind | None:
     """Kind whose phrase is most similar to the line after its beginning; None if none is close."""
     by_usage = {kind.usage: kind for kind in FAULT_KINDS}
-    return next((by_usage[usage] for usage in _nearest(_without_beginning(line), [*by_usage], 1)), None)
+    return next((by_usage[usage] for usage in _find_nearest(_strip_beginning(line), [*by_usage], 1)), None)
 
 
-def _intended_line(line: str) -> str | None:
+def _find_intended_line(line: str) -> str | None:
     """Valid line most similar to this one, with its numbers and names; None if none is close."""
-    fault = _without_beginning(line)
+    fault = _strip_beginning(line)
     beginning = line[: len(line) - len(fault)]
     phrase, lasts, duration = fault.partition(" for ")
-    filled = [one for kind in FAULT_KINDS for one in _filled(kind, phrase.split())]
-    for nearest in _nearest(phrase, filled, MOST_TRIED):
+    filled = [one for kind in FAULT_KINDS for one in _fill_phrase(kind, phrase.split())]
+    for nearest in _find_nearest(phrase, filled, MOST_TRIED):
         whole = f"{beginning}{nearest}{lasts}{duration}".strip()
-        if _reads(whole if has_beginning(whole) else f"{BEGINS_NOW}{whole}"):
+        if _is_valid_line(whole if has_beginning(whole) else f"{BEGINS_NOW}{whole}"):
             return whole
     return None
 
 
-def _without_beginning(line: str) -> str:
+def _strip_beginning(line: str) -> str:
     """Strip the beginning of a line, if it has one."""
     found = _TRIGGER.match(line)
     return line[found.end() :].lstrip() if found else line
 
 
-def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
+def _fill_phrase(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
     """Fill a kind's phrase with the words at the places of its arguments."""
     phrase = [kind.device, *kind.phrase.split()]
     for typed in (words, [kind.device, *words]):  # the device is easily forgotten
@@ -312,5 +312,5 @@ def _filled(kind: FaultKind, words: Sequence[str]) -> Iterator[str]:
                 yield " ".join(filled)
 
 
-def _nearest(text: str, known: Sequence[str], count: int) -> list[str]:
+def _find_nearest(text: str, known: Sequence[str], count: int) -> list[str]:
     return get_close_matches(text[:LONGEST_COMPARED], known, count, LEAST_ALIKE)

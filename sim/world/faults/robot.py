@@ -18,11 +18,11 @@ TRIPS = (
     "singularity",
 )
 ROBOT = DeviceFaults("robot")
-lasting, share, once = ROBOT.lasting, ROBOT.share, ROBOT.once
+declare_lasting, share, declare_momentary = ROBOT.declare_lasting, ROBOT.share, ROBOT.declare_momentary
 
 LINK_FAULTS = (
     share("drop", "drop NUMBER %", "That share of the RSI replies never arrives."),
-    lasting("delay_replies", "delay INT cycles", "Every RSI reply arrives that many cycles late."),
+    declare_lasting("delay_replies", "delay INT cycles", "Every RSI reply arrives that many cycles late."),
     share("duplicate_replies", "duplicate NUMBER %", "That share of the RSI replies arrives twice."),
     share(
         "reorder_replies",
@@ -32,7 +32,9 @@ LINK_FAULTS = (
     share("corrupt_replies", "corrupt replies NUMBER %", "That share of the RSI replies arrives corrupted."),
     share("wrong_ipoc", "wrong ipoc NUMBER %", "That share of the RSI replies carries a wrong time stamp."),
     share("future_ipoc", "future ipoc NUMBER %", "That share of the RSI replies carries a later time stamp."),
-    lasting("constant_ipoc", "constant ipoc", "All RSI replies carry the time stamp of the first one."),
+    declare_lasting(
+        "constant_ipoc", "constant ipoc", "All RSI replies carry the time stamp of the first one."
+    ),
     share("missing_ipoc", "missing ipoc NUMBER %", "That share of the RSI replies has no time stamp."),
     share("wrong_type", "wrong type NUMBER %", "That share of the RSI replies has a wrong root Type."),
     share(
@@ -44,9 +46,11 @@ LINK_FAULTS = (
         "corrupt_telegrams", "corrupt telegrams NUMBER %", "That share of the telegrams is sent corrupted."
     ),
     share("lose_telegrams", "lose telegrams NUMBER %", "That share of the telegrams is never sent."),
-    lasting("network_cut", "network cut", "No packets pass on the RSI link in either direction."),
-    lasting("foreign_sender", "foreign sender", "Another controller sends to the same port, from its own."),
-    lasting(
+    declare_lasting("network_cut", "network cut", "No packets pass on the RSI link in either direction."),
+    declare_lasting(
+        "foreign_sender", "foreign sender", "Another controller sends to the same port, from its own."
+    ),
+    declare_lasting(
         "short_first",
         "short first telegram",
         "A run begins with a nearly empty telegram, as in old RSI versions.",
@@ -54,45 +58,47 @@ LINK_FAULTS = (
 )
 
 CELL_FAULTS = (
-    lasting("emergency_stop", "emergency stop", "The emergency stop is pressed, and released at the end."),
-    lasting("guard", "guard open", "The guard is open; it stops the arm in AUT and EXT."),
-    lasting(
+    declare_lasting(
+        "emergency_stop", "emergency stop", "The emergency stop is pressed, and released at the end."
+    ),
+    declare_lasting("guard", "guard open", "The guard is open; it stops the arm in AUT and EXT."),
+    declare_lasting(
         "mode",
         "mode NAME",
         "The mode selector is at T1, T2 or AUT, and back at EXT at the end.",
         OneOf("operating mode", MODES),
     ),
-    lasting(
+    declare_lasting(
         "enabling_switch",
         "enabling switch released",
         "The enabling switch is released; effective in T1 and T2.",
     ),
-    lasting(
+    declare_lasting(
         "start_key",
         "start key held",
         "In T1 and T2 an operator holds enabling switch and start key: drives switch on, prompts are "
         "confirmed.",
     ),
-    once("drives_off", "drives off", "The drives are switched off."),
-    once(
+    declare_momentary("drives_off", "drives off", "The drives are switched off."),
+    declare_momentary(
         "trip",
         "trip NAME",
         f"The running program or motion ends with the message of that cause: {', '.join(TRIPS)}.",
         OneOf("trip", TRIPS),
     ),
-    lasting(
+    declare_lasting(
         "clamp",
         "clamp NUMBER deg",
         "Axis corrections are clamped to that distance; Stat reports it, motion continues.",
     ),
-    once("collision", "collision", "The torque monitor stops the arm, with a message."),
-    once(
+    declare_momentary("collision", "collision", "The torque monitor stops the arm, with a message."),
+    declare_momentary(
         "overload",
         "overload",
         "The brakes close without a message: the measured axes stop following until the program is reset.",
     ),
-    lasting("stick", "stick axis INT", "The axis moves with stick-slip.", OneOf("axis", AXES)),
-    once(
+    declare_lasting("stick", "stick axis INT", "The axis moves with stick-slip.", OneOf("axis", AXES)),
+    declare_momentary(
         "program_restart",
         "program restart",
         "The RSI program restarts: other port, other time stamps, new base pose.",
@@ -100,15 +106,23 @@ CELL_FAULTS = (
 )
 
 EKI_FAULTS = (
-    once("eki_cut", "eki cut", "Both EKI connections break."),
-    once(
+    declare_momentary("eki_cut", "eki cut", "Both EKI connections break."),
+    declare_momentary(
         "eki_overflow", "eki overflow", "A receive buffer is full: the next request ends its EKI connection."
     ),
-    once("eki_half", "eki half telegram", "Only half of the next telegram on each EKI channel is written."),
-    once("eki_garbage", "eki garbage", "The next telegram on each EKI channel is preceded by garbage."),
-    once("eki_padding", "eki padding", "The next telegram on each EKI channel is padded with NUL bytes."),
-    lasting("eki_taken", "eki taken", "Another client occupies both EKI channels: new clients are refused."),
-    lasting("eki_silence", "eki silence", "The EKI program neither reads nor answers."),
+    declare_momentary(
+        "eki_half", "eki half telegram", "Only half of the next telegram on each EKI channel is written."
+    ),
+    declare_momentary(
+        "eki_garbage", "eki garbage", "The next telegram on each EKI channel is preceded by garbage."
+    ),
+    declare_momentary(
+        "eki_padding", "eki padding", "The next telegram on each EKI channel is padded with NUL bytes."
+    ),
+    declare_lasting(
+        "eki_taken", "eki taken", "Another client occupies both EKI channels: new clients are refused."
+    ),
+    declare_lasting("eki_silence", "eki silence", "The EKI program neither reads nor answers."),
 )
 
 ROBOT_FAULTS = (*LINK_FAULTS, *CELL_FAULTS, *EKI_FAULTS)

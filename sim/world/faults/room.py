@@ -14,7 +14,7 @@ from sim.world.scene.model import Scene
 DEVICE = "room"
 HEAD, CART, TRACKER, GUIDE = "head", "cart", "tracker", "guide"
 ROOM = DeviceFaults(DEVICE)
-lasting = ROOM.lasting
+declare_lasting = ROOM.declare_lasting
 
 
 def tool_numbers(scene: Scene) -> tuple[int, ...]:
@@ -22,35 +22,35 @@ def tool_numbers(scene: Scene) -> tuple[int, ...]:
     return (0, scene.mount.tool_number_stereo, scene.mount.tool_number_guide)
 
 
-def _a_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
+def _check_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
     yield from unless_known("tool", [str(number) for number in tool_numbers(scene)], arguments[0])
 
 
-SHIFT = lasting(
+SHIFT = declare_lasting(
     "shift",
     "shift NAME SIGNED SIGNED SIGNED mm",
     "The head, the robot's cart or the tracker is moved along the robot's x, y and z.",
     OneOf("to move the", (HEAD, CART, TRACKER)),
 )
-UNLOCKED = lasting(
+UNLOCKED = declare_lasting(
     "unlocked",
     "unlocked cart SIGNED SIGNED SIGNED mm per min",
     "The brakes of the robot's cart are open: it rolls at that rate along the robot's x, y and z, and by "
     "one minute's worth when someone leans on it.",
 )
-LOOSEN = lasting(
+LOOSEN = declare_lasting(
     "loosen",
     "loosen marker INT SIGNED SIGNED SIGNED mm",
     "The screw of one sphere gives way: the sphere is displaced by that much, along the robot's x, y and z.",
     fiducial_number,
 )
-PUSH = lasting(
+PUSH = declare_lasting(
     "push",
     "push guide SIGNED SIGNED SIGNED N",
     "A hand pushes or pulls the mounted tool with that force, along the robot's x, y and z; "
     "the arm yields according to its stiffness.",
 )
-TURN = lasting(
+TURN = declare_lasting(
     "turn",
     "turn NAME SIGNED SIGNED SIGNED deg",
     "The head turns about its centre, the robot's cart about the robot's base, or a hand turns the mounted "
@@ -58,29 +58,31 @@ TURN = lasting(
     "encoders see nothing. The numbers are a rotation vector along the robot's x, y and z.",
     OneOf("to turn the", (HEAD, CART, GUIDE)),
 )
-WRONG_STOP = lasting("wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep.")
-BENT_TIP = lasting(
+WRONG_STOP = declare_lasting(
+    "wrong_stop", "depth stop off by SIGNED mm", "The depth stop is set that much too deep."
+)
+BENT_TIP = declare_lasting(
     "bent_tip",
     "bent tip SIGNED SIGNED SIGNED mm",
     "The guide, or the mandrel in it, is bent: its end is that far from its calibrated position.",
 )
-WRONG_TOOL = lasting(
+WRONG_TOOL = declare_lasting(
     "wrong_tool",
     "wrong tool INT",
     "The tool with this number is mounted, whichever was asked for; 0: none.",
-    _a_tool,
+    _check_tool,
 )
-WRONG_MANDREL = lasting(
+WRONG_MANDREL = declare_lasting(
     "wrong_mandrel",
     "wrong mandrel SIGNED mm",
     "Another mandrel is in the guide, longer by that much than the one used for calibration.",
 )
-BAD_SEAT = lasting(
+BAD_SEAT = declare_lasting(
     "bad_seat",
     "bad seat SIGNED mm SIGNED deg",
     "The changer is not closed: the mounted tool is offset by that distance and tilted by that angle.",
 )
-WRONG_LOAD = lasting(
+WRONG_LOAD = declare_lasting(
     "wrong_load",
     "wrong load SIGNED kg",
     "The load on the flange exceeds the load data in the controller by that much: the arm sags.",

@@ -10,7 +10,7 @@ from sim.world.faults.fault import (
     DeviceFaults,
     Fault,
     OneOf,
-    at_most,
+    check_at_most,
     fiducial_number,
     unless_known,
 )
@@ -21,78 +21,84 @@ SOCKETS = ("1", "2", "3")  # for wired tools
 # Bits of Info.Status.Alerts with a defined meaning.
 KNOWN_ALERTS = tuple(str(bit) for bit in (*range(9), *range(20, 27), 29, 30))
 TRACKER = DeviceFaults("tracker")
-lasting, share, once = TRACKER.lasting, TRACKER.share, TRACKER.once
+declare_lasting, share, declare_momentary = TRACKER.declare_lasting, TRACKER.share, TRACKER.declare_momentary
 
 
 def _tools(name: str, scene: Scene) -> list[TrackerTool]:
     return [tool for tool in scene.tracker.tools if name in (tool.name, tool.part_number)]
 
 
-def _tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
+def _check_tool(arguments: Arguments, scene: Scene) -> Iterator[str]:
     # With places for other tools, a client may load definitions unknown to the scene.
     if not scene.tracker.places and not _tools(arguments[0], scene):
         yield from unless_known("tool", [tool.name for tool in scene.tracker.tools], arguments[0])
 
 
-def _tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
-    yield from _tool(arguments, scene)
+def _check_tool_marker(arguments: Arguments, scene: Scene) -> Iterator[str]:
+    yield from _check_tool(arguments, scene)
     for tool in _tools(arguments[0], scene):
         numbers = [str(number) for number in range(1, len(tool.markers_mm) + 1)]
         yield from unless_known(f"{tool.name} marker", numbers, arguments[1])
 
 
-def tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
+def check_tool_is_there(fault: Fault, scene: Scene, loaded: Sequence[str]) -> Iterator[str]:
     """Check that the fault's tool is in the scene or loaded by a client."""
-    if fault.kind.check in (_tool, _tool_marker) and not _tools(fault.argument, scene):
+    if fault.kind.check in (_check_tool, _check_tool_marker) and not _tools(fault.argument, scene):
         known = [*(tool.name for tool in scene.tracker.tools), *loaded]
         yield from unless_known("tool", list(dict.fromkeys(known)), fault.argument)
 
 
-def _visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
+def _check_visible_fiducial(arguments: Arguments, scene: Scene) -> Iterator[str]:
     if not scene.tracker.fiducials_visible:
         yield f"expected a scene with markers on a head, got {scene.name}: marker {arguments[0]} is not in it"
         return
     yield from fiducial_number(arguments, scene)
 
 
-_few = at_most(MAXIMUM_STRAYS, "strays, the most that the unit can report")
+_few = check_at_most(MAXIMUM_STRAYS, "strays, the most that the unit can report")
 _socket = OneOf("socket", SOCKETS)
 
 DISPLACED_TOOLS = (
-    lasting(
+    declare_lasting(
         "bend_tool",
         "bend tool NAME NUMBER mm",
         "The last marker of a tool is displaced outwards by that distance.",
-        _tool,
+        _check_tool,
     ),
-    lasting(
+    declare_lasting(
         "turn_tool",
         "turn tool NAME SIGNED deg",
         "A tool is rotated by that angle about its own x axis.",
-        _tool,
+        _check_tool,
     ),
-    lasting(
+    declare_lasting(
         "move_tool",
         "move tool NAME SIGNED SIGNED SIGNED mm",
         "A tool is moved along x, y and z of the tracker.",
-        _tool,
+        _check_tool,
     ),
 )
 SIGHT_FAULTS = (
-    lasting("occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _visible_fiducial),
-    lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _tool),
-    lasting(
+    declare_lasting(
+        "occlude_marker", "occlude marker INT", "A fiducial on the head is hidden.", _check_visible_fiducial
+    ),
+    declare_lasting("occlude_tool", "occlude tool NAME", "All markers of a tool are hidden.", _check_tool),
+    declare_lasting(
         "occlude_tool_marker",
         "occlude tool NAME marker INT",
         "One marker of a tool is hidden; markers count from 1.",
-        _tool_marker,
+        _check_tool_marker,
     ),
     *DISPLACED_TOOLS,
-    lasting("interference", "interference tool NAME", "Infrared interference on one tool.", _tool),
-    lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
-    lasting("strays", "strays INT", "That many additional spheres are in the volume.", _few),
-    lasting("reflections", "reflections INT", "That many additional surfaces reflect intermittently.", _few),
-    lasting(
+    declare_lasting(
+        "interference", "interference tool NAME", "Infrared interference on one tool.", _check_tool
+    ),
+    declare_lasting("sunlight", "sunlight", "Sunlight: too much infrared, more noise, reflections."),
+    declare_lasting("strays", "strays INT", "That many additional spheres are in the volume.", _few),
+    declare_lasting(
+        "reflections", "reflections INT", "That many additional surfaces reflect intermittently.", _few
+    ),
+    declare_lasting(
         "phantoms",
         "phantoms NUMBER mm",
         "Rays that pass this close to each other are taken for one marker: phantom markers.",
@@ -100,45 +106,47 @@ SIGHT_FAULTS = (
 )
 
 UNIT_FAULTS = (
-    once("bump", "bump", "The unit was bumped: no poses until the host reads the alert."),
-    lasting("cold", "cold", "The unit has not warmed up: no poses."),
-    lasting("hot", "hot", "The unit is too hot: no poses."),
-    lasting(
+    declare_momentary("bump", "bump", "The unit was bumped: no poses until the host reads the alert."),
+    declare_lasting("cold", "cold", "The unit has not warmed up: no poses."),
+    declare_lasting("hot", "hot", "The unit is too hot: no poses."),
+    declare_lasting(
         "alert",
         "alert INT",
         "That alert bit is set; 0 to 8 are faults of the hardware.",
         OneOf("alert", KNOWN_ALERTS),
     ),
-    lasting("power_off", "power off", "The unit has no power; when it returns, it sends RESET at 9600 baud."),
-    once("unit_restart", "restart", "The unit restarts at once."),
-    once("watchdog", "watchdog", "The unit assumes that the host is gone and stops tracking."),
-    lasting(
+    declare_lasting(
+        "power_off", "power off", "The unit has no power; when it returns, it sends RESET at 9600 baud."
+    ),
+    declare_momentary("unit_restart", "restart", "The unit restarts at once."),
+    declare_momentary("watchdog", "watchdog", "The unit assumes that the host is gone and stops tracking."),
+    declare_lasting(
         "plug", "plug INT", "A wired tool is plugged into that socket, and unplugged at the end.", _socket
     ),
-    lasting(
+    declare_lasting(
         "unplug",
         "unplug INT",
         "The wired tool in that socket is unplugged, and plugged in again at the end.",
         _socket,
     ),
-    lasting(
+    declare_lasting(
         "corrupt_definitions",
         "corrupt definitions",
         "A tool definition is found corrupt when it is initialised.",
     ),
-    lasting("enabled_limit", "allow INT tools", "At most that many tools can be enabled."),
-    lasting("handle_limit", "allow INT handles", "At most that many port handles are available."),
-    lasting(
+    declare_lasting("enabled_limit", "allow INT tools", "At most that many tools can be enabled."),
+    declare_lasting("handle_limit", "allow INT handles", "At most that many port handles are available."),
+    declare_lasting(
         "wavelength", "wrong wavelength", "The selected volume does not accept the wavelength of any tool."
     ),
-    lasting(
+    declare_lasting(
         "slow",
         "slow NAME NUMBER s",
         "INIT, PINIT or TSTART takes that much longer.",
         OneOf("command", SLOW_COMMANDS),
     ),
-    lasting("repeat_frames", "repeat frames", "The unit sends the same frame repeatedly."),
-    lasting("skip_frames", "skip INT frames", "After each frame the unit skips that many."),
+    declare_lasting("repeat_frames", "repeat frames", "The unit sends the same frame repeatedly."),
+    declare_lasting("skip_frames", "skip INT frames", "After each frame the unit skips that many."),
 )
 
 LINE_FAULTS = (
@@ -150,7 +158,7 @@ LINE_FAULTS = (
     share("double_bytes", "double bytes NUMBER %", "That share of the replies has a duplicated byte."),
     share("cut_replies", "cut replies NUMBER %", "That share of the replies is truncated."),
     share("lose_replies", "lose replies NUMBER %", "That share of the replies is never sent."),
-    lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
+    declare_lasting("late_replies", "delay replies NUMBER s", "Each reply is delayed by that much."),
 )
 
 TRACKER_FAULTS = (*SIGHT_FAULTS, *UNIT_FAULTS, *LINE_FAULTS)

@@ -108,12 +108,12 @@ def draw_mount(generator: np.random.Generator) -> Mount:
 
 def draw_cameras(generator: np.random.Generator) -> tuple[CameraTruth, CameraTruth]:
     """Draw the left and right camera as built."""
-    left = _camera(generator, SERIALS[0], side=-1.0)
-    right = _camera(generator, SERIALS[1], side=1.0)
+    left = _draw_camera(generator, SERIALS[0], side=-1.0)
+    right = _draw_camera(generator, SERIALS[1], side=1.0)
     return left, right
 
 
-def _camera(generator: np.random.Generator, serial: str, side: float) -> CameraTruth:
+def _draw_camera(generator: np.random.Generator, serial: str, side: float) -> CameraTruth:
     position = np.array(CAMERAS_IN_TOOL_MM[0 if side < 0.0 else 1])
     rotation = rotation_towards(-position, (0.0, 1.0, 0.0))
     rotation = rotation @ rotation_from_vector(generator.normal(0.0, BUILD_ROTATION_RAD, 3))

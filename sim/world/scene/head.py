@@ -19,11 +19,11 @@ from sim.errors import BadScene
 from sim.world.rigid import (
     Point,
     apply,
+    as_rounded_point,
     matrix_from,
     pose_of,
     rotation_from_vector,
     rotation_towards,
-    rounded_point,
 )
 from sim.world.scene.model import Fiducial, Head
 from sim.world.scene.parts import Target
@@ -113,15 +113,15 @@ def _draw_fiducials(generator: np.random.Generator, count: int) -> tuple[Fiducia
     for _ in range(ATTEMPTS):
         found = [skin_at(draw_direction(generator, axis, CAP_HALF_ANGLE_RAD)) for _ in range(count)]
         centres = np.array([point + normal * SPHERE_STANDOFF_MM for point, normal in found])
-        if _well_spread(centres):
+        if _is_well_spread(centres):
             break
     else:
         raise BadScene(f"{count} markers do not fit on the head")
     return tuple(
         Fiducial(
             number=k + 1,
-            centre_ct_mm=rounded_point(centres[k] + CENTRE_CT_MM),
-            post_ct=rounded_point(found[k][1]),
+            centre_ct_mm=as_rounded_point(centres[k] + CENTRE_CT_MM),
+            post_ct=as_rounded_point(found[k][1]),
         )
         for k in range(count)
     )
@@ -132,7 +132,7 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
     found = []
     for number, marker in enumerate(template.markers, start=1):
         centre = np.array(marker.centre_mm) + generator.normal(0.0, JIG_MM, 3)
-        fiducial = Fiducial(number=number, centre_ct_mm=rounded_point(centre), post_ct=marker.post)
+        fiducial = Fiducial(number=number, centre_ct_mm=as_rounded_point(centre), post_ct=marker.post)
         height = centre - CENTRE_CT_MM
         if np.linalg.norm(height / np.array(SEMI_AXES_MM)) <= 1.0 or np.dot(height, marker.post) <= 0.0:
             raise BadScene(f"marker {number} of the template is not on this head")
@@ -140,7 +140,7 @@ def _implant_fiducials(generator: np.random.Generator, template: MarkerTemplate)
     return tuple(found)
 
 
-def _well_spread(centres: Vector) -> bool:
+def _is_well_spread(centres: Vector) -> bool:
     rows, columns = np.triu_indices(len(centres), 1)
     distances = np.linalg.norm(centres[rows] - centres[columns], axis=1)
     if distances.min() < SMALLEST_DISTANCE_MM:
@@ -181,8 +181,8 @@ def _draw_targets(
         targets.append(
             Target(
                 identifier=f"T{len(targets) + 1}",
-                entry_ct_mm=rounded_point(entry),
-                target_ct_mm=rounded_point(target),
+                entry_ct_mm=as_rounded_point(entry),
+                target_ct_mm=as_rounded_point(target),
             )
         )
         if len(targets) == count:
@@ -201,8 +201,8 @@ class FrameOnHead:
         """Whether a guide over an entry (3,), along a unit vector (3,), is clear of the frame."""
         away = self.body_mm - entry_mm
         along = np.clip(away @ outwards, 0.0, GUIDE_MM)
-        aside = np.linalg.norm(away - along[:, None] * outwards, axis=1)
-        return bool(aside.min() >= GUIDE_CLEARANCE_MM)
+        lateral_mm = np.linalg.norm(away - along[:, None] * outwards, axis=1)
+        return bool(lateral_mm.min() >= GUIDE_CLEARANCE_MM)
 
 
 def draw_frame(generator: np.random.Generator) -> FrameOnHead:
@@ -220,7 +220,7 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
         origin = skin + CENTRE_CT_MM + STANDOFF_MM * normal
         bars, foot = bodies()[:-1], bodies()[-1]
         on_bars = np.vstack([_along(one.start_mm, one.end_mm) for one in bars]) @ rotation.T + origin
-        if not _clear(on_bars):
+        if not _is_clear_of_head(on_bars):
             continue
         centres = np.array(SPHERE_CENTRES_MM) @ rotation.T + origin
         on_foot = _along(foot.start_mm, foot.end_mm) @ rotation.T + origin
@@ -228,8 +228,8 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
             tuple(
                 Fiducial(
                     number=number,
-                    centre_ct_mm=rounded_point(centre),
-                    post_ct=rounded_point(normal),
+                    centre_ct_mm=as_rounded_point(centre),
+                    post_ct=as_rounded_point(normal),
                     base_mm=BAR_BELOW_MM,
                 )
                 for number, centre in enumerate(centres, start=1)
@@ -239,7 +239,7 @@ def draw_frame(generator: np.random.Generator) -> FrameOnHead:
     raise BadScene("the x-shaped frame is not clear of the head")
 
 
-def _clear(points_mm: Vector) -> bool:
+def _is_clear_of_head(points_mm: Vector) -> bool:
     axes = np.array(SEMI_AXES_MM) + BAR_RADIUS_MM + HEAD_CLEARANCE_MM
     return bool((np.linalg.norm((points_mm - CENTRE_CT_MM) / axes, axis=1) > 1.0).all())
 

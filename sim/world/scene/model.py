@@ -17,7 +17,7 @@ from ronna_hw.bounded_input import InputRefused, read_json_bytes, read_toml
 from ronna_hw.calibration import Numbers3, PoseRecord, Strict
 from ronna_hw.mistakes import describe_mistakes
 from ronna_hw.plausible import FocalPixels, Length
-from ronna_hw.text import counted
+from ronna_hw.text import format_count
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 from sim.errors import BadScene
 from sim.world.scene.parts import (
@@ -373,7 +373,9 @@ def parse_scene(content: dict[str, Any], name: str) -> Scene:
         return Scene.model_validate(content, strict=False)
     except ValidationError as error:
         mistakes = describe_mistakes(error, Scene)
-        raise BadScene(f"{name} has {counted(len(mistakes), 'mistake')}: " + "; ".join(mistakes)) from error
+        raise BadScene(
+            f"{name} has {format_count(len(mistakes), 'mistake')}: " + "; ".join(mistakes)
+        ) from error
 
 
 def parse_scene_json(content: bytes, name: str) -> Scene:

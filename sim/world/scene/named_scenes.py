@@ -47,7 +47,7 @@ DIALS_RAD = radians(1.0)
 BENCH_DISTANCES_MM = {"bench": 1500.0, "bench-near": 1230.0}
 
 
-def named_scene(
+def draw_scene(
     name: str,
     *,
     seed: int = 0,
@@ -86,21 +86,21 @@ def named_scene(
         ct=MINI_CT if mini else CtProtocol(),
         arm=arm,
         mount=mount,
-        tracker=_bench_tracker(BENCH_DISTANCES_MM[name])
+        tracker=_place_bench_tracker(BENCH_DISTANCES_MM[name])
         if on_bench
-        else _tracker(
+        else _place_tracker(
             apply(matrix_of(head.robot_from_ct), head.centre_ct_mm),
             0 if mini else USUAL_REFLECTIONS,
             (robot_frame(), *((frame_on_head(),) if x_frame else ()), frame_on_guide()),
         ),
         left=left,
         right=right,
-        stand=_stand(seed),
+        stand=_draw_stand(seed),
         servo_area_px=MINI_AREA_PX if mini else (1024, 1024),
     )
 
 
-def _stand(seed: int) -> Stand:
+def _draw_stand(seed: int) -> Stand:
     """Draw the stand with noise of its own, on which the rest of a scene does not depend."""
     generator = noise(seed, "stand", 0)
     return Stand(
@@ -129,7 +129,9 @@ def frame_on_guide() -> TrackerTool:
     )
 
 
-def _tracker(head_centre_mm: np.ndarray, reflections: int, tools: tuple[TrackerTool, ...]) -> TrackerTruth:
+def _place_tracker(
+    head_centre_mm: np.ndarray, reflections: int, tools: tuple[TrackerTool, ...]
+) -> TrackerTruth:
     span = np.array(MARKER_FROM_HEAD_MM)
     backwards = np.array(TRACKER_DIRECTION) / np.linalg.norm(TRACKER_DIRECTION)
     position = head_centre_mm + span / 2 + backwards * TRACKER_DISTANCE_MM
@@ -139,7 +141,7 @@ def _tracker(head_centre_mm: np.ndarray, reflections: int, tools: tuple[TrackerT
     return TrackerTruth(robot_from_tracker=pose, tools=tools, reflections=reflections)
 
 
-def _bench_tracker(distance_mm: float) -> TrackerTruth:
+def _place_bench_tracker(distance_mm: float) -> TrackerTruth:
     pose = pose_of(matrix_from((distance_mm, 0.0, 0.0), rotation_towards((1, 0, 0), (0, 0, 1))))
     places = tuple(
         pose_of(matrix_from((x, y, -distance_mm), np.eye(3)))

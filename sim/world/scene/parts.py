@@ -40,7 +40,7 @@ ToolName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME, pattern=N
 PartNumber = Annotated[str, Field(min_length=1, max_length=PART_NUMBER_BYTES, pattern=r"^[ -~]+$")]
 
 
-def _as_many_as_defined(markers_mm: tuple[Numbers3, ...]) -> tuple[Numbers3, ...]:
+def _require_marker_count(markers_mm: tuple[Numbers3, ...]) -> tuple[Numbers3, ...]:
     # No length constraint on the field: its message would suspect a decimal comma.
     if not ROM_MINIMUM_MARKERS <= len(markers_mm) <= ROM_MARKERS:
         raise ValueError(
@@ -49,15 +49,15 @@ def _as_many_as_defined(markers_mm: tuple[Numbers3, ...]) -> tuple[Numbers3, ...
     return markers_mm
 
 
-def _unit(direction: Numbers3) -> Numbers3:
+def _require_unit(direction: Numbers3) -> Numbers3:
     if abs((length := math.hypot(*direction)) - 1.0) > UNIT_TOLERANCE:
         raise ValueError(f"has length {length:.3g}, expected a unit vector")
     return direction
 
 
 OnTool = Annotated[Numbers3, farther_than(SHORTEST_MM, FARTHEST_ON_TOOL_MM)]
-MarkerCentres = Annotated[tuple[OnTool, ...], AfterValidator(_as_many_as_defined)]
-Facing = Annotated[Numbers3, AfterValidator(_unit)]
+MarkerCentres = Annotated[tuple[OnTool, ...], AfterValidator(_require_marker_count)]
+Facing = Annotated[Numbers3, AfterValidator(_require_unit)]
 
 
 class Target(Strict):

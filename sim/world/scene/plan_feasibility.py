@@ -44,29 +44,33 @@ class PlanFeasibility:
 
     def is_feasible(self, trajectories: Sequence[tuple[Vector, Vector]]) -> bool:
         """Whether one posture reaches all trajectories, each an entry (3,) and a target (3,)."""
-        return any(all(self._reaches(*ends, status) for ends in trajectories) for status in STATUSES)
+        return any(
+            all(self._is_trajectory_reachable(*ends, status) for ends in trajectories) for status in STATUSES
+        )
 
-    def _reaches(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
+    def _is_trajectory_reachable(self, entry_mm: Vector, target_mm: Vector, status: int) -> bool:
         key = status, entry_mm.tobytes() + target_mm.tobytes()
         if key not in self._known:
-            way = target_mm - entry_mm
-            depth_mm = float(np.linalg.norm(way))
-            axis = way / depth_mm
+            to_target_mm = target_mm - entry_mm
+            depth_mm = float(np.linalg.norm(to_target_mm))
+            axis = to_target_mm / depth_mm
             places = [(point, APPROACH_MM) for point in self._spheres_mm]
             places.append((target_mm, depth_mm + APPROACH_MM))
             places.append((entry_mm + (Guide().reach_mm - STANDOFF_MM) * axis, APPROACH_MM))
-            tips = np.array([tip for place, back in places for tip in (place, place - back * axis)])
+            tips = np.array(
+                [tip for place, retreat_mm in places for tip in (place, place - retreat_mm * axis)]
+            )
             self._known[key] = any(
-                self._sees_each(orientation)
+                self._is_each_sphere_visible(orientation)
                 and all(
                     self._is_within_ranges(matrix_from(tip, orientation) @ self._tool_from_flange, status)
                     for tip in tips
                 )
-                for orientation in _orientations(axis, target_mm)
+                for orientation in _list_orientations(axis, target_mm)
             )
         return self._known[key]
 
-    def _sees_each(self, orientation: Vector) -> bool:
+    def _is_each_sphere_visible(self, orientation: Vector) -> bool:
         """Whether each sphere, with the tool on it, is clear of the others in both cameras."""
         others = ~np.eye(len(self._spheres_mm), dtype=bool)
         for camera_mm in CAMERAS_IN_TOOL_MM:
@@ -75,8 +79,8 @@ class PlanFeasibility:
             distances = np.linalg.norm(rays, axis=2)
             radii = np.arcsin(np.minimum(1.0, (SPHERE_MM + BESIDE_MM) / distances))
             directions = rays / distances[:, :, None]
-            looked_at = np.einsum("ijk,ik->ij", directions, np.einsum("iik->ik", directions))
-            gaps = np.arccos(np.clip(looked_at, -1.0, 1.0)) - radii - np.diag(radii)[:, None]
+            aimed_sphere = np.einsum("ijk,ik->ij", directions, np.einsum("iik->ik", directions))
+            gaps = np.arccos(np.clip(aimed_sphere, -1.0, 1.0)) - radii - np.diag(radii)[:, None]
             if (gaps[others] < 0.0).any():
                 return False
         return True
@@ -94,7 +98,7 @@ class PlanFeasibility:
         return True
 
 
-def _orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
+def _list_orientations(axis: Vector, at_mm: Vector) -> Iterator[Vector]:
     """Rotations robot <- tool: z along the trajectory, x away from the base, then turned ever further."""
     radial = np.array([at_mm[0], at_mm[1], 0.0])
     across = radial - axis * float(axis @ radial)

@@ -9,7 +9,7 @@ import numpy as np
 from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.calibration.arm_model import ArmLooks, SphereLook
-from procedures.calibration.pose_set import centred_looks
+from procedures.calibration.pose_set import plan_centred_looks
 from procedures.steps.calibration.sphere_looks import flanks_of
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.pose import Pose
@@ -20,7 +20,7 @@ from ronna_hw.frames import Frame
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
 
 KINEMATICS = kr6_r900(ArmVariant.SIXX)
@@ -45,7 +45,7 @@ class LookingArm:
     @classmethod
     def of(cls, seed: int) -> LookingArm:
         """The arm of the mini scene with this seed."""
-        scene = named_scene("mini", seed=seed)
+        scene = draw_scene("mini", seed=seed)
         calibrations = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0)).calibration
         assert calibrations is not None
         return cls(scene, TrueArm(scene.arm, seed), calibrations.stereo_head)
@@ -64,7 +64,7 @@ class LookingArm:
         number = 0
         while len(found) < count + validation:
             sphere = number % len(places)
-            (planned,) = centred_looks(DOWN, places[sphere], 1, first=number)
+            (planned,) = plan_centred_looks(DOWN, places[sphere], 1, first=number)
             number += 1
             try:
                 flange = Pose.from_transform(planned.pose @ tool.inverse())

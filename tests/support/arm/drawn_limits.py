@@ -45,7 +45,7 @@ class LimitedDriver:
         """As for a request of the workcell; raises what the driver raises."""
         self.planner.surroundings = motion.around
         plan = self.planner.plan(self._request(motion), motion.plan.start_rad, self.mode)
-        return self.planner.clear(plan, self.mode)
+        return self.planner.clear_plan(plan, self.mode)
 
     def driven(self, motion: Motion) -> tuple[float, float]:
         """Duration (s) and largest speed of any body (mm/s) of all that is sent, as judged by the monitor."""

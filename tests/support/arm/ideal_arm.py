@@ -66,7 +66,7 @@ class IdealArm(IdealDevice):
     def limits(self, mode: OperatingMode | None = None) -> MotionLimits:
         limits = working_limits(self.kinematics)
         reduced = (mode or self.operating_mode) is OperatingMode.REDUCED_SPEED
-        return limits.at_reduced_speed(self.kinematics) if reduced else limits
+        return limits.with_reduced_speed(self.kinematics) if reduced else limits
 
     def connect(self, timeout_s: float = 10.0) -> Identity:
         self.guard.require("connect", {Lifecycle.DISCONNECTED})

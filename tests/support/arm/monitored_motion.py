@@ -13,7 +13,7 @@ def drive_monitored(motion: PathMotion, monitor: Monitor, *, slower_after: int =
     With `slower_after` cycles the motion is reduced to a quarter of its speed.
     """
     cycles = 0
-    while not motion.finished:
+    while not motion.is_finished:
         prepared = motion.prepare()
         violation = monitor.check(prepared.go_rad)
         if violation is not None:

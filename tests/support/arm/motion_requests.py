@@ -60,7 +60,7 @@ def drive(seed: int) -> Driven:
     surroundings = _room(rng, start)
     limits = working_limits(MODEL).slowed(rng.choice((1.0, 1.0, 0.3)))
     if rng.choice(WITH_REDUCED_SPEED):
-        limits = limits.at_reduced_speed(MODEL)
+        limits = limits.with_reduced_speed(MODEL)
     found = Driven(limits=limits, surroundings=surroundings)
     try:
         plan = _request(rng, start, limits)
@@ -90,7 +90,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
     slow_at = rng.randint(0, 500) if rng.random() < 0.3 else -1
     found.sent = [start]
     cycle = 0
-    while not motion.finished:
+    while not motion.is_finished:
         prepared = motion.prepare()
         if cycle == stop_at:
             found.trusted_path = rng.random() >= UNTRUSTED_PATHS
@@ -98,7 +98,7 @@ def _follow(rng: random.Random, found: Driven, plan: MotionPlan, start: JointVec
                 motion = StopMotion(state_from_history(monitor.history_rad, CYCLE_S), limits, CYCLE_S)
                 found.left_its_way = motion._halt is None and monitor.last_rad != start
                 prepared = motion.prepare()
-            found.stop_predicted_s, found.rest_predicted_rad = motion.predicted_stop()
+            found.stop_predicted_s, found.rest_predicted_rad = motion.predict_stop()
         stopping = 0 <= stop_at <= cycle
         point = prepared.stop_rad if stopping else prepared.go_rad
         violation = monitor.check(point)
@@ -124,7 +124,7 @@ def _room(rng: random.Random, start: JointVector) -> Surroundings:
         x + rng.uniform(-150, 250), y + rng.gauss(0, 150), z - rng.uniform(60, 350), *angles
     )
     tool = CELL.guide if rng.random() < 0.5 else CELL.stereo_head
-    return CELL.around_head(tool, TOOL, head, HEAD_SEMI_AXES_MM)
+    return CELL.build_surroundings(tool, TOOL, head, HEAD_SEMI_AXES_MM)
 
 
 def _somewhere(rng: random.Random) -> JointVector:

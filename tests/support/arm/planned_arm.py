@@ -64,7 +64,7 @@ class PlannedArm(RecordingArm):
 
     def _drive(self, motion: Motion) -> ArmReading:
         plan = self.planner.plan(motion, self.joints_rad, self.operating_mode)
-        return self._follow(self.planner.clear(plan, self.operating_mode))
+        return self._follow(self.planner.clear_plan(plan, self.operating_mode))
 
     def _follow(self, plan: MotionPlan) -> ArmReading:
         if self.interruptions:

@@ -77,7 +77,7 @@ class ResponderStand:
         seen = self.stop_word >> 3 if stop_number is None else stop_number
         self.pending: Command | None = Command(self.commands, kind, plan, seen, limits=self.limits)
         if not self.sent:
-            self.responder.take(self.pending)
+            self.responder.execute_command(self.pending)
 
     def stop(self, kind: StopOrder) -> None:
         self.stop_word = ((self.stop_word >> 3) + 1) * 8 + kind
@@ -94,7 +94,7 @@ class ResponderStand:
         A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
         corrections = (A1, A2, A3, A4, A5, A6)
         self.sent.append((corrections, int(head[head.index(b"<Stop>") + 6 : head.index(b"</Stop>")])))
-        self.responder.after_reply(self.pending)
+        self.responder.finish_cycle(self.pending)
         if self.follows:
             least, most = -self.clamp_deg, self.clamp_deg
             a, b, c, d, e, f = (

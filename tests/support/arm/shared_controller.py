@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 from kuka_clients import Cell, EkiClient, RsiClient
 
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 CYCLE_S = 0.004
@@ -21,7 +21,7 @@ class SharedController:
     """One controller for all tests, brought back to rest between them."""
 
     def __init__(self, stack: ExitStack) -> None:
-        self.world = World.create(named_scene("mini", seed=5), paced=False)
+        self.world = World.create(draw_scene("mini", seed=5), paced=False)
         self._cell = Cell(stack, world=self.world)
         self.rsi: RsiClient = self._cell.rsi
         self.eki: EkiClient = self._cell.project()

@@ -20,7 +20,7 @@ from procedures.operator.question import Answer, Question, Topic
 from procedures.relocalization import StereoPoint
 from procedures.relocalization.errors import NoSphere
 from procedures.relocalization.outline import SphereImage, SphereStatus
-from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
+from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
 from procedures.workcell import MountedTool, Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
 from procedures.workcell.stereo_look import Look
@@ -31,12 +31,12 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import StereoReading, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.vectors import JointVector
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import GUIDE_FRAME_NAME as GUIDE_FRAME
 
 Array = NDArray[np.float64]
 
-SCENE = named_scene("mini", seed=3, markers=4, targets=2)
+SCENE = draw_scene("mini", seed=3, markers=4, targets=2)
 TRAJECTORIES = tuple(target.identifier for target in SCENE.head.targets)
 FIRST, LAST = TRAJECTORIES
 ROBOT_FROM_CT = SCENE.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT)
@@ -200,7 +200,7 @@ class ClinicalCell(RecordingCell):
 
         def only_planned(question: Question) -> Answer:
             if engine.running is not None and engine.running.name in CLINICAL_NAMES:
-                planned = planned_questions(engine.order.spec(engine.running))
+                planned = list_questions(engine.order.spec(engine.running))
                 assert question.topic in {*ANYWHERE, *(one.topic for one in planned)}, str(engine.running)
             return ask(question)
 

@@ -14,7 +14,7 @@ from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journa
 from procedures.journal.results import StepResult
 from procedures.runs.finishing import seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import Manifest, seal
 
 REQUEST_HASH = "44136fa355b3678a1146ad16f7e8649e94fb4fc21fe77e8310c060f61caaff8a"  # of {}
@@ -54,7 +54,7 @@ def without_last_lines(folder: Path, count: int) -> None:
 
 
 def changed_files(folder: Path) -> set[str]:
-    return {problem.file for problem in inspected(folder).changes}
+    return {problem.file for problem in inspect_run(folder).changes}
 
 
 def gone_home(run: Path) -> None:

@@ -15,7 +15,7 @@ from waiting import eventually
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, read_journal
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, read_link
 from ronna_hw.records import Record
 from sim.world.scene.as_built import REPEATABILITY_MM
@@ -74,7 +74,7 @@ def reopen_run(commands: Commands, killed: Killed) -> dict[str, Any]:
     assert all(now[record.identifier] == record for record in killed.records)
     assert_no_motion_before_acceptance(lines)
     assert_no_byte_before_acceptance(killed.folder, lines)
-    assert inspected(killed.folder).problems == ()
+    assert inspect_run(killed.folder).problems == ()
     printed: dict[str, Any] = json.loads(done.stdout)
     return printed
 

@@ -40,7 +40,7 @@ def case_order(cell: ClinicalCell) -> CaseOrder:
     set_up = checked_set_up(cell).model_copy(
         update={
             "identities": {
-                role: DeviceIdentity.of(Identity("Test", f"a {role}", "1", "0"))
+                role: DeviceIdentity.from_identity(Identity("Test", f"a {role}", "1", "0"))
                 for role in ("tracker", "arm", "stereo")
             }
         }

@@ -26,7 +26,7 @@ from ronna_hw.frames import Frame, Transform
 from sim.polaris.measurement.line_of_sight import head_ellipsoid, visible
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, pose_of
 from sim.world.scene.head import CAP_AXIS_CT, CENTRE_CT_MM, SEMI_AXES_MM, draw_direction, skin_at
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 Array = NDArray[np.float64]
 
@@ -111,14 +111,14 @@ class _Context:
     def choose(self, question: Question) -> str:
         return question.answers[0]
 
-    def have_done(self, task: Task) -> tuple[float, ...]:
+    def perform_task(self, task: Task) -> tuple[float, ...]:
         return self.head.touched(task.numbers, self.random)
 
 
 def drawn_head(layout: str, random: np.random.Generator) -> OrientedHead:
     """A head with that layout, all of its spheres in view of the tracker."""
     while True:
-        scene = named_scene(
+        scene = draw_scene(
             "default",
             seed=int(random.integers(1 << 30)),
             markers=int(layout) if layout.isdigit() else None,

@@ -25,7 +25,7 @@ from recording_cell import GUIDE, RecordingCell
 from procedures.engine.engine import Engine
 from procedures.engine.order import StepSpec
 from procedures.journal.results import FramedPose, StepResult
-from procedures.planning.guide import held_trajectories
+from procedures.planning.guide import place_guides
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind, PatientPosition, Plan, PlannedTrajectory
 from procedures.registration.correspondence import MatchStatus
@@ -126,7 +126,7 @@ def checked_plan(**changes: object) -> CheckedPlan:
 
 def checked_set_up(cell: RecordingCell) -> CheckedSetUp:
     return CheckedSetUp(
-        identities={"arm": DeviceIdentity.of(Identity("Test", "an arm", "1", "0"))},
+        identities={"arm": DeviceIdentity.from_identity(Identity("Test", "an arm", "1", "0"))},
         notices=(),
         calibrations=cell.calibrations,
         tools=cell.theatre.tools,
@@ -196,7 +196,7 @@ def checked_paths(
     """Poses as the cell's strategy has them, in the branch of home, every trajectory turned alike."""
     turned = [
         replace(one, free_angle_rad=one.free_angle_rad + turn_rad)
-        for one in held_trajectories(plan(), cell.workcell.tools.guide.bore)
+        for one in place_guides(plan(), cell.workcell.tools.guide.bore)
     ]
     centres = CENTRES_CT_MM[list(fiducials)]
     arm = ArmInBranch(

@@ -18,7 +18,7 @@ from procedures.engine.setting import CaseSetting, ClinicalInput
 from procedures.journal.journal import JOURNAL_FILE, Journal, read_journal
 from procedures.operator.checkpoint import Checkpoint
 from procedures.operator.question import Answer, Question, Task, Topic
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import Strategy
 from procedures.workcell import Workcell
 from procedures.workcell.arm_history import UNMOVED, ArmHistory
@@ -49,7 +49,7 @@ from ronna_hw.vectors import JointVector
 from ronna_hw.wire.room_tasks import DEPTH_STOP, DIALS, GAUGE, TOUCH
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",
@@ -69,12 +69,12 @@ def theatre_of(scene: Scene) -> TheatreFile:
 
 def mini_theatre() -> TheatreFile:
     """The theatre file of the mini scene."""
-    return theatre_of(named_scene("mini", seed=3))
+    return theatre_of(draw_scene("mini", seed=3))
 
 
 def mini_theatre_file(folder: Path, *, simulated: bool) -> Path:
     """That theatre as a file in the folder; if not `simulated`, its devices are at network addresses."""
-    text = tomli_w.dumps(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
+    text = tomli_w.dumps(theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0))
     path = folder / "theatre.toml"
     path.write_text(text if simulated else text.replace("127.", "172."))
     return path
@@ -293,8 +293,8 @@ class RecordingTheatre(Theatre):
         super().__init__(file, HostClock(), make)
         self._devices.update({"robot.master": arm, "stereo": stereo, "tracker": tracker})
 
-    def _device(self, name: str, interface: Callable[..., Any]) -> Any:
-        return self._devices[name] if name in self._devices else super()._device(name, interface)
+    def _get_device_as(self, name: str, interface: Callable[..., Any]) -> Any:
+        return self._devices[name] if name in self._devices else super()._get_device_as(name, interface)
 
     def replace_device(self, name: str, device: Any) -> Any:
         """Put a device in place of the one of this name, and return it."""
@@ -319,7 +319,7 @@ class RecordingCell:
     folder: Path
     theatre: TheatreFile = field(default_factory=mini_theatre)
     operator: RecordingOperator = field(default_factory=RecordingOperator)
-    strategy: Strategy = field(default_factory=lambda: strategy_named("ocs"))
+    strategy: Strategy = field(default_factory=lambda: find_strategy("ocs"))
 
     def __post_init__(self) -> None:
         self.folder.mkdir(exist_ok=True)

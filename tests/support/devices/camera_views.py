@@ -10,7 +10,7 @@ from sim.basler.optics.sphere import Sphere
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of, rotation_towards
 from sim.world.scene.model import CameraTruth
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import ArmState, World
 
 FOCAL_PX = 11364.0
@@ -27,7 +27,7 @@ def bare_camera() -> CameraTruth:
         "principal_point_px": PRINCIPAL_PX,
         "distortion": STRAIGHT,
     }
-    return named_scene("default").left.model_copy(update=changes)
+    return draw_scene("default").left.model_copy(update=changes)
 
 
 def ball(centre_mm: ArrayLike = (0.0, 0.0, 250.0), rotation: ArrayLike | None = None) -> Sphere:

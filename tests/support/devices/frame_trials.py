@@ -14,7 +14,7 @@ from ronna_hw.devices.readings import Stamp, StrayReading, TrackerFrame, Validit
 from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import SPECTRA
 from sim.world.rigid import apply, inverse, matrix_of
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def frames_to_alarm(trial: int, head_mm: float, hidden: float = 0.0) -> int | No
         places_mm = sight.measured(generator.standard_normal(spheres_mm.shape))
         if hidden:
             places_mm = places_mm[generator.random(len(places_mm)) >= hidden]
-        head.take(shuffled_frame(places_mm, generator))
+        head.add_frame(shuffled_frame(places_mm, generator))
         if head.moved_mm is not None and head.moved_mm >= PATIENT_LIMIT_MM:
             return frame - shift + UNTIL_ORDERED
         frame += 1 if head.doubtful else 1 + SKIPPED_FRAMES
@@ -61,7 +61,7 @@ def shuffled_frame(places_mm: Array, generator: np.random.Generator) -> TrackerF
 
 @cache
 def _scene(seed: int, name: str) -> tuple[Array, Optics]:
-    scene = named_scene("mini" if name == "mini" else "default", seed=seed)
+    scene = draw_scene("mini" if name == "mini" else "default", seed=seed)
     tracker_from_ct = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(
         scene.head.robot_from_ct
     )

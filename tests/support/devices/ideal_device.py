@@ -7,7 +7,7 @@ from typing import Any, Self
 
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig
-from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, LifecycleGuard, activated
+from ronna_hw.devices.lifecycle import LastKnown, Lifecycle, LifecycleGuard, hold_active
 from ronna_hw.errors import ConfigurationError, RonnaError
 
 
@@ -36,7 +36,7 @@ class IdealDevice:
         return self.guard.last_known(self.newest)
 
     def active(self, timeout_s: float = 10.0) -> AbstractContextManager[Self]:
-        return activated(self, timeout_s)
+        return hold_active(self, timeout_s)
 
     def configure(self, timeout_s: float = 10.0) -> None:
         self.guard.require("configure", {Lifecycle.CONNECTED})

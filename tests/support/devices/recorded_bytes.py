@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import defaultdict
 from collections.abc import Sequence
 
-from ronna_hw.devices.capabilities import Direction, Passed
+from ronna_hw.devices.capabilities import Direction, PassedBytes
 
 
 class RecordedBytes:
@@ -15,10 +15,10 @@ class RecordedBytes:
         self.by_link: dict[str, list[tuple[Direction, bytes]]] = defaultdict(list)
         self.notes: list[tuple[str, dict[str, str | float]]] = []
 
-    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+    def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         self.by_link[link].append((direction, data))
 
-    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+    def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         self.by_link[link] += [(one.direction, one.data) for one in all_passed]
 
     def note(self, link: str, **facts: str | float) -> None:

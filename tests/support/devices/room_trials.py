@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from benchmarks.stereo_head.head_looks import ENDPOINTS
 from procedures.guards.room_reading import FRAMES, RoomReading
 from procedures.guards.room_watch import RoomWatch
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.strategy import ArmInBranch
 from procedures.strategies.trajectory import Trajectory, back_along_axis, target_pose
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -31,7 +31,7 @@ from sim.polaris.measurement.tracking_rules import fit_rigid_body
 from sim.polaris.unit.model import SPECTRA
 from sim.theatre.theatre_file import theatre_content
 from sim.world.rigid import apply, inverse, matrix_from, matrix_of
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import GUIDE_FRAME_IN_TIP, GUIDE_FRAME_MARKERS_MM
 from sim.world.true_arm import TrueArm
 
@@ -51,7 +51,7 @@ class TrackedCase:
     generator: np.random.Generator = field(init=False)
 
     def __post_init__(self) -> None:
-        self.scene = named_scene("default", seed=self.seed)
+        self.scene = draw_scene("default", seed=self.seed)
         self.generator = np.random.default_rng([self.seed, 26])
         truth = self.scene
         self.kinematics = kr6_r900(truth.arm.variant)
@@ -77,7 +77,7 @@ class TrackedCase:
     @cached_property
     def rests(self) -> list[JointVector]:
         """Home, over the last sphere of each trajectory, home, then over and at each target."""
-        strategy = strategy_named("ocs")
+        strategy = find_strategy("ocs")
         tool = self.scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL)
         branch = self.kinematics.branch_of(self.home_rad)
         arm = ArmInBranch(self.kinematics, tool, tool, branch, self.home_rad)

@@ -21,7 +21,7 @@ from procedures.guards.motion_watch import SKIPPED_FRAMES
 from procedures.guards.room_reading import FRAMES, PATIENT_LIMIT_MM, RoomReading
 from procedures.guards.room_watch import Approach
 from procedures.planning.line_of_sight import TrackerSight
-from procedures.registration.movement import LEAST_POINTS, shift_of
+from procedures.registration.movement import LEAST_POINTS, measure_shift
 from ronna_hw.arm.clearance.bodies import Part, Surroundings
 from ronna_hw.arm.pose import Pose
 from ronna_hw.collision_config import CollisionConfig
@@ -162,9 +162,9 @@ class CoveredApproach:
                 return How.SUSPENDED
         if self._move(self._at, self._at, self._hold):
             return How.SUSPENDED
-        if watch.overdue(self._now_s):  # when the work is said to be done; the guard looks itself
+        if watch.is_overdue(self._now_s):  # when the work is said to be done; the guard looks itself
             self._rest(self._at)
-            if watch.overdue(self._now_s):
+            if watch.is_overdue(self._now_s):
                 return How.SUSPENDED
         self._covered[:] = False  # at the latest when the guide is out hands and drapes go
         watch.approach = None
@@ -197,9 +197,9 @@ class CoveredApproach:
         reading = RoomReading(
             whole.robot_from_flange, whole.frame_mm, whole.spheres_mm[seen], whole.markers_mm
         )
-        self._head_seen = shift_of(self._watch.spheres_mm, reading.spheres_mm) is not None
+        self._head_seen = measure_shift(self._watch.spheres_mm, reading.spheres_mm) is not None
         self._watch.compare(reading, self._now_s).require()
-        return self._watch.overdue(self._now_s)
+        return self._watch.is_overdue(self._now_s)
 
     def _move(self, start: JointVector, end: JointVector, frames: int) -> bool:
         """A motion, or a wait, watched; whether it was stopped because the head is overdue."""
@@ -214,12 +214,12 @@ class CoveredApproach:
             seen = self._visible(places[round(share * (PLACES - 1))])
             shifted = self._has_shifted and self.moved is Moved.HEAD
             places_mm = self.case.measured(still_mm + (self._way_mm if shifted else STILL))[seen]
-            self._frames.take(shuffled_frame(places_mm, self.case.generator))
+            self._frames.add_frame(shuffled_frame(places_mm, self.case.generator))
             if self._frames.seen:
                 self._watch.seen_s = self._now_s
             if (self._frames.moved_mm or 0.0) >= PATIENT_LIMIT_MM:
                 raise PatientMoved("on the way")
-            if self._watch.overdue(self._now_s):
+            if self._watch.is_overdue(self._now_s):
                 return True
             self._frame += 1 if self._frames.doubtful else 1 + SKIPPED_FRAMES
         return False

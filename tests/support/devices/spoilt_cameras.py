@@ -25,7 +25,7 @@ from sim.basler.device import Camera
 from sim.basler.faults import NoFaults
 from sim.basler.server import CameraPair
 from sim.basler.stream_channel import Block, StreamChannel
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 SERVE_LIMIT_S = 10.0
@@ -39,7 +39,7 @@ class Stand:
     """Both cameras, served by a thread of this process."""
 
     def __init__(self) -> None:
-        self.world = World.create(named_scene("bench"), paced=True)
+        self.world = World.create(draw_scene("bench"), paced=True)
         self.pair = CameraPair(self.world)
         self.left, self.right = self.pair._cameras
         self._thread = threading.Thread(target=self.pair.serve)

@@ -19,7 +19,7 @@ from recording_cell import ENDPOINTS
 
 from ronna_hw.errors import EXIT_USAGE
 from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @dataclass(frozen=True)
@@ -90,7 +90,7 @@ camera_from_tool = { translation_mm = [0.0, 0.0, 250.0], quaternion_wxyz = [1.0,
 """
 ROM = "robot_frame.rom"
 LAB = tomli_w.dumps(  # with everything that a case needs
-    theatre_content(named_scene("mini"), ENDPOINTS, "host:", {"robot_frame": ROM}, 1.0)
+    theatre_content(draw_scene("mini"), ENDPOINTS, "host:", {"robot_frame": ROM}, 1.0)
 ).replace("127.", "172.")
 TOOL = 'part_number = "8700000"\nmarkers_mm = [[0.0, 0.0, 0.0], [50.0, 0.0, 0.0], [0.0, 70.0, 0.0]]\n'
 
@@ -100,7 +100,7 @@ def _with_focal_px(scene: dict[str, Any], focal_px: float) -> dict[str, Any]:
 
 
 def _files() -> dict[str, str | bytes]:
-    content = named_scene("mini").model_dump(mode="json", by_alias=True, exclude_none=True)
+    content = draw_scene("mini").model_dump(mode="json", by_alias=True, exclude_none=True)
     scene = tomli_w.dumps(content)
     return {
         "notes.txt": "hello\n",

@@ -19,25 +19,25 @@ from scipy.spatial.transform import Rotation
 from benchmarks.mount.tool_tip_calibration import TipCell
 from benchmarks.mount.tracker_frame_calibration import FrameCell
 from benchmarks.stereo_head.head_looks import observation_set, true_head
-from console.guard import ORDERS_PER_SECOND, Rate
+from console.guard import ORDERS_PER_SECOND, RateLimit
 from console.planning.draft import Draft
 from console.planning.judging import judge
 from console.planning.plan_editor import PlanEditor
 from console.planning.structure_panel import import_structure
-from procedures.calibration.pose_set import calibration_looks
-from procedures.cli.calibrating.calibration import computed
-from procedures.planning.marker_sites import head_of_scene, propose_template
+from procedures.calibration.pose_set import plan_calibration_looks
+from procedures.cli.calibrating.calibration import compute_calibration
+from procedures.planning.marker_sites import propose_template, read_scene_head
 from procedures.runs.calibrations import KINDS
 from procedures.runs.orders import read_order
 from procedures.runs.request import CalibrationProcedure, RunRequest
-from procedures.runs.request_checks import check_fault_script, never_began
+from procedures.runs.request_checks import check_fault_script, list_unreached_faults
 from procedures.steps.calibration.recipe import Calibrated
 from ronna_hw.clock import open_clock
 from ronna_hw.command_line.options import LEVELS_VARIABLE, set_log_levels_from_environment
-from ronna_hw.command_line.terminal import _own_files
+from ronna_hw.command_line.terminal import _restrict_new_files
 from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import ACCESS_VARIABLE
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 BALL_MM = (700.0, 20.0, 250.0)
@@ -70,7 +70,7 @@ def _orders() -> Take:
     assert session is not None
 
     def take(data: bytes) -> None:
-        session.orders = Rate(ORDERS_PER_SECOND, 1.0)
+        session.orders = RateLimit(ORDERS_PER_SECOND, 1.0)
         with contextlib.suppress(ValueError):
             read_order(data)
         assert console.request("POST", "/orders", headers=headers, body=data).status in (200, 400, 409, 413)
@@ -110,14 +110,14 @@ def _unsaved(folder: Path) -> tuple[tuple[bytes, ...], Take]:
 
 
 def _script(path: Path) -> None:
-    list(never_began(path, ("relocalization:T1",), 12.0))
+    list(list_unreached_faults(path, ("relocalization:T1",), 12.0))
     check_fault_script(path, ("set_up", "relocalization"))
 
 
 def _looks() -> tuple[bytes, ...]:
     head = true_head()
     generator, down = np.random.default_rng(1), Rotation.from_quat((1.0, 0.0, 0.0, 0.0))
-    seen = [head.observe(look, BALL_MM, generator) for look in calibration_looks(down, BALL_MM, 2)]
+    seen = [head.observe(look, BALL_MM, generator) for look in plan_calibration_looks(down, BALL_MM, 2)]
     observed = (
         observation_set(head, seen),
         LookingArm.of(3).looks(2, 1, SPHERES_MM),
@@ -132,17 +132,17 @@ def _calibration(path: Path) -> None:
     for of in Calibrated:
         kind = KINDS[of]
         with contextlib.suppress(RonnaError):
-            computed(
+            compute_calibration(
                 kind, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), kind.read_looks(path)
             )
 
 
 def _head(path: Path) -> None:
-    propose_template(head_of_scene(path), 4, 5.0)
+    propose_template(read_scene_head(path), 4, 5.0)
 
 
 def _world(folder: Path) -> tuple[tuple[bytes, ...], Take]:
-    made = World.create(named_scene("mini"), paced=False)
+    made = World.create(draw_scene("mini"), paced=False)
     clock, path = folder / "clock", folder / "world"
     time = Path(made._clock_path).read_bytes()
     content = bytearray(Path(made._path).read_bytes())
@@ -181,7 +181,7 @@ def _variables(data: bytes) -> None:
         with patch.dict(vars(os), environ={ACCESS_VARIABLE: value, LEVELS_VARIABLE: value}):
             with contextlib.suppress(RonnaError):
                 set_log_levels_from_environment()
-            with contextlib.suppress(RonnaError), _own_files():
+            with contextlib.suppress(RonnaError), _restrict_new_files():
                 pass
     finally:
         known.clear()

@@ -13,7 +13,7 @@ from good_inputs import DESCRIPTION, PACKET_BYTES, STATE, TELEGRAM, Take, packet
 
 from conformance.case import Nonconformity, NotShown, check
 from conformance.gige.client import GigeFeatures, GigeLink
-from conformance.gige.stream import GigeStream, decode_leader, leader_of
+from conformance.gige.stream import GigeStream, decode_leader, require_leader
 from conformance.kuka.client import EkiLine, Telegram
 from conformance.polaris.client import PolarisLink
 from ronna_hw.endpoints import parse_endpoint
@@ -108,8 +108,8 @@ def _stream(data: bytes) -> None:
     came = [data[at : at + PACKET_BYTES] for at in range(0, len(data), PACKET_BYTES)]
     stream = _Stream(came)
     while came:
-        _fails(lambda: leader_of(stream.frame()))
-    _fails(lambda: [decode_leader(one) for one in _Stream([data]).last_packets()])
+        _fails(lambda: require_leader(stream.frame()))
+    _fails(lambda: [decode_leader(one) for one in _Stream([data]).drain_packets()])
 
 
 class _Line(EkiLine):
@@ -156,10 +156,10 @@ def _unit(data: bytes) -> None:
     for came, ask in (
         (data, PolarisLink.text),
         (said, PolarisLink.handles),
-        (said, lambda link: link.load(bytes(752))),
-        (data, lambda link: link.binary("BX 0001")),
-        (whole, lambda link: link.binary("BX 0001")),
-        (data, PolarisLink.rest),
+        (said, lambda link: link.load_tool(bytes(752))),
+        (data, lambda link: link.ask_binary("BX 0001")),
+        (whole, lambda link: link.ask_binary("BX 0001")),
+        (data, PolarisLink.read_rest),
     ):
         theirs, ours = socket.socketpair()
         with theirs, ours:

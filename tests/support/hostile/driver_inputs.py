@@ -20,7 +20,7 @@ from drivers.basler_stereo.stream.frame_assembler import FrameAssembler
 from drivers.kuka_rsi.eki.client import RECEIVE_BYTES
 from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram, read_state
 from drivers.kuka_rsi.realtime.telegram import TelegramReader
-from drivers.ndi_polaris.command_link import open_ascii, split_binary
+from drivers.ndi_polaris.command_link import decode_ascii, split_binary
 from drivers.ndi_polaris.measuring_volume import parse_volumes
 from drivers.ndi_polaris.replies import decode_bx, decode_tx
 from drivers.ndi_polaris.shipped_tools import FOLDER as SHIPPED_TOOLS
@@ -130,8 +130,8 @@ def _gvsp(data: bytes) -> None:
         frame = assembler.accept(memoryview(data)[begin : begin + PACKET_BYTES], 0.01 * number)
         if frame is not None and frame.leader is not None:
             assert frame.leader.area
-        assembler.overdue(0.01 * number)
-    assembler.overdue(1000.0)
+        assembler.find_overdue(0.01 * number)
+    assembler.find_overdue(1000.0)
 
 
 def _eki(data: bytes) -> None:
@@ -146,11 +146,11 @@ def _with_right_crc(data: bytes) -> None:
     text = data.replace(b"\r", b"")
     for strays in (True, False):
         with contextlib.suppress(RonnaError):
-            reply = decode_tx(open_ascii(text + b"%04X" % polaris.crc16(text)), strays=strays)
+            reply = decode_tx(decode_ascii(text + b"%04X" % polaris.crc16(text)), strays=strays)
             positions = [report.position_mm for report in reply.handles if report.position_mm is not None]
             assert all(isfinite(value) for position in positions for value in position)
     with contextlib.suppress(RonnaError):
-        parse_volumes(open_ascii(text + b"%04X" % polaris.crc16(text)))
+        parse_volumes(decode_ascii(text + b"%04X" % polaris.crc16(text)))
 
 
 def _binary(data: bytes) -> None:

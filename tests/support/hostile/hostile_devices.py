@@ -240,8 +240,8 @@ class HostileTelegrams(RsiTap):
 
     def traffic_forgotten(self) -> None:
         """Nobody reads it here, and it would grow."""
-        self._passed.telegrams.clear()
-        self._passed.replies.clear()
+        self._traffic.telegrams.clear()
+        self._traffic.replies.clear()
 
     def _bad(self, telegram: bytes) -> list[bytes]:
         draw = self._chosen

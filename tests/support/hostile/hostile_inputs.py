@@ -68,7 +68,7 @@ from sim.kuka.rsi.ethernet_file import read_ethernet_file
 from sim.theatre.theatre_file import theatre_content
 from sim.world.faults import parse_faults
 from sim.world.scene.model import read_scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @dataclass(frozen=True)
@@ -95,7 +95,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         run.mkdir(exist_ok=True)
         return reading(run / name, lambda _path: read(run))
 
-    scene = named_scene("mini")
+    scene = draw_scene("mini")
     plain_scene = scene.model_dump_json(by_alias=True).encode()
     endpoints = {
         "polaris": "tcp://127.0.0.1:1",
@@ -143,7 +143,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "scene JSON": Parser((plain_scene,), of_file("scene.json", read_scene)),
         "scene's seed": Parser(
             (b'{"seed": 5}', b"seed = 5"),
-            of_file("seed.json", lambda path: SceneChoice(str(path)).own_seed),
+            of_file("seed.json", lambda path: SceneChoice(str(path)).scene_seed),
         ),
         "plan TOML": Parser((whole_plan, whole_plan + STRUCTURES), of_file("plan.toml", read_plan)),
         "context TOML": Parser((context,), of_file("context.toml", load_context)),
@@ -163,7 +163,7 @@ def parsers(folder: Path) -> dict[str, Parser]:
         "events": Parser((events_file(),), of_run("events.jsonl", events)),
         "theatre in use": Parser(
             (TheatreNote(run=folder / "a", pid=7, moved_before=folder / "b").model_dump_json().encode(),),
-            of_file("in-use", lambda path: read_note(path).settled()),
+            of_file("in-use", lambda path: read_note(path).with_outcome()),
         ),
         "seal": Parser((seal,), of_run("seal.json", read_seal)),
         "request": Parser((request.encode(),), of_run("request.json", read_request)),

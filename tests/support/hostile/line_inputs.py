@@ -18,9 +18,9 @@ from record_inputs import ROOM_REQUESTS
 
 from drivers.kuka_rsi.eki.client import RECEIVE_BYTES, EkiClient
 from drivers.kuka_rsi.eki.telegrams import TelegramScanner, parse_telegram
-from drivers.ndi_polaris.command_link import CommandLink, open_ascii, unit_error
+from drivers.ndi_polaris.command_link import CommandLink, decode_ascii, unit_error
 from drivers.ndi_polaris.tool_loading import list_handles, request_handle
-from drivers.ndi_polaris.unit import read_identity, read_parameter, whole_number
+from drivers.ndi_polaris.unit import parse_whole_number, read_identity, read_parameter
 from procedures.cli.case.piped_lines import LONGEST_LINE, READ_AHEAD, lines_from
 from procedures.cli.tool.records import DIALS, read_gauge
 from ronna_hw.control_port import ControlPortClient
@@ -28,7 +28,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.tool_record import GAUGE_APPROACHES, Gauge
 from ronna_hw.wire.polaris import PARAMETER_FIRMWARE, HandleQuery, crc16
 from sim.world.control_port import Room, _Conversation
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 TOKEN = b'{"token": "a"}\n'
@@ -47,7 +47,7 @@ def line_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         found = read_gauge(gauge, GAUGE)
         assert len(found["reading_mm"]) + len(found["upper_reading_mm"]) == len(DIALS)
 
-    room = Room(World.create(named_scene("mini"), paced=False), None)
+    room = Room(World.create(draw_scene("mini"), paced=False), None)
     return {
         "standard input": ((b"next\nstop\nresume\nquit",), _piped(folder / "piped")),
         "gauge readings": ((ONE_APPROACH * GAUGE_APPROACHES,), read),
@@ -124,12 +124,12 @@ class _Link:
 
     def ask(self, name: str, *_: object, reply_bytes: int = 256, **_more: object) -> str:
         text = self._said[:reply_bytes]
-        opened = open_ascii(text + b"%04X" % crc16(text))
+        opened = decode_ascii(text + b"%04X" % crc16(text))
         if error := unit_error(opened, name):
             raise error
         return opened
 
-    def distrust(self) -> None:
+    def mark_unsettled(self) -> None:
         pass
 
 
@@ -152,8 +152,8 @@ def _identity(data: bytes) -> None:
     _each(
         data,
         read_identity,
-        lambda link: whole_number(read_parameter(link, PARAMETER_FIRMWARE)),
-        lambda link: whole_number(read_parameter(link, "Param.Tracking")),
+        lambda link: parse_whole_number(read_parameter(link, PARAMETER_FIRMWARE)),
+        lambda link: parse_whole_number(read_parameter(link, "Param.Tracking")),
     )
 
 
@@ -164,4 +164,4 @@ def _acknowledged(data: bytes) -> None:
     scanner = TelegramScanner()
     for begin in range(0, len(data), RECEIVE_BYTES):
         for telegram in scanner.feed(data[begin : begin + RECEIVE_BYTES]):
-            client._take(parse_telegram(telegram))
+            client._handle_element(parse_telegram(telegram))

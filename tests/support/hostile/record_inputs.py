@@ -22,7 +22,7 @@ from painted_ct import compress_slice, write_series
 
 from conformance.case import Nonconformity
 from conformance.polaris.client import read_body
-from drivers.basler_stereo.readings import pixels_of
+from drivers.basler_stereo.readings import decode_pixels
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import order_of
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order
@@ -57,12 +57,12 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.evidence.journal_reading import FIRST
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.marker_template import read_marker_template
-from ronna_hw.recording.reading_coding import ANSWERS, LOOKS
+from ronna_hw.recording.reading_coding import ANSWERS, RECORDED_PROPERTIES
 from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape
 from ronna_hw.wire.gige_vision import PixelFormat
 from sim.world.control_port import Room
 from sim.world.saved_world import read_saved_world
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import read_samples
 from sim.world.world import World
 from studies.campaign import folder as study_folder
@@ -136,7 +136,7 @@ def record_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
     def of(name: str, read: Callable[[Path], object], where: Path = run) -> Take:
         return reading((where if where == folder else run) / name, lambda _path: read(where))
 
-    room = Room(World.create(named_scene("mini"), paced=False), None)
+    room = Room(World.create(draw_scene("mini"), paced=False), None)
     mono = bytes(range(240)) * 5
     body = struct.pack("<3B8f2IBBH", 1, 2, 1, 1.0, 0, 0, 0, 10.0, -20.0, -1500.0, 0.1, 0x31, 300, 0, 0, 0)
     return {
@@ -239,7 +239,7 @@ def _replayed(run: Path) -> None:
         for (device, call), waiting in calls.items():
             for _ in range(len(waiting)):
                 with contextlib.suppress(NotRecorded):
-                    if call in LOOKS:
+                    if call in RECORDED_PROPERTIES:
                         answers.look(device, call)
                     elif call in ANSWERS:
                         answers.next(device, call, ANSWERS[call])
@@ -247,9 +247,9 @@ def _replayed(run: Path) -> None:
 
 
 def _placed(proposal: ProposedPlace) -> None:
-    beside = proposal.beside(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(500.0, 0.0, 480.0)))
-    assert math.isfinite(beside.off_mm)
-    proposal.allows(beside)
+    drift = proposal.drift(Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(500.0, 0.0, 480.0)))
+    assert math.isfinite(drift.off_mm)
+    proposal.allows(drift)
 
 
 def _ledger(folder: Path) -> None:
@@ -283,7 +283,7 @@ def _raw_image(data: bytes) -> None:
     """As a frame gives it: so many bytes as were announced, whatever is in them."""
     for kind in PixelFormat:
         with contextlib.suppress(ValueError):
-            pixels_of(memoryview(data), AreaOfInterest(0, 0, 40, 30), kind)
+            decode_pixels(memoryview(data), AreaOfInterest(0, 0, 40, 30), kind)
 
 
 def _conformance(data: bytes) -> None:

@@ -19,7 +19,7 @@ from prepared_results import (
     up_to_correspondence,
 )
 
-from procedures.engine.run_folder import typed
+from procedures.engine.run_folder import parse_record
 from procedures.journal.journal import JOURNAL_FILE, Entry, read_journal
 from procedures.journal.results import FramedPose, StepResult
 from procedures.registration.verification import CtToRoomRow, Instrument, RoomToCtRow
@@ -84,7 +84,7 @@ def run_parsers(folder: Path) -> dict[str, tuple[tuple[bytes, ...], Take]]:
         _rewrite(run, lines, [new if one is ours else one for one in records])
         write_report(run, truth=TRUTH, out=folder / "out")
         read_case_figures(run)
-        typed(new, _MODELS[new.kind])
+        parse_record(new, _MODELS[new.kind])
 
     # Of a run without records: those would be read anew for each check, which does not need them.
     opened = _opened(folder / "20261120T000000-s3-ef01").journal.path.parent

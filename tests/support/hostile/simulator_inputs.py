@@ -42,7 +42,7 @@ from sim.polaris.line.interpreter import CommandInterpreter
 from sim.polaris.tracker_unit import Unit
 from sim.polaris.unit.framing import LineBuffer
 from sim.polaris.unit.tool_definition import BadDefinition, parse_definition, write_definition
-from sim.world.scene.named_scenes import named_scene, robot_frame
+from sim.world.scene.named_scenes import draw_scene, robot_frame
 from sim.world.world import World
 
 LONGEST_HOST_LINE = 1024
@@ -55,7 +55,7 @@ TRACKED = (b"PENA 01D", b"TSTART ", b"BX 1801", b"TX 1801", b"TSTOP ", b"PHINF 0
 
 def simulator_parsers() -> dict[str, tuple[tuple[bytes, ...], Take]]:
     """What each takes when all is well, and what takes it."""
-    bench = World.create(named_scene("bench"), paced=False)
+    bench = World.create(draw_scene("bench"), paced=False)
     rom = write_definition(robot_frame())
     return {
         "simulated camera": (_camera_conversations(), _camera(bench)),
@@ -77,7 +77,7 @@ def _told(world: World, data: bytes) -> None:
     for begin in range(0, len(data), PIECE_BYTES):
         for line in lines.feed(data[begin : begin + PIECE_BYTES], 0.0):
             _well_formed(interpreter.reply(line))
-        interpreter.unsolicited()
+        interpreter.unsolicited_bytes()
 
 
 def _loaded(world: World, data: bytes) -> None:
@@ -117,7 +117,7 @@ class _Told(EkiServer):
 
 
 def _channel(kind: type[ProjectChannel] | type[SdkChannel]) -> Take:
-    scene, context, parameters = named_scene("mini"), load_context(), ControllerParameters()
+    scene, context, parameters = draw_scene("mini"), load_context(), ControllerParameters()
     server = _Told()
 
     def take(data: bytes) -> None:
@@ -125,7 +125,7 @@ def _channel(kind: type[ProjectChannel] | type[SdkChannel]) -> Take:
         assert sum(map(len, requests)) + len(rest) <= len(data)
         arm = Manipulator(scene.arm, scene.seed, lambda _state: None, parameters)
         controller = Controller(context, arm, lambda: 1, parameters)
-        channel = kind(server, controller, Autostart(controller, wanted=False))
+        channel = kind(server, controller, Autostart(controller, is_requested=False))
         for number, request in enumerate(requests):
             with contextlib.suppress(InputRefused):
                 channel.request(parse_xml(request, BUFFER_LIMIT_BYTES))

@@ -45,7 +45,7 @@ def test_a_sphere_measures_the_same_in_the_full_frame_and_in_an_area(pair):
     assert (full.validity, part.validity) == (Validity.OK, Validity.OK)
     for whole, cut in ((full.left, part.left), (full.right, part.right)):
         seen = measure_sphere(whole.pixels)
-        again = measure_sphere(cut.pixels).shifted(cut.area.offset_x, cut.area.offset_y)
+        again = measure_sphere(cut.pixels).with_offset(cut.area.offset_x, cut.area.offset_y)
         assert seen.status is again.status is SphereStatus.OK
         assert again.centre_px == pytest.approx(seen.centre_px, abs=0.05)
         assert again.axes_px == pytest.approx(seen.axes_px, abs=0.05)

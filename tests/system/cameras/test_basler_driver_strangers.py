@@ -28,7 +28,7 @@ from drivers.basler_stereo.options import BaslerOptions
 from drivers.basler_stereo.readings import camera_image
 from drivers.basler_stereo.stream.receiver import ReceiverProcess
 from ronna_hw.devices.readings import AreaOfInterest, Validity
-from ronna_hw.host.network import interface_of
+from ronna_hw.host.network import find_interface
 from ronna_hw.wire.gige_vision import GVCP_PORT, Bootstrap, PixelFormat
 
 FAKE_CAMERA = shutil.which("arv-fake-gv-camera-0.8")
@@ -103,7 +103,7 @@ def test_a_third_party_camera_answers_broadcast_discovery():
     with fake_camera():
         deadline_s = soon()
         while SERIAL not in (
-            found := {each.serial: each for each in discover_cameras(interface_of(ADDRESS))}
+            found := {each.serial: each for each in discover_cameras(find_interface(ADDRESS))}
         ):
             assert time.monotonic() < deadline_s, "the fake camera did not start, or hears nobody"
     assert (found[SERIAL].vendor, found[SERIAL].model) == ("Aravis", "Fake")

@@ -21,7 +21,7 @@ from drivers.basler_stereo.identity import discover_cameras
 from ronna_hw.devices.capabilities import Fact
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.devices.readings import AreaOfInterest, Validity
-from ronna_hw.host.network import interface_of
+from ronna_hw.host.network import find_interface
 
 RAMP = np.add.outer(
     np.arange(AREA.offset_y, AREA.offset_y + AREA.height),
@@ -215,7 +215,7 @@ def test_two_cameras_off_the_network_are_not_found(cameras):
 
 
 def test_both_cameras_are_found_by_broadcast_discovery(cameras):
-    found = {each.address: each.serial for each in discover_cameras(interface_of("127.0.0.1"))}
+    found = {each.address: each.serial for each in discover_cameras(find_interface("127.0.0.1"))}
     assert {address: found.get(address) for address in cameras.addresses} == dict(
         zip(cameras.addresses, ("21904411", "21904412"), strict=True)
     )

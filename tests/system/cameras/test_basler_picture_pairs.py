@@ -18,7 +18,7 @@ from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.readings import StereoReading, Validity
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.wire.gige_vision import TICK_FREQUENCY_HZ
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import ArmState, World
 
 # In lock-step two commands one after the other are dated at most 1 ms apart, as on a real network.
@@ -69,7 +69,7 @@ class Theatre:
 @contextmanager
 def started(at_ns: int) -> Iterator[Theatre]:
     """A theatre whose cameras were powered on so long ago."""
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     world.clock.wait_until_ns(at_ns)
     with ChildProcess("ronna-sim basler", command("sim.cli", "basler", "--world", world.endpoint)) as child:
         made = Theatre(world, child)

@@ -16,7 +16,7 @@ from collections.abc import Iterator
 import pytest
 
 from ronna_hw.host.child_process import ChildProcess, command
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 SYSTEM_PYTHON = "/usr/bin/python3"
@@ -106,7 +106,7 @@ SERIALS = (f"31{os.getpid() % 100_000:05d}1", f"31{os.getpid() % 100_000:05d}2")
 
 @pytest.fixture(scope="module")
 def cameras() -> Iterator[ChildProcess]:
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     left = scene.left.model_copy(update={"serial": SERIALS[0]})
     right = scene.right.model_copy(update={"serial": SERIALS[1]})
     world = World.create(scene.model_copy(update={"left": left, "right": right}), paced=True)
@@ -166,7 +166,7 @@ def test_aravis_triggers_and_grabs_pairs(cameras: ChildProcess) -> None:
 
 
 def test_aravis_gets_every_frame_when_packets_are_lost() -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     world.set_fault_script("at 0 s: camera drop 1 % for 600 s")
     arguments = command("sim.cli", "basler", "--world", world.endpoint)
     with ChildProcess("ronna-sim basler", arguments) as cameras:

@@ -62,7 +62,7 @@ def test_wireshark_reads_events_and_their_acknowledges(receiver: Receiver, tmp_p
         command, _, request_id = struct.unpack_from(">HHH", seen[-1].content, 2)
         acknowledge = struct.pack(">HHHH", 0, command + 1, 0, request_id)
         seen.append(Datagram(receiver.address, seen[-1].sender, acknowledge))
-        channel._acknowledged(acknowledge)
+        channel._handle_acknowledge(acknowledge)
     channel.close()
     write_capture(tmp_path / "events.pcap", seen)
     item = "gvcp.cmd.event."

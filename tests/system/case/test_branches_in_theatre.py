@@ -11,7 +11,7 @@ from user_commands import Commands
 from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import JOURNAL_FILE, Line, read_journal
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400)]
 LARGEST_ERROR_MM = 1.0
@@ -50,7 +50,7 @@ def test_a_sphere_under_blood_is_left_out_and_the_case_completes_with_the_others
 def test_a_trajectory_beyond_its_margin_is_left_out_and_the_other_is_completed(
     commands: Commands, tmp_path: Path
 ) -> None:
-    scene = named_scene("mini", seed=3, targets=2)
+    scene = draw_scene("mini", seed=3, targets=2)
     first, other = scene.head.targets
     strict = first.model_copy(update={"margin_mm": 0.1})
     head = scene.head.model_copy(update={"targets": (strict, other)})

@@ -15,7 +15,7 @@ from procedures.guards.errors import PatientMoved
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.registration.errors import NoUniqueMatch
 from ronna_hw.errors import EXIT_REFUSED
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(400), pytest.mark.hazard(11)]
 LARGEST_ERROR_MM = 1.0
@@ -25,7 +25,7 @@ Changes = dict[int, dict[str, Any]]
 
 def scene_file(folder: Path, markers: int, changes: Changes) -> Path:
     """The mini scene with other keys of some spheres, by number."""
-    scene = named_scene("mini", seed=3, markers=markers, targets=1)
+    scene = draw_scene("mini", seed=3, markers=markers, targets=1)
     changed = tuple(one.model_copy(update=changes.get(one.number, {})) for one in scene.head.fiducials)
     scene = scene.model_copy(update={"head": scene.head.model_copy(update={"fiducials": changed})})
     path = folder / "scene.toml"

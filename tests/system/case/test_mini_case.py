@@ -25,8 +25,8 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import FramedPose
 from procedures.workcell.tracker_look import FRAMES
 from ronna_hw.devices.capabilities import Direction
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.flight_recorder import BYTES_FOLDER, links_of, read_link
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, list_links, read_link
 from sim.cli import app as ronna_sim
 from sim.world.displacements import spheres_in_theatre
 from sim.world.rigid import apply, matrix_of
@@ -157,7 +157,7 @@ def test_the_bytes_of_every_link_are_kept_in_both_directions(finished: MiniRun) 
     folder = finished.folder / BYTES_FOLDER
     links = {"tracker", "robot.master.eki", "robot.master.rsi"}
     cameras = {f"stereo.{side}.{part}" for side in ("left", "right") for part in ("control", "stream")}
-    assert set(links_of(folder)) == links | cameras
+    assert set(list_links(folder)) == links | cameras
     for link in (*links, "stereo.left.control", "stereo.right.control"):
         assert {line.direction for line in read_link(folder, link)} >= set(Direction), link
     images = [line.note for line in read_link(folder, "stereo.left.stream")]
@@ -250,7 +250,7 @@ def test_a_run_killed_after_its_last_line_gets_its_report_and_seal_on_resume(
     resumed = in_this_process(ronna_procedure, "resume", copy, "--accept", "--json")
     assert json.loads(resumed.stdout)["targets"] == finished.outcome["targets"]
     assert Path(json.loads(resumed.stdout)["report"]).exists()
-    assert inspected(copy).problems == ()
+    assert inspect_run(copy).problems == ()
 
 
 @pytest.mark.hazard(31)
@@ -318,7 +318,7 @@ def test_a_case_interrupted_while_the_arm_moves_is_closed_and_can_be_resumed(
     interrupted: tuple[Path, str],
 ) -> None:
     run, said = interrupted
-    inspected(run).require_whole()
+    inspect_run(run).require_whole()
     lines = list(read_journal(run / JOURNAL_FILE))
     assert [line["entry"] for line in lines[-2:]] == ["interrupted", "closed"]
     assert "ronna-procedure resume " in said

@@ -10,7 +10,7 @@ import tomli_w
 from user_commands import Commands
 
 from ronna_hw.x_frame import NAME
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(300)]
 LIMIT_MM = 1.0  # of the one target: the mini scene's CT is coarse
@@ -18,7 +18,7 @@ LIMIT_MM = 1.0  # of the one target: the mini scene's CT is coarse
 
 def known_as_strays(folder: Path) -> tuple[str, ...]:
     """The scene in a file, for a tracker without the frame's definition."""
-    scene, file = named_scene("mini", seed=3, x_frame=True), folder / "scene.toml"
+    scene, file = draw_scene("mini", seed=3, x_frame=True), folder / "scene.toml"
     tools = [
         one.model_dump(mode="json", exclude_none=True) for one in scene.tracker.tools if one.name != NAME
     ]

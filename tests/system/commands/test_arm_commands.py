@@ -14,7 +14,7 @@ from procedures.calibration.arm_model import LOOKS_FILE
 from procedures.cli.arm.command import app
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @pytest.fixture
@@ -33,7 +33,7 @@ def test_recorded_looks_are_recomputed_into_records_for_the_theatre_file(looks: 
     payload = json.loads(done.stdout)
     assert payload["error_mm"] < 0.04 < payload["before_mm"]
     records = tomllib.loads((Path(payload["folder"]) / "calibration.toml").read_text())["calibration"]
-    content = theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
+    content = theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)
     content["calibration"] |= records
     assert parse_theatre(content).calibration is not None
 
@@ -66,7 +66,7 @@ def test_calibrated_requires_a_record_in_the_theatre_file(tmp_path: Path) -> Non
     from procedures.cli.procedure import app as procedure
 
     path = tmp_path / "theatre.toml"
-    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), path)
+    write_theatre_file(theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), path)
     done = in_this_process(procedure, "run", "--config", path, "--case", tmp_path, "--calibrated")
     assert "CAL-014" in " ".join(one_error(done.stderr))
     assert done.returncode == 3

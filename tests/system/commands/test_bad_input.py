@@ -14,7 +14,7 @@ from waiting import HANG_LIMIT_S
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.errors import EXIT_FAILED, EXIT_NOT_FOUND, EXIT_USAGE
 from sim.cli import app as ronna_sim
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 def _refused(done: subprocess.CompletedProcess[str], code: str, exit_code: int) -> str:
@@ -88,7 +88,7 @@ def test_the_simulator_reports_a_port_in_use(silent_port: int) -> None:
 def test_verify_reports_the_bad_line_of_a_truth_file(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre"
     theatre.mkdir()
-    (theatre / "scene.json").write_text(named_scene("mini").model_dump_json(by_alias=True))
+    (theatre / "scene.json").write_text(draw_scene("mini").model_dump_json(by_alias=True))
     (theatre / "truth.jsonl").write_text("nonsense\n")
     done = in_this_process(ronna_sim, "verify", tmp_path)
     assert "line 1" in _refused(done, "SIM-007", EXIT_FAILED)

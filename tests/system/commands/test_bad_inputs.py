@@ -13,7 +13,7 @@ from bad_inputs import BadInput, app_of, write_bench
 from user_commands import in_this_process, one_error
 
 from sim.world.control_port import ControlPort, Room
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 from studies import plugin_trial as trial
 
@@ -33,8 +33,8 @@ def bench(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def names() -> Iterator[Mapping[str, str]]:
     """Control ports: of a theatre, of a tracker and of a robot that run alone."""
-    theatre = World.create(named_scene("mini"), paced=False)
-    alone = World.create(named_scene("bench"), paced=False)
+    theatre = World.create(draw_scene("mini"), paced=False)
+    alone = World.create(draw_scene("bench"), paced=False)
     ports = {
         "control": ControlPort(Room(theatre, None)),
         "tracker_alone": ControlPort(Room(alone, None, ("tracker", "room"), lambda: LOADED)),

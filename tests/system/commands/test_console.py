@@ -21,7 +21,7 @@ from procedures.journal.journal import JOURNAL_FILE, read_journal
 
 HANG_LIMIT_S = 120.0
 BEGUN, DONE = "intent relocalization:T1", "result relocalization:T1"
-BETWEEN_S = 0.15  # ten orders a second are too many
+PICTURE_PERIOD_S = 0.15  # ten orders a second are too many
 
 
 def await_state(script: ConsoleScript, holds: Callable[[dict[str, Any]], bool]) -> dict[str, Any]:
@@ -31,7 +31,7 @@ def await_state(script: ConsoleScript, holds: Callable[[dict[str, Any]], bool]) 
         assert time.monotonic() < deadline_s, state
         if state["question"]:
             script.answer(state["question"])
-        time.sleep(BETWEEN_S)
+        time.sleep(PICTURE_PERIOD_S)
     return state
 
 
@@ -55,7 +55,7 @@ def test_a_script_steps_through_a_whole_case_and_every_answer_is_signed(tmp_path
                 assert script.answer(state["question"]) == ""
             elif state["waiting"] and state["upcoming"]:
                 assert script.order("next", upcoming=state["upcoming"]) == ""
-            time.sleep(BETWEEN_S)
+            time.sleep(PICTURE_PERIOD_S)
         case.process.wait(30)
         assert case.process.returncode == 0
         journal = read_journal(case.run / JOURNAL_FILE)

@@ -20,7 +20,7 @@ from procedures.calibration.tip_calibration import LEAST_READINGS
 from procedures.cli.procedure import app
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.scene.model import Scene, read_scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @pytest.fixture
@@ -68,7 +68,7 @@ def theatre_of(folder: Path, scene: Scene) -> Path:
 def test_measurements_of_another_theatre_are_refused_and_nothing_is_written(
     request: pytest.FixtureRequest, tmp_path: Path, stored: str, command: str
 ) -> None:
-    theatre, written = theatre_of(tmp_path, named_scene("default", seed=4)), tmp_path / "calibrated.toml"
+    theatre, written = theatre_of(tmp_path, draw_scene("default", seed=4)), tmp_path / "calibrated.toml"
     run = ("calibrate", command, "--from", request.getfixturevalue(stored), "--config", theatre)
     done = in_this_process(app, *run, "--write", written, "--out", tmp_path / "out")
     (error, *_) = one_error(done.stderr)
@@ -81,7 +81,7 @@ def test_measurements_of_another_theatre_are_refused_and_nothing_is_written(
 
 @pytest.mark.hazard(3)
 def test_readings_of_a_tip_that_was_edited_since_are_refused(readings: Path, tmp_path: Path) -> None:
-    theatre = theatre_of(tmp_path, named_scene("default", seed=3))
+    theatre = theatre_of(tmp_path, draw_scene("default", seed=3))
     stored = json.loads((readings / tip_calibration.LOOKS_FILE).read_text())
     stored["start"]["flange_from_tool"]["translation_mm"][0] += 0.5
     (readings / tip_calibration.LOOKS_FILE).write_text(json.dumps(stored))
@@ -135,7 +135,7 @@ def test_too_few_readings_are_refused_with_the_required_number(readings: Path, t
 
 def test_first_day_records_are_accepted_with_a_simulated_theatre_only(tmp_path: Path) -> None:
     theatre = tmp_path / "theatre.toml"
-    write_theatre_file(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
+    write_theatre_file(theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0), theatre)
     for more in (("--first-day",), ("--calibration", tmp_path)):
         done = in_this_process(app, "calibrate", "tool-tip", "--config", theatre, *more)
         assert done.returncode == 2
@@ -201,7 +201,7 @@ def test_the_page_about_the_reference_frame_works(commands: Commands, tmp_path: 
 def test_a_theatre_file_to_be_written_in_another_folder_is_refused_before_anything_is_measured(
     tmp_path: Path,
 ) -> None:
-    theatre = theatre_of(tmp_path, named_scene("mini", seed=3))
+    theatre = theatre_of(tmp_path, draw_scene("mini", seed=3))
     elsewhere = tmp_path / "elsewhere" / "new.toml"
     run = ("calibrate", "tracker-frame", "--config", theatre, "--write", elsewhere)
     done = in_this_process(app, *run, "--out", tmp_path / "out")

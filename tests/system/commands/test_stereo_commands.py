@@ -21,7 +21,7 @@ from benchmarks.stereo_head.head_looks import ENDPOINTS, TrueHead, check_looks, 
 from benchmarks.stereo_head.stereo_cell import with_ideal_arm
 from procedures.calibration import Baseline
 from procedures.calibration.observations import OBSERVATIONS_FILE, Observation
-from procedures.calibration.pose_set import PlannedLook, calibration_looks
+from procedures.calibration.pose_set import PlannedLook, plan_calibration_looks
 from procedures.calibration.self_check import BASELINE_FILE
 from procedures.cli.calibrating.calibration import NOT_COMPARED
 from procedures.cli.stereo.command import app
@@ -30,13 +30,13 @@ from ronna_hw.calibration import StereoHeadCalibration, ToolTipCalibration
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
 from ronna_hw.control_port import ask_control_port
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import REPORT_FILE
 from ronna_hw.frames import Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from sim.theatre.theatre_file import theatre_content
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 GOAL_MM = 0.03
 BALL_MM = np.array([700.0, 20.0, 250.0])
@@ -91,7 +91,7 @@ def recorded(
     generator = np.random.default_rng(4)
     if plan is None:
         checks = check_looks(TOOL_DOWN, BALL_MM)
-        plan = [*calibration_looks(TOOL_DOWN, BALL_MM, 60), *checks, *checks, *checks]
+        plan = [*plan_calibration_looks(TOOL_DOWN, BALL_MM, 60), *checks, *checks, *checks]
     looks: list[Observation] = [head.observe(look, BALL_MM, generator) for look in plan]
     observed = observation_set(head, looks).model_copy(update={"tool_tip": tool_tip})
     (folder / OBSERVATIONS_FILE).write_text(observed.model_dump_json(by_alias=True))
@@ -100,7 +100,7 @@ def recorded(
 
 def of_one_orientation() -> list[PlannedLook]:
     looks = []
-    for look in calibration_looks(TOOL_DOWN, BALL_MM, 64):
+    for look in plan_calibration_looks(TOOL_DOWN, BALL_MM, 64):
         offset = np.array(look.ball_in_tool_mm)
         rigid = type(look.pose.rigid).from_components(BALL_MM - TOOL_DOWN.apply(offset), TOOL_DOWN)
         looks.append(PlannedLook(Transform(look.pose.target, look.pose.source, rigid), look.ball_in_tool_mm))
@@ -161,7 +161,7 @@ def test_a_calibration_computed_again_may_shorten_its_life_in_the_theatre_file(
 def test_an_incomplete_baseline_is_reported_and_not_written(
     stereo: Callable[..., Said], head: TrueHead, tmp_path: Path
 ) -> None:
-    plan = [*calibration_looks(TOOL_DOWN, BALL_MM, 60), *2 * check_looks(TOOL_DOWN, BALL_MM)[:5]]
+    plan = [*plan_calibration_looks(TOOL_DOWN, BALL_MM, 60), *2 * check_looks(TOOL_DOWN, BALL_MM)[:5]]
     said = stereo("calibrate", "--from", recorded(head, tmp_path, plan), "--out", tmp_path / "out", "--json")
     assert said.code == 0, said.errors
     assert said.errors == (
@@ -221,7 +221,7 @@ def test_bad_recordings_are_refused_with_their_codes(
     few, one_way = tmp_path / "few", tmp_path / "one-way"
     for folder in (few, one_way):
         folder.mkdir()
-    recorded(head, few, calibration_looks(TOOL_DOWN, BALL_MM, 59))
+    recorded(head, few, plan_calibration_looks(TOOL_DOWN, BALL_MM, 59))
     recorded(head, one_way, of_one_orientation())
     for folder, code in ((few, "CAL-002"), (one_way, "CAL-003"), (tmp_path / "nowhere", "CAL-005")):
         said = stereo("calibrate", "--from", folder, "--out", tmp_path / "out")
@@ -293,7 +293,7 @@ def test_images_without_a_measurable_ball_are_refused_and_the_run_is_kept(
     assert one_error(said.errors)[0].startswith(shown)
     (run,) = Path("calibrations").iterdir()
     assert shown.partition(":")[0] in (run / REPORT_FILE).read_text()
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
     if "STE-011" not in shown:
         assert picture.read_bytes().startswith(b"\x89PNG")  # what was seen instead
 
@@ -321,7 +321,7 @@ class Calibrated:
 
 @pytest.fixture(scope="module")
 def calibrated(shared_commands: Commands, tmp_path_factory: pytest.TempPathFactory) -> Calibrated:
-    scene = with_ideal_arm(named_scene("mini", seed=0))
+    scene = with_ideal_arm(draw_scene("mini", seed=0))
 
     def calibrate(folder: Path) -> str:
         folder.mkdir()

@@ -24,7 +24,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 pytestmark = [pytest.mark.slow, pytest.mark.timeout(900)]
 CONSOLE = re.compile(r"CONSOLE (\{.*\})")
-BETWEEN_S = 0.15  # host time between two looks at the page
+PICTURE_PERIOD_S = 0.15  # host time between two looks at the page
 THEATRE = re.compile(r"^ronna-sim theatre (.+)$", re.MULTILINE)
 ENDED = re.compile(r"^exit code (\d+)\r?$", re.MULTILINE)
 PATIENT = "mini-4"
@@ -89,7 +89,7 @@ class Surgeon:
                 hands += len(said)
                 read_off += [number for line in said for number in self._person.hands(line)]
                 asked = state["question"]
-                time.sleep(BETWEEN_S)
+                time.sleep(PICTURE_PERIOD_S)
                 if asked is None and state["waiting"] and state["upcoming"]:
                     script.order("resume", upcoming=state["upcoming"])
                 if asked is None or said:  # it may be older than what was done just now

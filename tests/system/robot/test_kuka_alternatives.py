@@ -13,7 +13,7 @@ from ronna_hw.devices import Lifecycle
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.host.network import own_udp_endpoint
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 GENEROUS_S = 5.0  # these machines stall
@@ -46,7 +46,7 @@ ROWS = [
 
 @pytest.mark.parametrize(("cycle_ms", "parameters"), ROWS)
 def test_the_arm_arrives_by_joint_and_by_linear_moves(cycle_ms: int, parameters: tuple[str, ...]) -> None:
-    world = World.create(named_scene("mini", seed=5), paced=False)
+    world = World.create(draw_scene("mini", seed=5), paced=False)
     rsi, free = own_udp_endpoint(), "tcp://127.0.0.1:0"
     arguments = ["--rsi", rsi, "--eki", free, "--eki-project", free, "--world", world.endpoint]
     arguments += ["--cycle-ms", str(cycle_ms), *(f"--set={one}" for one in parameters)]

@@ -19,7 +19,7 @@ from waiting import STALL_OF_THE_COMPUTER_S
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.driver import CLOSE_LIMIT_S
 from drivers.ndi_polaris.errors import LinkLost, ToolRefused
-from drivers.ndi_polaris.tool_definition import encode_definition, planar_tool
+from drivers.ndi_polaris.tool_definition import encode_definition, make_planar_tool
 from ronna_hw.clock import HostClock
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices import Lifecycle
@@ -29,7 +29,7 @@ from ronna_hw.host.child_process import ChildProcess, command
 from ronna_hw.registry import make_device
 
 ENDPOINTS = ("serial-pty", "tcp://127.0.0.1:0")
-POINTER = planar_tool(
+POINTER = make_planar_tool(
     "POINTER",
     ((0.0, 0.0, 0.0), (0.0, 110.0, 0.0), (52.0, 140.0, 0.0), (-35.0, 33.0, 0.0)),
     manufacturer="TEST",

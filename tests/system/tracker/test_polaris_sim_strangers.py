@@ -20,13 +20,13 @@ from ronna_hw.wire.polaris import FRAME_RATE_HZ, PortStatus, SystemStatus
 from sim.polaris.unit.tool_definition import write_definition
 from sim.world.process import load_scene
 from sim.world.scene.model import TrackerTool
-from sim.world.scene.named_scenes import named_scene, robot_frame
+from sim.world.scene.named_scenes import draw_scene, robot_frame
 from sim.world.world import World
 
 pytest.importorskip("ndicapy")
 
 PTY, TCP = "serial-pty", "tcp://127.0.0.1:0"
-SCENE = named_scene("bench")
+SCENE = draw_scene("bench")
 STRAYS = len(SCENE.tracker.strays_mm)
 # Three planar tools whose 18 segments differ by 3 mm and more, and triangles, which a unit finds too alike.
 TOOLS = (

@@ -13,7 +13,7 @@ from ur5 import Ur5
 
 from procedures.workcell.tools import calibrated_arm
 from ronna_hw.arm import catalogue
-from ronna_hw.arm.catalogue import kinematics_named
+from ronna_hw.arm.catalogue import find_kinematics
 from ronna_hw.arm.errors import UnknownArm
 from ronna_hw.arm.kr6_r900 import ArmVariant
 from ronna_hw.config import BadTheatreFile, parse_theatre
@@ -31,12 +31,12 @@ def ur5_installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 @pytest.mark.parametrize("variant", ArmVariant)
 def test_an_arm_is_found_by_its_name(variant: ArmVariant) -> None:
-    assert kinematics_named(variant.value).name == variant.value
+    assert find_kinematics(variant.value).name == variant.value
 
 
 @pytest.mark.usefixtures("ur5_installed")
 def test_a_package_brings_a_second_arm_and_a_theatre_file_may_calibrate_it() -> None:
-    assert isinstance(kinematics_named("ur5"), Ur5)
+    assert isinstance(find_kinematics("ur5"), Ur5)
     calibrations = parse_theatre(with_record_of("ur5")).calibration
     assert calibrations is not None
     assert calibrated_arm(Ur5(), calibrations.arm).nominal.name == "ur5"

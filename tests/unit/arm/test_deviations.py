@@ -57,7 +57,7 @@ def test_the_compensated_command_brings_the_flange_to_the_wanted_pose() -> None:
     _, deviations = _truth()
     arm = CalibratedArm(KINEMATICS, deviations)
     wanted = KINEMATICS.flange_pose(KINEMATICS.home_rad)
-    found = arm.compensated(wanted, KINEMATICS.home_rad)
+    found = arm.compensate(wanted, KINEMATICS.home_rad)
     assert arm.forward(found.joints_rad).distance_mm(Pose.from_transform(wanted)) < 1e-5
     assert KINEMATICS.forward(found.joints_rad).distance_mm(found.commanded) < 1e-6
     assert 0.5 < found.commanded.distance_mm(Pose.from_transform(wanted)) < 20.0
@@ -65,7 +65,7 @@ def test_the_compensated_command_brings_the_flange_to_the_wanted_pose() -> None:
 
 def test_without_a_record_joints_and_commanded_pose_are_exactly_the_nominal_ones() -> None:
     wanted = KINEMATICS.flange_pose(KINEMATICS.home_rad)
-    found = CalibratedArm(KINEMATICS).compensated(wanted, KINEMATICS.home_rad)
+    found = CalibratedArm(KINEMATICS).compensate(wanted, KINEMATICS.home_rad)
     pose = Pose.from_transform(wanted)
     branch = KINEMATICS.branch_of(KINEMATICS.home_rad)
     assert found.commanded == pose
@@ -76,7 +76,7 @@ def test_a_pose_out_of_reach_is_refused_as_by_the_nominal_arm() -> None:
     _, deviations = _truth()
     far = replace_position(KINEMATICS.forward(KINEMATICS.home_rad), (2000.0, 0.0, 500.0)).to_transform()
     with pytest.raises(Unreachable):
-        CalibratedArm(KINEMATICS, deviations).compensated(far, KINEMATICS.home_rad)
+        CalibratedArm(KINEMATICS, deviations).compensate(far, KINEMATICS.home_rad)
 
 
 def replace_position(pose: Pose, position_mm: tuple[float, float, float]) -> Pose:

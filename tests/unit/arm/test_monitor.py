@@ -58,7 +58,7 @@ def test_an_arm_that_starts_within_the_margin_may_stay_and_move_away() -> None:
 
 @pytest.mark.hazard(51)
 def test_at_reduced_speed_a_tenth_of_full_speed_is_the_limit_of_an_axis() -> None:
-    limits = working_limits(MODEL).at_reduced_speed(MODEL)
+    limits = working_limits(MODEL).with_reduced_speed(MODEL)
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, START), START)
     between = 1.1 * 0.1 * MODEL.full_speed_rad_s[3] * CYCLE_S
     violation = monitor.check(_with(4, START[3] + between))
@@ -143,7 +143,7 @@ def test_an_arm_holding_a_point_because_the_next_was_not_taken_has_no_following_
     monitor.sent(_with(3, START[2] + 5 * FOLLOWING_RAD))
     monitor.mark_not_accepted()
     for _ in range(2 * LIMITS.following_cycles):
-        monitor.stands()
+        monitor.mark_at_rest()
     assert monitor.check_measured(START) is None
 
 
@@ -168,7 +168,7 @@ def test_a_resting_arm_is_judged_from_rest_at_the_held_point() -> None:
     step = _with(6, START[5] + 0.5 * LIMITS.step_rad[5])
     monitor.sent(step)
     monitor.mark_not_accepted()
-    monitor.stands()
+    monitor.mark_at_rest()
     assert monitor.history_rad == (START, START, START, START)
     assert _kind(monitor.check(step)) == ("acceleration", 6) or _kind(monitor.check(step)) == ("jerk", 6)
 

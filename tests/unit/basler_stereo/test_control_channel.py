@@ -112,7 +112,7 @@ def test_answers_to_other_requests_and_garbage_are_ignored(channel_to):
 
 def test_every_datagram_is_reported_in_both_directions_even_ignored_ones():
     peer, said = Answering(lambda data, _: [b"rubbish", ack(data, b"\0\0\0\x09")]), []
-    channel = ControlChannel("127.0.0.1", port=peer.port, passed=lambda *passed: said.append(passed))
+    channel = ControlChannel("127.0.0.1", port=peer.port, on_bytes=lambda *on_bytes: said.append(on_bytes))
     channel.read_register(0x938, soon())
     channel.close()
     peer.close()
@@ -145,7 +145,7 @@ def test_a_port_without_a_listener_ends_at_the_deadline_too():
 def test_pending_extends_the_wait_without_a_resend(channel_to):
     now_s = 0.0
 
-    def passed(_direction, data):
+    def on_bytes(_direction, data):
         nonlocal now_s
         if data == b"rubbish":
             now_s = 1.9  # otherwise asked for again at 0.2 and 0.6 s, and given up at 1.5 s
@@ -153,7 +153,7 @@ def test_pending_extends_the_wait_without_a_resend(channel_to):
     def answer(data, _):
         return [ack(data, struct.pack(">HH", 0, 2000), command=0x89), b"rubbish", ack(data, b"\0\0\0\x01")]
 
-    peer, channel = channel_to(answer, monotonic=lambda: now_s, passed=passed)
+    peer, channel = channel_to(answer, monotonic=lambda: now_s, on_bytes=on_bytes)
     assert channel.read_register(0, 5.0) == 1
     assert len(peer.seen) <= 2  # the announcement itself may be late on a busy computer
 

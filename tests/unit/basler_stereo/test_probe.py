@@ -16,7 +16,7 @@ from drivers.basler_stereo import probe as camera_probe
 from drivers.basler_stereo.camera_check import (
     CameraState,
     Controller,
-    Expected,
+    ExpectedCamera,
     Response,
     camera_diagnostic,
     check_camera,
@@ -37,7 +37,7 @@ RIGHT = replace(LEFT, address="192.168.3.12", serial="21900002", user_name="righ
 MANY = tuple(replace(RIGHT, address=f"192.168.3.{number}") for number in range(21, 27))
 CARD = Interface("enp3s0", "192.168.3.1", 24, 9000)
 ENDPOINT = Endpoint("gev", host="192.168.3.11")
-EXPECTED = Expected(ENDPOINT, LEFT.serial, MODEL)
+EXPECTED = ExpectedCamera(ENDPOINT, LEFT.serial, MODEL)
 WELL = CameraState(ENDPOINT, Response.ANSWERED, CARD, LEFT, Controller(False), 8192)
 
 
@@ -237,7 +237,7 @@ def asked(monkeypatch: pytest.MonkeyPatch) -> list[Interface]:
 
 
 def looked_at(*addresses: str) -> list[Diagnostic]:
-    return list(probe.look_at([Endpoint("gev", host=each) for each in addresses], lambda share: None))
+    return list(probe.probe_endpoints([Endpoint("gev", host=each) for each in addresses], lambda share: None))
 
 
 def test_broadcast_discovery_stays_on_the_network_of_the_given_addresses(asked: list[Interface]) -> None:

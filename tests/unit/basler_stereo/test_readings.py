@@ -94,7 +94,7 @@ def ticks(left_s: float, right_s: float) -> tuple[int, int]:
     ],
 )
 def test_exposure_moments_decide_the_validity_of_a_pair(left_s, right_s, validity):
-    assert tied().judge(ticks(left_s, right_s), BOTH_HZ, 101.0, 101.1) is validity
+    assert tied().judge_pair(ticks(left_s, right_s), BOTH_HZ, 101.0, 101.1) is validity
 
 
 def test_slow_drift_does_not_accumulate():
@@ -102,23 +102,23 @@ def test_slow_drift_does_not_accumulate():
     for second in range(1, 2000):
         now_s = 100.0 + second
         pair = ticks(now_s, now_s + 1e-4 * second)  # 100 ppm: 0.2 s in the end
-        assert clock.judge(pair, BOTH_HZ, now_s, now_s + 0.1) is Validity.OK
+        assert clock.judge_pair(pair, BOTH_HZ, now_s, now_s + 0.1) is Validity.OK
 
 
 def test_a_restarted_counter_is_detected():
     clock = tied()
-    assert clock.judge(ticks(101.0, 101.0), BOTH_HZ, 101.0, 101.1) is Validity.OK
-    assert clock.judge((ticks(102.0, 102.0)[0], 500), BOTH_HZ, 102.0, 102.1) is Validity.UNPAIRED
+    assert clock.judge_pair(ticks(101.0, 101.0), BOTH_HZ, 101.0, 101.1) is Validity.OK
+    assert clock.judge_pair((ticks(102.0, 102.0)[0], 500), BOTH_HZ, 102.0, 102.1) is Validity.UNPAIRED
 
 
 def test_without_a_latch_the_first_pair_is_accepted_and_the_second_judged():
     clock = PairClock((None, None), SKEW_S)
-    assert clock.judge((5, 7_000_000), BOTH_HZ, 100.0, 100.1) is Validity.OK
-    assert clock.judge((5 + HZ, 7_000_000 + HZ), BOTH_HZ, 101.0, 101.1) is Validity.OK
-    assert clock.judge((5 + HZ, 7_000_000 + HZ // 2), BOTH_HZ, 101.0, 101.1) is Validity.UNPAIRED
+    assert clock.judge_pair((5, 7_000_000), BOTH_HZ, 100.0, 100.1) is Validity.OK
+    assert clock.judge_pair((5 + HZ, 7_000_000 + HZ), BOTH_HZ, 101.0, 101.1) is Validity.OK
+    assert clock.judge_pair((5 + HZ, 7_000_000 + HZ // 2), BOTH_HZ, 101.0, 101.1) is Validity.UNPAIRED
 
 
 def test_cameras_without_a_clock_are_accepted():
     clock = PairClock((None, None), SKEW_S)
     for now_s in (100.0, 200.0):
-        assert clock.judge((1, 2), (0, 0), now_s, now_s + 0.1) is Validity.OK
+        assert clock.judge_pair((1, 2), (0, 0), now_s, now_s + 0.1) is Validity.OK

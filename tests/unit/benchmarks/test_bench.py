@@ -33,20 +33,20 @@ def test_contestants_take_turns_and_warm_up_rounds_do_not_count() -> None:
         return float(len(order))
 
     names = ("a", "b", "c")
-    samples = figures.contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
+    samples = figures.run_contest({n: (lambda n=n: contestant(n)) for n in names}, 2, warm_up=1)
     assert "".join(order) == "abcbcacab"
     assert samples == {"a": [6.0, 8.0], "b": [4.0, 9.0], "c": [5.0, 7.0]}
 
 
 def test_a_ratio_is_computed_per_round_so_that_a_stall_of_the_machine_cancels() -> None:
     samples = {"ours": [2.0, 20.0, 2.2], "bare": [1.0, 10.0, 1.0]}
-    ours, bare = figures.compared("time", "s", samples, "bare")
+    ours, bare = figures.compare_samples("time", "s", samples, "bare")
     assert (ours.value, ours.ratio, ours.baseline) == (2.2, 2.0, "bare")
     assert (bare.value, bare.ratio) == (1.0, None)
 
 
 def test_a_goal_applies_to_the_value_or_the_ratio_and_a_miss_is_reported() -> None:
-    ours, bare = figures.compared("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
+    ours, bare = figures.compare_samples("rate", "1/s", {"ours": [40.0], "bare": [100.0]}, "bare")
     assert (bare.goal, bare.met) == ("", None)
     assert bare.at_least(100.0).met
     assert ours.ratio_at_least(0.4).met

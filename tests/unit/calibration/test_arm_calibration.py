@@ -23,7 +23,7 @@ from procedures.calibration.errors import (
     TooFewPoses,
     Unobservable,
 )
-from procedures.calibration.validity import require_together
+from procedures.calibration.validity import require_consistent_arm
 from procedures.runs.calibrations import ARM
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, CalibratedArm
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -133,9 +133,9 @@ def later_than_the_arm(calibrations: Calibrations, name: str) -> Calibrations:
 
 def test_an_arm_has_to_be_calibrated_again_after_the_head(together: BeforeAndAfter) -> None:
     _, after = together
-    require_together(after)
+    require_consistent_arm(after)
     with pytest.raises(ArmOlderThanHead, match=r"CAL-021.*ronna-arm calibrate --config t\.toml"):
-        require_together(later_than_the_arm(after, "stereo_head"), "--config t.toml")
+        require_consistent_arm(later_than_the_arm(after, "stereo_head"), "--config t.toml")
 
 
 @pytest.mark.parametrize("name", ["stereo_head", "tool_tip"])
@@ -144,12 +144,14 @@ def test_an_arm_goes_only_with_the_head_and_tip_that_were_moved_when_it_was_cali
 ) -> None:
     before, after = together
     with pytest.raises(OfAnotherTheatre, match=rf"CAL-020.*\[calibration\.{name}\].*calibration\.toml"):
-        require_together(after.model_copy(update={name: getattr(before, name)}))
+        require_consistent_arm(after.model_copy(update={name: getattr(before, name)}))
 
 
 def test_a_tip_that_is_calibrated_after_the_arm_may_be_elsewhere(together: BeforeAndAfter) -> None:
     before, after = together
-    require_together(later_than_the_arm(after.model_copy(update={"tool_tip": before.tool_tip}), "tool_tip"))
+    require_consistent_arm(
+        later_than_the_arm(after.model_copy(update={"tool_tip": before.tool_tip}), "tool_tip")
+    )
 
 
 def test_an_unchanged_arm_passes_its_check_and_a_slipped_head_does_not(identified: Identified) -> None:

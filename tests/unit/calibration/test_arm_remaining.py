@@ -54,7 +54,7 @@ def predicted(sizes: ErrorSizes, sides: Array | None) -> TargetPrediction:
 def test_every_deviation_displaces_the_tool_as_it_does_in_the_model_of_the_arm() -> None:
     found, nominal = by_deviation(CHAIN, JOINTS, POINTS_MM, SIDES), ArmDeviations.none(6).flat()
     for number, step in enumerate(1e-6 * np.eye(len(nominal))):
-        poses = flange_poses(CHAIN, ArmDeviations.of_flat(nominal + step, 6), JOINTS, SIDES)
+        poses = flange_poses(CHAIN, ArmDeviations.from_flat(nominal + step, 6), JOINTS, SIDES)
         moved = (poses[:, :3, :3] @ TOOL_MM + poses[:, :3, 3] - POINTS_MM) / 1e-6
         np.testing.assert_allclose(found[:, :, number], moved, atol=2e-3)  # mm per rad: of 700
     np.testing.assert_array_equal(found[:, :, -3:], flange_rotations(CHAIN, JOINTS))
@@ -112,7 +112,7 @@ def _drawn_errors_mm(known: IdentifiedArm, sides: Array | None) -> Array:
 
 def by_deviation_of(flat: Array, sides: Array, tool_mm: Array) -> Array:
     """Places (5, 3) mm of a tool on the flange of an arm with these deviations."""
-    poses = flange_poses(CHAIN, ArmDeviations.of_flat(flat, 6), JOINTS, sides, LEVERS)
+    poses = flange_poses(CHAIN, ArmDeviations.from_flat(flat, 6), JOINTS, sides, LEVERS)
     return np.asarray(poses[:, :3, :3] @ tool_mm + poses[:, :3, 3])
 
 
@@ -126,7 +126,7 @@ def test_the_predicted_error_is_that_of_arms_drawn_with_the_covariance(
     drawn_mm2 = errors.T @ errors / DRAWS
     np.testing.assert_allclose(found.covariance_mm2, drawn_mm2, atol=0.06 * np.trace(drawn_mm2))
     assert found.rms_mm == pytest.approx(np.sqrt(np.trace(drawn_mm2)), rel=0.04)
-    assert found.holds(errors).mean() == pytest.approx(0.95, abs=0.015)
+    assert found.mark_contained(errors).mean() == pytest.approx(0.95, abs=0.015)
 
 
 def test_correlations_leave_far_less_than_independent_errors_of_the_same_sizes(result: ArmResult) -> None:

@@ -15,8 +15,8 @@ from procedures.calibration import Observation, ObservationSet, calibrate_head
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import BadObservations, DegeneratePoses, DoesNotFit, TooFewPoses
 from procedures.calibration.observations import OBSERVATIONS_FILE
-from procedures.calibration.pose_set import PlannedLook, calibration_looks
-from procedures.cli.calibrating.calibration import computed
+from procedures.calibration.pose_set import PlannedLook, plan_calibration_looks
+from procedures.cli.calibrating.calibration import compute_calibration
 from procedures.relocalization.errors import HeadTurned
 from procedures.relocalization.triangulation import check_head
 from procedures.runs.calibrations import STEREO_HEAD
@@ -35,7 +35,7 @@ def looks_at(
     head: TrueHead, seed: int = 1, count: int = 64, plan: tuple[PlannedLook, ...] | None = None
 ) -> list[Observation]:
     generator = np.random.default_rng(seed)
-    plan = plan or calibration_looks(TOOL_DOWN, BALL_MM, count)
+    plan = plan or plan_calibration_looks(TOOL_DOWN, BALL_MM, count)
     return [head.observe(look, BALL_MM, generator) for look in plan]
 
 
@@ -68,7 +68,7 @@ def test_the_error_of_the_tool_centre_is_as_predicted() -> None:
 def with_its_arm(seed: int) -> tuple[TrueHead, ObservationSet]:
     head, looks = true_head(seed=seed, with_arm=True), []
     generator = np.random.default_rng(seed)
-    for look in calibration_looks(TOOL_DOWN, BALL_MM, 96):
+    for look in plan_calibration_looks(TOOL_DOWN, BALL_MM, 96):
         with contextlib.suppress(LimitError):
             looks.append(head.observe(look, BALL_MM, generator))
     return head, observation_set(head, looks[:64])
@@ -191,7 +191,7 @@ def test_a_second_calibration_confirms_the_first_one(head: TrueHead) -> None:
 
 
 def test_for_a_count_of_zero_no_view_is_planned() -> None:
-    assert calibration_looks(Rotation.identity(), (0.0, 0.0, 0.0), 0) == ()
+    assert plan_calibration_looks(Rotation.identity(), (0.0, 0.0, 0.0), 0) == ()
 
 
 def test_too_few_poses_are_refused(head: TrueHead) -> None:
@@ -202,7 +202,7 @@ def test_too_few_poses_are_refused(head: TrueHead) -> None:
 @pytest.mark.parametrize("turned", [False, True])
 def test_poses_of_one_orientation_or_about_one_axis_are_refused(head: TrueHead, turned: bool) -> None:
     looks = []
-    for number, look in enumerate(calibration_looks(TOOL_DOWN, BALL_MM, 64)):
+    for number, look in enumerate(plan_calibration_looks(TOOL_DOWN, BALL_MM, 64)):
         turn = TOOL_DOWN * Rotation.from_rotvec([0.0, 0.0, 0.02 * number if turned else 0.0])
         offset = np.array(look.ball_in_tool_mm)
         rigid = type(look.pose.rigid).from_components(BALL_MM - turn.apply(offset), turn)
@@ -240,4 +240,6 @@ def test_looks_from_which_nothing_can_be_computed_are_refused(head: TrueHead, va
     left = first.left.model_copy(update={"covariance_px2": ((variance_px2, 0.0), (0.0, 1e-4))})
     observed = observation_set(head, [first.model_copy(update={"left": left}), *others])
     with pytest.raises(BadObservations, match="CAL-005: nothing can be computed"):
-        computed(STEREO_HEAD, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), observed)
+        compute_calibration(
+            STEREO_HEAD, RunRequest(procedure=CalibrationProcedure(recipe={}, days=1)), observed
+        )

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from benchmarks.mount.tracker_frame_calibration import FrameCell, apart
+from benchmarks.mount.tracker_frame_calibration import FrameCell, pose_difference
 from procedures.calibration.errors import (
     DegeneratePoses,
     DoesNotFit,
@@ -79,10 +79,10 @@ def test_with_a_calibrated_arm_the_frame_is_where_a_perfect_tracker_would_find_i
     _, perfect = looks_of(seed, calibrated=True, exact=True)
     result = calibrate_frame(observed)
     truth = solve(pairs_of([one for one in perfect.looks if one.use is not Use.RETURN]))
-    error_mm, error_deg = apart(result.fit.flange_from_marker, truth.flange_from_marker)
+    error_mm, error_deg = pose_difference(result.fit.flange_from_marker, truth.flange_from_marker)
     assert error_mm <= 0.15
     assert error_deg <= 0.05
-    drawn_mm, drawn_deg = apart(result.fit.flange_from_marker, cell.true_frame)
+    drawn_mm, drawn_deg = pose_difference(result.fit.flange_from_marker, cell.true_frame)
     assert drawn_mm <= 4.0 * result.tracker_frame.stated_error_mm
     assert drawn_deg <= 0.05
 
@@ -90,7 +90,7 @@ def test_with_a_calibrated_arm_the_frame_is_where_a_perfect_tracker_would_find_i
 def test_an_uncalibrated_arm_enters_the_stated_error(seen: Seen) -> None:
     cell, observed = looks_of(3, calibrated=False)
     result = calibrate_frame(observed)
-    error_mm, _ = apart(result.fit.flange_from_marker, cell.true_frame)
+    error_mm, _ = pose_difference(result.fit.flange_from_marker, cell.true_frame)
     assert result.fit.error_mm < 0.15 < result.tracker_frame.stated_error_mm
     assert error_mm <= 3.0 * result.tracker_frame.stated_error_mm
     calibrated = calibrate_frame(seen[1])

@@ -6,7 +6,7 @@ from datetime import UTC, datetime, timedelta
 
 import numpy as np
 
-from procedures.calibration.head_calibration import moved_tip
+from procedures.calibration.head_calibration import move_tip
 from procedures.calibration.head_model import pose_record
 from ronna_hw.calibration import PoseRecord, ToolTipCalibration, TrackerFrameCalibration
 from ronna_hw.frames import Frame, Transform
@@ -40,7 +40,7 @@ def test_frame_and_tip_at_one_place_stay_together_when_the_head_is_found_elsewhe
         flange_from_tool=pose_record(Transform(Frame.FLANGE, Frame.TOOL, place)),
         **DATES,
     )
-    moved = moved_tip(tip, before, after).flange_from_tool
+    moved = move_tip(tip, before, after).flange_from_tool
     kept = after @ frame.tool_from_marker.transform(Frame.TOOL, Frame.MARKER)
     np.testing.assert_allclose(moved.translation_mm, kept.translation_mm, atol=1e-9)
     np.testing.assert_allclose(_turn(moved), _turn(pose_record(kept)), atol=1e-9)

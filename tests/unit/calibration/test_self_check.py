@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation_set, true_head
 from procedures.calibration import Baseline, CheckResult, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import CheckUncertain, HeadMoved, NotTheBaseline
-from procedures.calibration.pose_set import calibration_looks
+from procedures.calibration.pose_set import plan_calibration_looks
 from ronna_hw.calibration import StereoHeadCalibration
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -30,7 +30,7 @@ def laboratory() -> Laboratory:
     """A head and the record of its calibration."""
     head = true_head(seed=3)
     generator = np.random.default_rng(7)
-    looks = calibration_looks(TOOL_DOWN, BALL_MM, 64)
+    looks = plan_calibration_looks(TOOL_DOWN, BALL_MM, 64)
     observed = [head.observe(look, BALL_MM, generator) for look in looks]
     return head, calibrate_head(observation_set(head, observed)).stereo_head
 
@@ -72,13 +72,13 @@ def test_a_twist_of_a_hundredth_of_a_degree_is_always_detected(laboratory: Labor
     for seed in range(TRIALS):
         angle = 2.0 * np.pi * seed / TRIALS  # of the axis across the line of sight
         turn = (TWIST_RAD * np.cos(angle), TWIST_RAD * np.sin(angle), 0.0)
-        missed += checked(laboratory, laboratory[0].twisted(side, turn), seed).passed
+        missed += checked(laboratory, laboratory[0].with_twisted_camera(side, turn), seed).passed
     assert missed == 0
 
 
 @pytest.mark.parametrize("turn", [(1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, -1.0, 0.0)])
 def test_a_twist_is_refused_with_its_code(laboratory: Laboratory, turn: tuple[float, ...]) -> None:
-    head = laboratory[0].twisted("left", tuple(TWIST_RAD * value for value in turn))
+    head = laboratory[0].with_twisted_camera("left", tuple(TWIST_RAD * value for value in turn))
     with pytest.raises(HeadMoved, match="CAL-006") as refused:
         checked(laboratory, head, 5).require()
     assert refused.value.exit_code == EXIT_REFUSED
@@ -93,7 +93,7 @@ def test_a_sound_head_passes_although_the_ball_was_placed_elsewhere(laboratory: 
 
 def test_a_mount_that_turned_as_a_whole_is_detected_too(laboratory: Laboratory) -> None:
     turn = (0.0, TWIST_RAD, 0.0)
-    both = laboratory[0].twisted("left", turn).twisted("right", turn)
+    both = laboratory[0].with_twisted_camera("left", turn).with_twisted_camera("right", turn)
     result = checked(laboratory, both, 5)
     assert [sign.sounds for sign in result.signs] == [True, False, False]
 

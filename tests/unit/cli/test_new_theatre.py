@@ -65,7 +65,7 @@ class Tracker(Cameras):
 @pytest.fixture
 def cameras(monkeypatch: pytest.MonkeyPatch) -> Cameras:
     found = Cameras(pair("11", "12"))
-    monkeypatch.setattr(registry, "finders", lambda: {"cameras": found, "unit": Tracker()})
+    monkeypatch.setattr(registry, "load_finders", lambda: {"cameras": found, "unit": Tracker()})
     return found
 
 

@@ -29,7 +29,7 @@ from ronna_hw.command_line.errors import (
 )
 from ronna_hw.errors import LimitError, RonnaError
 from ronna_hw.host.process import ENDING_SIGNALS
-from ronna_hw.logs import PARTS, is_known
+from ronna_hw.logs import PARTS, is_known_logger
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -322,7 +322,7 @@ def test_every_logger_in_the_sources_can_be_named() -> None:
         for source in (ROOT / folder).rglob("*.py"):
             parts |= set(re.findall(r'[^`]logger\(part="([^"]+)"', source.read_text()))
     assert parts == set(PARTS)
-    assert all(map(is_known, (*parts, "robot.master", "reading.tape", "ronna-sim.polaris")))
+    assert all(map(is_known_logger, (*parts, "robot.master", "reading.tape", "ronna-sim.polaris")))
 
 
 @pytest.fixture

@@ -25,7 +25,7 @@ from procedures.planning.tool_records import ToolRecords
 from procedures.runs.calibration_files import write_theatre
 from ronna_hw.config import parse_theatre, read_theatre_file
 from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 PLAIN = (
     *("--number", "3", "--mass-kg", "1.1", "--centre-of-gravity-mm", "100", "0", "40", "--by", "A. Nurse"),
@@ -41,7 +41,7 @@ TILT = Rotation.from_euler("x", 5.0, degrees=True)
 @pytest.fixture
 def theatre(tmp_path: Path) -> Path:
     path = tmp_path / "theatre.toml"
-    path.write_text(tomli_w.dumps(theatre_content(named_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)))
+    path.write_text(tomli_w.dumps(theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {}, 1.0)))
     return path
 
 

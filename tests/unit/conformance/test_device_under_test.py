@@ -12,7 +12,7 @@ import pytest
 from conformance.device_under_test import DeviceUnderTest
 from conformance.errors import DeviceNotInFile, NoSimulator
 from conformance.protocol import ProtocolCases
-from conformance.target import Choice, device_under_test, resolve
+from conformance.target import Choice, device_under_test, resolve_target
 from ronna_hw.host.child_process import ChildNotReady
 
 THEATRE = """
@@ -39,7 +39,7 @@ def theatre(tmp_path: Path) -> Path:
 
 
 def under_test(kind: str, choice: Choice) -> AbstractContextManager[DeviceUnderTest]:
-    return device_under_test(resolve(kind, choice))
+    return device_under_test(resolve_target(kind, choice))
 
 
 def test_a_device_from_a_theatre_file_keeps_its_options(theatre: Path) -> None:
@@ -65,7 +65,7 @@ def test_a_device_missing_from_the_file_is_reported(theatre: Path) -> None:
         pass
     assert caught.value.code == "CNF-002"
     with pytest.raises(DeviceNotInFile, match="no tracker left"):
-        resolve("tracker", Choice(config=theatre, device="left"))
+        resolve_target("tracker", Choice(config=theatre, device="left"))
     for device in (None, "middle"):
         with (
             pytest.raises(DeviceNotInFile, match="left, right"),
@@ -93,19 +93,19 @@ def test_an_equals_sign_in_an_address_does_not_make_a_name() -> None:
 
 
 def test_a_simulator_that_does_not_start_is_reported() -> None:
-    target = resolve("tracker", Choice(sim=True))
+    target = resolve_target("tracker", Choice(sim=True))
     broken = replace(target.protocol, simulator=lambda: ("no-such-device",))
     with pytest.raises(ChildNotReady), device_under_test(replace(target, protocol=broken)):
         pass
 
 
 def test_a_driver_whose_protocol_has_no_simulator_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("conformance.target.protocol_of", lambda driver: ProtocolCases())
+    monkeypatch.setattr("conformance.target.load_driver_protocol", lambda driver: ProtocolCases())
     with pytest.raises(NoSimulator) as caught:
-        resolve("tracker", Choice(sim=True))
+        resolve_target("tracker", Choice(sim=True))
     assert caught.value.code == "CNF-006"
 
 
 def test_the_suite_ends_with_the_cases_of_the_drivers_wire_protocol() -> None:
-    letters = [case.number[0] for case in resolve("robot", Choice(sim=True)).suite.cases]
+    letters = [case.number[0] for case in resolve_target("robot", Choice(sim=True)).suite.cases]
     assert "".join(letter for letter, _ in itertools.groupby(letters)) == "RKL"

@@ -84,7 +84,7 @@ def not_quite(motion: Motion) -> Motion:
 def twice_as_far(motion: Motion) -> Motion:
     if isinstance(motion, JointMove):
         return motion
-    return replace(motion, target=motion.target.displaced((0.0, 0.0, robot.SMALL_LINE_MM)))
+    return replace(motion, target=motion.target.displace((0.0, 0.0, robot.SMALL_LINE_MM)))
 
 
 def without_tool(motion: Motion) -> Motion:

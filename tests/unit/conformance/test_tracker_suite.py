@@ -14,7 +14,7 @@ from conformance.case import Outcome
 from conformance.device_under_test import DeviceUnderTest
 from conformance.report import run_case
 from conformance.tracker import SUITE
-from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle, activated
+from ronna_hw.devices.lifecycle import Identity, LastKnown, Lifecycle, hold_active
 from ronna_hw.devices.readings import StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.errors import ConnectError, StateError
 
@@ -104,7 +104,7 @@ def stays_active(tracker: Any, timeout_s: float = 1.0) -> Iterator[Any]:
 
 @contextmanager
 def swallows_exceptions(tracker: Any, timeout_s: float = 1.0) -> Iterator[Any]:
-    with suppress(Exception), activated(tracker) as active:
+    with suppress(Exception), hold_active(tracker) as active:
         yield active
 
 

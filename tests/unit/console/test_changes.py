@@ -6,14 +6,14 @@ import asyncio
 
 import pytest
 
-from console.changes import changed_within
+from console.changes import await_change
 
 LONG_S = 600.0
 
 
 async def _forever(changed: asyncio.Event) -> None:
     while True:
-        await changed_within(changed, LONG_S)
+        await await_change(changed, LONG_S)
 
 
 @pytest.mark.parametrize("steps", range(6))
@@ -35,9 +35,9 @@ def test_a_waiter_that_is_notified_and_cancelled_at_once_ends(steps: int) -> Non
 def test_waiting_for_a_change_ends_on_timeout_and_on_a_change() -> None:
     async def both() -> bool:
         changed = asyncio.Event()
-        await changed_within(changed, 0.0)
+        await await_change(changed, 0.0)
         changed.set()
-        await changed_within(changed, LONG_S)
+        await await_change(changed, LONG_S)
         return changed.is_set()
 
     assert not asyncio.run(both())

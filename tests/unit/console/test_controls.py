@@ -19,7 +19,7 @@ from console.planning.fields import NumberField
 from console.planning.page import PlannerPage
 from console.planning.plan_editor import PlanEditor
 from procedures.engine.events import Questioned, Waiting
-from ronna_hw.text import typed_number
+from ronna_hw.text import parse_typed_number
 
 
 def test_the_next_button_is_replaced_when_the_upcoming_step_changes() -> None:
@@ -109,7 +109,7 @@ def test_of_a_deliberate_question_every_answer_is_held_but_the_one_that_silence_
     [("-12.5", -12.5), ("8,4", 8.4), (" +3 ", 3.0), ("−7", -7.0), (".5", 0.5), ("12.", 12.0)],
 )
 def test_typed_numbers_are_read_with_comma_sign_and_blanks(words: str, number: float) -> None:
-    assert typed_number(words) == typed_number(f"{words} MM", "mm") == number
+    assert parse_typed_number(words) == parse_typed_number(f"{words} MM", "mm") == number
 
 
 NONE = ["1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5", "1_000", "9" * 400]
@@ -118,13 +118,13 @@ NONE = ["1,2,3", "1 2", "1e9", "nan", "inf", "twelve", "--1", "1.000,5", "1_000"
 @pytest.mark.parametrize("words", ["", *NONE])
 def test_text_that_is_not_a_number_is_refused(words: str) -> None:
     with pytest.raises(ValueError, match=f"^'{words}'$"):
-        typed_number(words)
+        parse_typed_number(words)
 
 
 def typed(field: NumberField, words: str) -> str:
     """Type into a field and leave it; returns what it complains of."""
     field._field.set_value(words)
-    field._typed()
+    field._commit()
     return str(field._field.props.get("error-message", ""))
 
 

@@ -47,7 +47,7 @@ def test_undo_and_redo_go_step_by_step() -> None:
 def test_a_drag_is_undone_as_one_step() -> None:
     history = History(drawn())
     for step, standoff_mm in enumerate((31.0, 32.0, 33.0)):
-        history.change(replace(drawn(), standoff_mm=standoff_mm), goes_on=step > 0)
+        history.change(replace(drawn(), standoff_mm=standoff_mm), continues=step > 0)
     history.undo()
     assert history.now == drawn()
 

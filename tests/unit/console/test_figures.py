@@ -92,7 +92,7 @@ def test_a_review_checks_every_file_once_the_program_of_the_case_has_ended(tmp_p
     (cell.folder / "theatre" / "changed").write_text("another")
     (cell.folder / "theatre" / "gone").unlink()
     (cell.folder / "added").touch()
-    hub.review.over = True
+    hub.review.is_over = True
     everything = {"added", "records/01-image.json", "theatre/changed", "theatre/gone"}
     assert asyncio.run(named()) == everything
 

@@ -157,7 +157,7 @@ REMOTE = "192.168.1.20:40001"
 @pytest.fixture
 def elsewhere(console: Console) -> Console:
     """The console as viewers at other computers reach it."""
-    console.app = console.app.for_viewers(REMOTE)
+    console.app = console.app.viewer_guard(REMOTE)
     return console
 
 
@@ -169,7 +169,7 @@ def test_the_operator_token_opens_no_session_from_another_computer(elsewhere: Co
 
 def test_an_operator_session_is_not_valid_from_another_computer(console: Console) -> None:
     cookie = console.operator()
-    console.app = console.app.for_viewers(REMOTE)
+    console.app = console.app.viewer_guard(REMOTE)
     headers = {"cookie": cookie, "origin": f"https://{REMOTE}"}
     assert console.request("POST", "/orders", headers=headers, body=b"{}", host=REMOTE).status == 401
     assert not console.open_socket(headers, host=REMOTE)

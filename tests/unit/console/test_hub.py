@@ -45,7 +45,7 @@ def test_a_silent_engine_is_reported() -> None:
     assert hub.frozen == ""
     clock.now_s = SILENT_S + 2.0
     assert "NO DATA FROM" in hub.frozen
-    hub.heard()
+    hub.note_heartbeat()
     assert hub.frozen == ""
 
 
@@ -62,12 +62,12 @@ def test_arm_data_without_updates_ages_while_the_engine_is_alive() -> None:
     ):
         hub.take(event(number, what))
     clock.now_s = 0.5
-    assert hub.aged is hub.view
+    assert hub.aged_view is hub.view
     clock.now_s = 7.0
-    hub.heard()
-    assert hub.aged.pose is not None
-    assert hub.aged.theatre_time_s - hub.aged.pose.said_s == 7.0
-    assert hub.aged.devices["arm"].age_s == 7.1
+    hub.note_heartbeat()
+    assert hub.aged_view.pose is not None
+    assert hub.aged_view.theatre_time_s - hub.aged_view.pose.reported_s == 7.0
+    assert hub.aged_view.devices["arm"].age_s == 7.1
 
 
 def test_a_case_under_review_whose_engine_ended_without_closing_it_says_so() -> None:
@@ -75,7 +75,7 @@ def test_a_case_under_review_whose_engine_ended_without_closing_it_says_so() -> 
     hub.review = RecordedCase()
     hub.take(event(1, CaseState(state="held")))
     assert hub.frozen == ""
-    hub.review.over = True
+    hub.review.is_over = True
     assert "THE ENGINE HAS ENDED" in hub.frozen
     hub.take(event(2, JournalLine(line={"entry": "closed", "outcome": "done"})))
     assert hub.frozen == ""
@@ -88,15 +88,15 @@ def test_a_case_under_review_with_open_devices_and_no_more_events_is_reported_an
     hub.take(event(1, DeviceState(device="arm", state="active")))
     clock.now_s = 60.0
     assert hub.frozen == ""  # nothing is due yet
-    hub.heard()
+    hub.note_heartbeat()
     hub.take(event(2, Pose(arm="arm", joints_rad=(0.0,) * 6, age_s=0.1)))
     hub.take(event(3, DeviceAge(device="arm", age_s=0.1)))
     assert hub.frozen == ""
     clock.now_s += SILENT_FILE_S + 1.0
     assert "NO DATA FROM THE ENGINE FOR 4 s" in hub.frozen
-    assert hub.aged.pose is not None
-    assert hub.aged.theatre_time_s - hub.aged.pose.said_s == 4.0
-    hub.heard()
+    assert hub.aged_view.pose is not None
+    assert hub.aged_view.theatre_time_s - hub.aged_view.pose.reported_s == 4.0
+    hub.note_heartbeat()
     hub.take(event(4, DeviceState(device="arm", state="closed")))
     clock.now_s += SILENT_FILE_S + 1.0
     assert hub.frozen == ""
@@ -132,7 +132,7 @@ def test_an_engine_that_ends_before_closing_its_journal_leaves_a_banner() -> Non
 @pytest.mark.parametrize("bad", [b"nonsense", b'{"event":{}}', b"\xff\xfe", b'{"nonce":1}'])
 def test_an_invalid_line_from_the_engine_ends_the_feed_but_not_the_console(bad: bytes) -> None:
     hub = fed(line(1, CaseState(state="held")), bad, line(2, CaseState(state="finished")))
-    assert (hub.view.state, hub.ended) == ("held", True)
+    assert (hub.view.state, hub.has_ended) == ("held", True)
 
 
 def test_orders_are_sent_to_the_engine_and_return_its_answer() -> None:
@@ -170,9 +170,9 @@ def test_a_claim_is_known_though_its_reply_overtakes_what_came_before_it() -> No
     assert asyncio.run(hub.order(OPERATOR, {"kind": "claim", "name": " Ben "})) == ""
     for number, holder in enumerate(("", "Ben"), start=2):
         hub.take(event(number, Seat(holder=holder)))
-        assert hub.seated == OPERATOR.identifier
+        assert hub.seated_session == OPERATOR.identifier
     hub.take(event(4, Seat(holder="Cleo")))
-    assert hub.seated == ""
+    assert hub.seated_session == ""
 
 
 def test_an_order_is_refused_when_no_case_is_running() -> None:

@@ -13,7 +13,7 @@ from recording_cell import mini_theatre_file
 from console.planning.draft import Draft, DraftTrajectory
 from console.planning.judging import judge
 from procedures.planning.theatre_arm import SixNumbers, TheatreArm, theatre_arm
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 
 NEAR: SixNumbers = (700.0, 0.0, 100.0, -90.0, 0.0, -90.0)
 FAR: SixNumbers = (1500.0, 0.0, 250.0, -90.0, 0.0, -90.0)
@@ -29,7 +29,7 @@ DRAFT = Draft(
 
 def arm_at(place: Path, robot_from_ct: SixNumbers) -> TheatreArm:
     file = mini_theatre_file(place, simulated=True)
-    return theatre_arm(file, robot_from_ct, None, strategy_named("ocs"))
+    return theatre_arm(file, robot_from_ct, None, find_strategy("ocs"))
 
 
 def test_a_plan_within_reach_is_judged_with_the_arms_own_errors(tmp_path: Path) -> None:

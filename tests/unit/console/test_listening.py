@@ -13,9 +13,9 @@ import pytest
 
 from console import listening
 from console.guard import SESSION, Guard, Receive, Role, Scope, Send, Sessions
-from console.listening import HOST, listen, server_of
+from console.listening import HOST, build_server, listen
 from ronna_hw.host import network
-from ronna_hw.host.network import account_at
+from ronna_hw.host.network import find_account
 
 NOBODY = 65534  # an account without rights
 SENT_BYTES = 30_000_000  # more than all buffers between two sockets
@@ -34,7 +34,7 @@ class Served:
     @contextlib.asynccontextmanager
     async def serving(self) -> AsyncIterator[Served]:
         trust, is_foreign = self.listening.trust, self.listening.is_foreign
-        server = server_of(Guard(self._page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
+        server = build_server(Guard(self._page, self.sessions, self.port, trust=trust, is_foreign=is_foreign))
         task = asyncio.create_task(server.serve(sockets=[self.listening]))
         while not server.started:
             await asyncio.sleep(0)
@@ -322,7 +322,7 @@ def test_the_account_of_a_connection_costs_the_same_however_many_there_are() -> 
         def cost_s() -> float:
             begun_s = time.process_time()
             for _ in range(200):
-                assert account_at(peer, bound.getsockname()) == os.geteuid()
+                assert find_account(peer, bound.getsockname()) == os.geteuid()
             return time.process_time() - begun_s
 
         alone_s = cost_s()
@@ -339,11 +339,11 @@ def test_a_connection_whose_program_has_gone_belongs_to_no_account(
         monkeypatch.setattr(network, "_diagnosed", lambda _local, _remote: None)
     with listen(HOST, 0) as bound:
         with socket.create_connection(bound.getsockname()) as client:
-            assert account_at(client.getsockname(), bound.getsockname()) == os.geteuid()
+            assert find_account(client.getsockname(), bound.getsockname()) == os.geteuid()
             connection, peer = bound.accept()
             assert not bound.is_foreign(peer)
         with connection:
-            assert account_at(peer, bound.getsockname()) is None
+            assert find_account(peer, bound.getsockname()) is None
 
 
 @pytest.mark.skipif(os.geteuid() != 0, reason="only root can act as another account")
@@ -361,5 +361,5 @@ def test_the_account_of_a_connection_is_the_one_that_made_it(
             os.seteuid(0)
         connection, peer = bound.accept()
         stack.enter_context(connection)
-        assert account_at(peer, connection.getsockname()) == NOBODY
+        assert find_account(peer, connection.getsockname()) == NOBODY
         assert bound.is_foreign(peer)

@@ -16,7 +16,7 @@ from plan_editors import ENTRY, draw, reopened, save, scan
 
 from console.planning import plan_editor
 from console.planning.draft import Draft
-from console.planning.judging import Expected, Judged, expected, judge, verdict
+from console.planning.judging import ExpectedError, Judgement, expected, judge, verdict
 from console.planning.plan_editor import PlanEditor
 from procedures.imaging.errors import PickRefused
 from procedures.planning.errors import PlanInUse, PlanMistakes, PlanNotSaved
@@ -167,16 +167,16 @@ def full_disk(monkeypatch: pytest.MonkeyPatch) -> Iterator[pytest.MonkeyPatch]:
 def test_a_full_disk_loses_neither_the_draft_nor_the_plan(file: Path, full_disk: pytest.MonkeyPatch) -> None:
     editor = PlanEditor(scan(), file, None)
     draw(editor)
-    assert editor.keep() is None
-    assert editor.not_kept is not None
-    assert editor.not_kept.code == "PLAN-025"
+    assert editor.store_draft() is None
+    assert editor.storage_problem is not None
+    assert editor.storage_problem.code == "PLAN-025"
     with pytest.raises(PlanNotSaved, match=r"PLAN-025.*No space left.*stays on this page"):
         save(editor)
     assert not file.exists()
     assert not editor.is_saved
     full_disk.undo()
-    assert editor.keep() is not None
-    assert editor.not_kept is None
+    assert editor.store_draft() is not None
+    assert editor.storage_problem is None
     save(editor)
     assert read_plan(file).trajectory("T1").entry_mm == ENTRY
 
@@ -242,12 +242,12 @@ def test_a_change_is_judged_while_the_thorough_check_before_it_still_runs_and_it
     begun, released = threading.Event(), threading.Event()
     checked = []
 
-    def slow(draft: Draft, *_: object, thorough: bool) -> Judged:
+    def slow(draft: Draft, *_: object, thorough: bool) -> Judgement:
         if thorough:
             begun.set()
             checked.append(draft)
             released.wait(30.0)
-        return Judged(draft, thorough=thorough, arm_known=True, complete=True)
+        return Judgement(draft, thorough=thorough, is_arm_known=True, complete=True)
 
     monkeypatch.setattr(plan_editor, "judge", slow)
     shown = []
@@ -285,10 +285,10 @@ def test_what_was_found_for_an_earlier_draft_is_not_told_as_that_of_the_current_
 ) -> None:
     draw(editor)
     earlier = editor.draft
-    found = Judged(
+    found = Judgement(
         earlier,
         thorough=True,
-        expected={"T1": Expected(1.5, 3.0, (), with_arm=False)},
+        expected={"T1": ExpectedError(1.5, 3.0, (), with_arm=False)},
         reached=("every motion is clear",),
         complete=True,
     )

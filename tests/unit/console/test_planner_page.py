@@ -39,11 +39,11 @@ def on_the_page(folder: Path, do: Callable[[PlannerPage], Awaitable[None]]) -> N
 def enter(page: PlannerPage, name: str, words: str) -> None:
     field = page._ways.fields[name]
     field._field.set_value(words)
-    field._typed()
+    field._commit()
 
 
 async def press(page: PlannerPage, key: str, plane: Plane = Plane.AXIAL) -> None:
-    await page._slices[list(Plane).index(plane)]._keyed(SimpleNamespace(args={"key": key, "shift": False}))
+    await page._slices[list(Plane).index(plane)]._on_key(SimpleNamespace(args={"key": key, "shift": False}))
 
 
 def asked_for(page: PlannerPage) -> dict[str, str]:
@@ -70,7 +70,7 @@ def test_angles_depth_and_free_angle_are_typed_about_a_target_that_stays(tmp_pat
 
 def test_windows_slices_and_zoom_change_the_pictures_and_the_crosshair_follows_in_3d(tmp_path: Path) -> None:
     async def do(page: PlannerPage) -> None:
-        page._go(TARGET)
+        page._go_to(TARGET)
         shown = []
         for window in WINDOWS_HU:
             page._set_window(window)
@@ -80,10 +80,10 @@ def test_windows_slices_and_zoom_change_the_pictures_and_the_crosshair_follows_i
         await press(page, "+")
         assert float(asked_for(page)["s"]) == pytest.approx(step_mm / ZOOMS[1], abs=1e-4)
         await press(page, "PageDown")
-        place = page._look.place_mm
+        place = page._page_view.place_mm
         assert np.abs(np.subtract(place, TARGET)).tolist() == pytest.approx([0.0, 0.0, 3.0])
         await press(page, "PageDown", Plane.ALONG)
-        assert page._look.turn_deg == 5.0
+        assert page._page_view.turn_deg == 5.0
         page._scene.show()
         for axis, rod in enumerate(page._scene._cross):
             start = list(place)
@@ -95,7 +95,7 @@ def test_windows_slices_and_zoom_change_the_pictures_and_the_crosshair_follows_i
 
 def test_the_enter_key_does_at_the_crosshair_what_a_click_does(tmp_path: Path) -> None:
     async def do(page: PlannerPage) -> None:
-        page._go(TARGET)
+        page._go_to(TARGET)
         page._mode.set_value(DRAW)
         await press(page, "Enter")
         assert page._editor.draft.structures[0].points_mm == (TARGET,)

@@ -15,7 +15,7 @@ from nicegui import Client, ui
 
 from console.case_view import CaseView, ReportedPose
 from console.scene.bodies import closest_pair, rotation_along
-from console.scene.head_surface import head_surface, series_of, stl
+from console.scene.head_surface import encode_stl, find_series_folder, head_surface
 from console.scene.sights import is_hidden, volume_edges
 from console.scene.theatre_scene import TheatreScene
 from procedures.engine.events import Bodies, Body, MeasuringVolume, Pose, Questioned
@@ -179,7 +179,7 @@ def test_the_instrument_is_drawn_from_the_end_of_the_guide_to_the_planned_target
     def do(scene: TheatreScene) -> None:
         view = CaseView(pose=ReportedPose(pose, 0.0), question=asked)
         scene.show(view, there, 0)
-        assert scene._inserted == ((0.0, 0.0, 180.0), path.target_mm)
+        assert scene._instrument_ends == ((0.0, 0.0, 180.0), path.target_mm)
         rod, caption = scene._instrument
         assert (rod.z, rod.sz) == (pytest.approx(0.18), pytest.approx(0.08))
         assert caption.args[0] == "instrument, as planned"
@@ -235,14 +235,14 @@ def test_an_empty_scan_has_no_head() -> None:
 
 def test_the_mesh_is_written_as_binary_stl_in_metres() -> None:
     corners = np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0]])
-    content = stl(corners, np.array([[0, 1, 2]]))
+    content = encode_stl(corners, np.array([[0, 1, 2]]))
     assert len(content) == 84 + 50
     assert struct.unpack("<I12f", content[80:132]) == (1, 0, 0, 1, 0, 0, 0, 1, 0, 0, 0, 1, 0)
 
 
 def test_the_series_in_the_run_folder_takes_precedence_over_the_one_in_the_request(tmp_path: Path) -> None:
-    assert series_of(tmp_path) is None
+    assert find_series_folder(tmp_path) is None
     (tmp_path / "request.json").write_text('{"case": "/data/case-7"}')
-    assert series_of(tmp_path) == Path("/data/case-7/ct")
+    assert find_series_folder(tmp_path) == Path("/data/case-7/ct")
     (tmp_path / "case" / "ct").mkdir(parents=True)
-    assert series_of(tmp_path) == tmp_path / "case" / "ct"
+    assert find_series_folder(tmp_path) == tmp_path / "case" / "ct"

@@ -22,7 +22,7 @@ def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
 ) -> None:
     draw(editor)
     save(editor)
-    assert editor.keep() is None
+    assert editor.store_draft() is None
     draw(editor, standoff_mm=31.0)
     half, name = editor.draft.with_new_way()
     editor.change(half.with_way(name, replace(half.way(name), entry_mm=ENTRY)))
@@ -36,7 +36,7 @@ def test_unsaved_changes_are_restored_and_undo_returns_to_the_saved_plan(
     assert not again.is_saved
     again.undo()
     assert again.draft.standoff_mm == 30.0
-    assert again.keep() is None
+    assert again.store_draft() is None
     assert not kept.exists()
 
 
@@ -68,11 +68,11 @@ def test_a_second_planner_is_read_only_until_the_first_closes_and_then_continues
     assert other.draft.standoff_mm == 30.0
     save(editor)
     draw(editor, standoff_mm=32.0)
-    assert other.keep() is None
-    assert not other.begin()
+    assert other.store_draft() is None
+    assert not other.begin_editing()
     kept = editor.close()
     assert kept is not None
-    assert other.begin()
+    assert other.begin_editing()
     assert other.draft == editor.draft
     other.undo()
     assert other.draft.standoff_mm == 31.0
@@ -151,10 +151,10 @@ def test_unsaved_changes_blocked_by_a_running_case_are_restored_when_it_has_ende
     with lock_plan(file):
         again = PlanEditor(scan(), file, None)
         assert again.draft.standoff_mm == 30.0
-        assert again.keep() is None
-        assert not again.begin()
+        assert again.store_draft() is None
+        assert not again.begin_editing()
     draw(again, standoff_mm=32.0)  # at once, before that is taken up
-    assert again.begin()
+    assert again.begin_editing()
     assert again.draft.standoff_mm == 31.0
     assert again.notice is not None
     assert again.notice.code == "PLAN-029"
@@ -188,7 +188,7 @@ def test_a_plan_that_cannot_be_read_once_it_is_free_is_reported(
         raise OSError(errno.EIO, "Input/output error")
 
     monkeypatch.setattr(plan_editor, "_digest", unreadable)
-    assert other.begin()
+    assert other.begin_editing()
     assert "Input/output error" in str(other.read_only)
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.ndimage import map_coordinates
 
-from console.planning.slice_panel import side
+from console.planning.slice_panel import side_letters
 from console.planning.slices import (
     DIRECTIONS,
     SIZE_PX,
@@ -15,8 +15,8 @@ from console.planning.slices import (
     UNSCANNED_HU,
     Cut,
     Plane,
-    cut_hu,
-    cut_png,
+    render_png,
+    sample_cut_hu,
 )
 from procedures.imaging.volume import Volume, VoxelGeometry
 
@@ -50,7 +50,7 @@ def test_a_mark_appears_at_its_computed_picture_position(plane: Plane, axes: np.
     right, down = (np.array(one) for one in DIRECTIONS[plane])
     normal = np.cross(right, down)
     cut = picture(plane, normal * float(MARK_MM @ normal))
-    hu = cut_hu(volume(axes), cut)
+    hu = sample_cut_hu(volume(axes), cut)
     row, column = np.unravel_index(hu.argmax(), hu.shape)
     x, y, off_mm = cut.to_picture(MARK_MM)
     assert (column + 0.5, row + 0.5) == pytest.approx((x, y), abs=2.0)
@@ -59,9 +59,9 @@ def test_a_mark_appears_at_its_computed_picture_position(plane: Plane, axes: np.
 
 
 def test_the_sides_of_the_pictures_follow_the_radiological_convention() -> None:
-    said = {plane: [side(np.array(one)) for one in DIRECTIONS[plane]] for plane in DIRECTIONS}
+    said = {plane: [side_letters(np.array(one)) for one in DIRECTIONS[plane]] for plane in DIRECTIONS}
     assert said == {Plane.AXIAL: ["L", "P"], Plane.CORONAL: ["L", "I"], Plane.SAGITTAL: ["P", "I"]}
-    assert side(np.array([0.8, -0.6, 0.0])) == "LA"
+    assert side_letters(np.array([0.8, -0.6, 0.0])) == "LA"
 
 
 @pytest.mark.parametrize(
@@ -77,7 +77,7 @@ def test_every_pixel_agrees_with_scipy_interpolation(
 ) -> None:
     scan = volume()
     cut = Cut(np.array([1.0, 2.0, 3.0]), np.array(right), np.array(down), 0.1)
-    hu = cut_hu(scan, cut)
+    hu = sample_cut_hu(scan, cut)
     random = np.random.default_rng(1)
     rows, columns = random.integers(SIZE_PX, size=(2, 200))
     places = [cut.to_patient_mm(x + 0.5, y + 0.5) for x, y in zip(columns, rows, strict=True)]
@@ -90,9 +90,9 @@ def test_every_pixel_agrees_with_scipy_interpolation(
 
 def test_unscanned_regions_are_grey_and_not_black_like_air() -> None:
     cut = picture(Plane.AXIAL, np.array([0.0, 0.0, 500.0]))
-    assert (cut_hu(volume(), cut) == UNSCANNED_HU).all()
+    assert (sample_cut_hu(volume(), cut) == UNSCANNED_HU).all()
     shown = cv2.imdecode(
-        np.frombuffer(cut_png(volume(), cut, (-100.0, 100.0)), np.uint8), cv2.IMREAD_GRAYSCALE
+        np.frombuffer(render_png(volume(), cut, (-100.0, 100.0)), np.uint8), cv2.IMREAD_GRAYSCALE
     )
     assert shown.shape == (SIZE_PX, SIZE_PX)
     assert (shown == UNSCANNED_GREY).all()
@@ -100,8 +100,10 @@ def test_unscanned_regions_are_grey_and_not_black_like_air() -> None:
 
 def test_the_window_is_black_at_its_lower_and_white_at_its_upper_limit() -> None:
     cut = picture(Plane.AXIAL, MARK_MM * (0.0, 0.0, 1.0))
-    shown = cv2.imdecode(np.frombuffer(cut_png(volume(), cut, (0.0, 500.0)), np.uint8), cv2.IMREAD_GRAYSCALE)
-    hu = cut_hu(volume(), cut)
+    shown = cv2.imdecode(
+        np.frombuffer(render_png(volume(), cut, (0.0, 500.0)), np.uint8), cv2.IMREAD_GRAYSCALE
+    )
+    hu = sample_cut_hu(volume(), cut)
     assert (shown[hu >= 500] == 255).all()
     middle = shown[(hu > 240) & (hu < 260)]
     assert len(middle)

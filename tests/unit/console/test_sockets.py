@@ -14,7 +14,7 @@ from nicegui import Client, core, ui
 from console.case_view import CaseView
 from console.guard import SESSION, Role, Session
 from console.panels.orders import OrderPanel
-from console.web.library import FROM_PAGES, bind_sockets, own_page
+from console.web.library import FROM_PAGES, bind_page, bind_sockets
 from procedures.engine.events import Waiting
 
 
@@ -50,7 +50,7 @@ def library() -> Library:
     library = Library()
     library.sessions = {"a": Session(Role.OPERATOR, "ana"), "b": Session(Role.VIEWER, "ben")}
     bind_sockets(library)
-    own_page(SimpleNamespace(id="page-of-ana", on_delete=lambda _: None), "ana")
+    bind_page(SimpleNamespace(id="page-of-ana", on_delete=lambda _: None), "ana")
     return library
 
 
@@ -102,7 +102,7 @@ class OpenPage:
             panel = OrderPanel(self._give, lambda _words: None)
             panel.show(CaseView(waiting=Waiting(upcoming="image")), is_mine=is_mine)
         self.client.tab_id = "tab"
-        own_page(self.client, HERS.identifier)
+        bind_page(self.client, HERS.identifier)
         self.next = panel._next
         self.listeners = [
             (element.id, listener)

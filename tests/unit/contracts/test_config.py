@@ -15,7 +15,7 @@ from ronna_hw.config import (
     parse_theatre,
     read_theatre_file,
 )
-from ronna_hw.registry import driver_names
+from ronna_hw.registry import list_driver_names
 
 
 def test_a_small_theatre_file_is_read(tmp_path: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_dated_record_survives_a_round_trip_through_json() -> None:
 
 
 def test_the_three_drivers_are_installed() -> None:
-    assert {"ndi_polaris", "kuka_rsi", "basler_stereo"} <= set(driver_names())
+    assert {"ndi_polaris", "kuka_rsi", "basler_stereo"} <= set(list_driver_names())
 
 
 def test_relative_paths_of_a_device_are_resolved_from_its_theatre_file(

@@ -3,21 +3,21 @@ import re
 from pathlib import Path
 
 import pytest
-from generate import errors_with_a_code
+from generate import list_errors_with_code
 from hypothesis import given
 from hypothesis import strategies as st
 
 from drivers.ndi_polaris.errors import CommandRejected
 from ronna_hw.devices.errors import ACKNOWLEDGE
 from ronna_hw.errors import RonnaError
-from ronna_hw.text import beyond, side_by_side
+from ronna_hw.text import format_against_limit, format_distinct
 
 TESTS = Path(__file__).resolve().parents[2]
 
 
 def test_every_code_is_unique_and_every_error_says_what_to_do() -> None:
     seen: dict[str, str] = {}
-    for error in errors_with_a_code():
+    for error in list_errors_with_code():
         assert re.fullmatch(r"[A-Z]{2,5}-\d{3}", error.code), error
         assert error.action, error
         assert error.code not in seen, f"{error.code} is {error.__name__} and {seen[error.code]}"
@@ -27,7 +27,7 @@ def test_every_code_is_unique_and_every_error_says_what_to_do() -> None:
 
 def test_advice_to_recover_a_device_names_the_command_and_the_method() -> None:
     advising = [
-        error for error in errors_with_a_code() if re.search(r"\brecover\b", error.action, re.IGNORECASE)
+        error for error in list_errors_with_code() if re.search(r"\brecover\b", error.action, re.IGNORECASE)
     ]
     assert len(advising) > 15
     assert [error.code for error in advising if ACKNOWLEDGE not in error.action] == []
@@ -39,7 +39,7 @@ def test_every_code_is_mentioned_by_a_test() -> None:
     files = (path for path in TESTS.rglob("*") if path.suffix in (".py", ".txt"))
     tests = "\n".join(path.read_text(encoding="utf-8") for path in files)
     words = set(re.findall(r"\w+(?:-\d{3})?", tests))
-    assert [error for error in errors_with_a_code() if not words & {error.code, error.__name__}] == []
+    assert [error for error in list_errors_with_code() if not words & {error.code, error.__name__}] == []
 
 
 def test_an_error_is_one_line_with_expectation_limit_and_action() -> None:
@@ -77,7 +77,7 @@ def test_an_error_survives_pickling_to_another_process() -> None:
 def test_a_figure_is_rounded_so_that_it_differs_from_the_limit_it_exceeds(
     value: float, limit: float, decimals: int, shown: str
 ) -> None:
-    assert beyond(value, limit, decimals) == shown
+    assert format_against_limit(value, limit, decimals) == shown
 
 
 @given(st.floats(0.01, 1000.0), st.floats(1e-3, 0.2), st.booleans(), st.integers(0, 3))
@@ -85,12 +85,12 @@ def test_a_figure_and_a_computed_limit_keep_their_order_when_rounded(
     limit: float, share: float, above: bool, decimals: int
 ) -> None:
     value = limit * (1.0 + share if above else 1.0 - share)
-    shown, refused_from = side_by_side(value, limit, decimals)
+    shown, refused_from = format_distinct(value, limit, decimals)
     assert (float(shown) > float(refused_from)) == above
     assert float(shown) != float(refused_from)
 
 
 def test_errors_outside_ronna_hw_live_in_an_errors_module_of_their_package() -> None:
-    for error in errors_with_a_code():
+    for error in list_errors_with_code():
         if not error.__module__.startswith("ronna_hw."):
             assert error.__module__.endswith(".errors"), error

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from bounded_cost import bounded_cost
 
-from ronna_hw.records import BadRecord, Record, RecordExists, read_record, write_record, write_whole
+from ronna_hw.records import BadRecord, Record, RecordExists, read_record, write_atomically, write_record
 
 
 def test_a_record_is_read_back_equal(tmp_path: Path) -> None:
@@ -86,7 +86,7 @@ def test_a_failed_write_leaves_no_temporary_file(tmp_path: Path) -> None:
     target = tmp_path / "folder"
     target.mkdir()
     with pytest.raises(OSError):  # noqa: PT011 - which one depends on the system
-        write_whole(target, b"a folder of that name exists")
+        write_atomically(target, b"a folder of that name exists")
     assert list(tmp_path.iterdir()) == [target]
 
 
@@ -100,11 +100,11 @@ def test_a_failed_write_names_the_missing_folder_or_the_file_never_the_temporary
         (f"{'a' * 300}.json", f"{'a' * 300}.json"),
     ):
         with pytest.raises(OSError) as refused:  # noqa: PT011 - which one depends on the case
-            write_whole(tmp_path / path, b"{}")
+            write_atomically(tmp_path / path, b"{}")
         assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / named), None)
         assert "->" not in str(refused.value)
     with pytest.raises(FileExistsError) as refused:
-        write_whole(tmp_path / "file", b"{}", exclusive=True)
+        write_atomically(tmp_path / "file", b"{}", exclusive=True)
     assert (refused.value.filename, refused.value.filename2) == (str(tmp_path / "file"), None)
 
 
@@ -114,7 +114,7 @@ def test_an_interrupted_write_leaves_no_file(tmp_path: Path, monkeypatch: pytest
 
     monkeypatch.setattr("ronna_hw.records.os.fsync", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        write_whole(tmp_path / "result.json", b"{}")
+        write_atomically(tmp_path / "result.json", b"{}")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -12,7 +12,14 @@ from procedures.planning.errors import NotReachable, PlanUnreadable
 from procedures.workcell.errors import InstrumentInGuide, InstrumentInside
 from ronna_hw.devices.lifecycle import Identity
 from ronna_hw.errors import ConnectError, DataError, RonnaError
-from ronna_hw.redaction import ELEMENTS_LIMIT, REDACTED, error_text, redacted, redacted_arguments, scrubbed
+from ronna_hw.redaction import (
+    ELEMENTS_LIMIT,
+    REDACTED,
+    error_text,
+    redact_arguments,
+    redact_value,
+    scrub_text,
+)
 
 
 class Unreadable(DataError):
@@ -36,7 +43,7 @@ class Unreadable(DataError):
     ],
 )
 def test_patient_data_credentials_and_file_paths_are_redacted(key: str, value: object) -> None:
-    assert redacted(key, value) == REDACTED
+    assert redact_value(key, value) == REDACTED
 
 
 @pytest.mark.parametrize(
@@ -52,29 +59,32 @@ def test_patient_data_credentials_and_file_paths_are_redacted(key: str, value: o
     ],
 )
 def test_endpoints_limits_codes_and_versions_are_kept(text: str) -> None:
-    assert scrubbed(text) == text
+    assert scrub_text(text) == text
 
 
 def test_the_token_in_a_control_endpoint_is_redacted() -> None:
-    assert scrubbed("tcp://127.0.0.1:5000?token=6f1e&x=1") == f"tcp://127.0.0.1:5000?token={REDACTED}&x=1"
+    assert scrub_text("tcp://127.0.0.1:5000?token=6f1e&x=1") == f"tcp://127.0.0.1:5000?token={REDACTED}&x=1"
 
 
 def test_values_are_redacted_at_any_depth() -> None:
     value: dict[str, Any] = {"series": [{"patient_id": "7", "slices": 12}], "wire": b"\x01\xff"}
-    assert redacted("facts", value) == {"series": [{"patient_id": REDACTED, "slices": 12}], "wire": "01 ff"}
+    assert redact_value("facts", value) == {
+        "series": [{"patient_id": REDACTED, "slices": 12}],
+        "wire": "01 ff",
+    }
 
 
 def test_of_many_elements_the_first_are_kept_and_the_others_counted() -> None:
     many = range(ELEMENTS_LIMIT + 7)
-    assert redacted("numbers", many) == [*range(ELEMENTS_LIMIT), "7 more"]
-    by_name = redacted("named", {f"n{number}": number for number in many})
+    assert redact_value("numbers", many) == [*range(ELEMENTS_LIMIT), "7 more"]
+    by_name = redact_value("named", {f"n{number}": number for number in many})
     assert by_name == {f"n{number}": number for number in range(ELEMENTS_LIMIT)} | {"...": "7 more"}
-    assert redacted("numbers", range(ELEMENTS_LIMIT)) == [*range(ELEMENTS_LIMIT)]
+    assert redact_value("numbers", range(ELEMENTS_LIMIT)) == [*range(ELEMENTS_LIMIT)]
 
 
 def test_a_record_is_logged_field_by_field() -> None:
     identity = Identity("NDI", "Polaris", "P9-1", "007.000")
-    assert redacted("identity", identity)["serial"] == "P9-1"
+    assert redact_value("identity", identity)["serial"] == "P9-1"
 
 
 @pytest.mark.parametrize(
@@ -98,4 +108,4 @@ def test_an_error_message_is_logged_only_when_it_is_about_a_device(error: Except
 def test_redacted_arguments_keep_subcommand_options_numbers_and_endpoints() -> None:
     given = ["localize", "/scans/DOE", "--expected", "5", "--pick=DOE.csv", "--x=-1.5", "tcp://127.0.0.1:1"]
     kept = ["localize", REDACTED, "--expected", "5", f"--pick={REDACTED}", "--x=-1.5", "tcp://127.0.0.1:1"]
-    assert redacted_arguments(given) == kept
+    assert redact_arguments(given) == kept

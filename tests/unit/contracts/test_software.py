@@ -5,7 +5,7 @@ import pytest
 from bad_inputs import app_of
 from user_commands import in_this_process
 
-from ronna_hw.software import LOCK, PACKAGE, Software, this_software
+from ronna_hw.software import LOCK, PACKAGE, Software, identify_software
 
 COMMANDS = sorted(
     script.name
@@ -18,19 +18,19 @@ COMMANDS = sorted(
 def test_every_command_prints_its_version_and_lock(name: str) -> None:
     done = in_this_process(app_of(name), "--version")
     assert done.returncode == 0
-    assert done.stdout.strip() == str(this_software())
+    assert done.stdout.strip() == str(identify_software())
     assert ", lock " in done.stdout
 
 
 def test_packages_that_differ_from_the_lock_are_named(tmp_path: Path) -> None:
     (tmp_path / LOCK).parent.mkdir()
     (tmp_path / LOCK).write_text("pytest==0.1 ; python_version < '3'\npytest==0.2\nno-such-package==1.0\n")
-    found = this_software(tmp_path)
+    found = identify_software(tmp_path)
     assert [one.split(", ")[1] for one in found.otherwise] == ["locked 0.1 or 0.2"]
     assert found.commit is None
 
 
 def test_packages_count_as_not_locked_without_a_checkout(tmp_path: Path) -> None:
-    found = this_software(tmp_path)
+    found = identify_software(tmp_path)
     assert found == Software(found.version, None, None)
     assert str(found).endswith("packages not locked")

@@ -48,10 +48,10 @@ from procedures.workcell.motions import PlannedMotion
 from procedures.workcell.supervised_motion import SupervisedMotion
 from procedures.workcell.tracker_look import FRAMES, robot_from_marker
 from ronna_hw.config import read_theatre_file
-from ronna_hw.devices.capabilities import Direction, Passed
+from ronna_hw.devices.capabilities import Direction, PassedBytes
 from ronna_hw.devices.readings import ArmReading
 from ronna_hw.frames import Frame
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.vectors import JointVector
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -85,11 +85,11 @@ class Wire:
     def __init__(self) -> None:
         self.replies: list[bytes] = []
 
-    def passed(self, link: str, direction: Direction, data: bytes) -> None:
+    def on_bytes(self, link: str, direction: Direction, data: bytes) -> None:
         if direction is Direction.RECEIVED and data.startswith(BX_BEGINS):
             self.replies.append(data)
 
-    def passed_earlier(self, link: str, all_passed: Sequence[Passed]) -> None:
+    def on_earlier_bytes(self, link: str, all_passed: Sequence[PassedBytes]) -> None:
         raise AssertionError(f"{link} has a process of its own")
 
     def note(self, link: str, **facts: str | float) -> None:
@@ -227,7 +227,7 @@ def test_a_number_of_the_report_is_that_of_the_trackers_bytes(tmp_path: Path, as
     driver: Any = tracker_on(unit, cell.clock, "serial:///dev/null")
     driver.record_bytes(wire)
     tape = ReadingTape(tmp_path / READINGS_FOLDER, lambda: 0.0, {})
-    cell.opened.replace_tracker(taped(driver, tape))
+    cell.opened.replace_tracker(tape_device(driver, tape))
     tape.begin(0)
     before = (localized_fiducials(), checked_plan(), checked_set_up(cell))
     looked = (relocalization(), checked_paths(cell))

@@ -55,16 +55,16 @@ MESSAGE = Fact("messages", "1 is not acknowledged", ready=False, advice="Remove 
 def test_a_fault_is_reported_from_the_current_device_state_with_the_actions_in_order(
     cell: RecordingCell, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    def described(*says: Fact) -> str:
+    def descriptions(*says: Fact) -> str:
         seen = LastKnown(Lifecycle.FAULT, EMERGENCY, None, says)
         monkeypatch.setattr(cell.arm, "observe", lambda: seen)
-        return cell.engine(plain_order()).faults.described["arm"]
+        return cell.engine(plain_order()).faults.descriptions["arm"]
 
-    assert "emergency stop: pressed; messages: 1 is not acknowledged. Release it. Then ack" in described(
+    assert "emergency stop: pressed; messages: 1 is not acknowledged. Release it. Then ack" in descriptions(
         STOP, MESSAGE
     )
     released = Fact("emergency stop", "released", advice="Release it.")
-    assert "emergency stop: released; messages: 1 is not acknowledged. To continue, ack" in described(
+    assert "emergency stop: released; messages: 1 is not acknowledged. To continue, ack" in descriptions(
         released, MESSAGE
     )
 
@@ -141,7 +141,7 @@ def test_homing_retracts_a_guide_from_its_entry_along_the_axis_before_parking(ce
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
     assert cell.arm.joints_rad == HOME
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
     assert engine.machine.state == "held"
 
 
@@ -159,7 +159,7 @@ def test_the_guide_stays_in_place_when_the_retreat_is_not_confirmed(cell: Record
     engine = with_the_guide_on_its_axis(cell, Topic.RETREAT)
     with pytest.raises(NotConfirmed):
         engine.retreat_home()
-    assert cell.workcell.place.on_axis
+    assert cell.workcell.place.is_on_axis
     assert [kind for kind, _ in cell.arm.motions] == ["line"]
 
 
@@ -168,10 +168,10 @@ def test_a_failed_retreat_can_be_repeated(cell: RecordingCell) -> None:
     cell.arm.failing = LinkTimeout("the controller is silent")
     with pytest.raises(LinkTimeout):
         engine.retreat_home()
-    assert cell.workcell.place.on_axis
+    assert cell.workcell.place.is_on_axis
     cell.arm.failing = None
     engine.retreat_home()
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
 
 
 @pytest.mark.branch("ABORTED")
@@ -184,7 +184,7 @@ def test_a_guide_is_still_retracted_along_its_axis_after_an_abort(cell: Recordin
     engine.retreat_home()
     assert [question.topic for question in cell.operator.asked] == [Topic.RETREAT, Topic.PAUSE, Topic.PARK]
     assert [kind for kind, _ in cell.arm.motions] == ["line", "line", *HOMEWARD]
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
     assert cell.entries("rested", "resumed") == [("rested", ""), ("resumed", "")]
     assert engine.machine.state == "aborted"
 

@@ -8,7 +8,7 @@ import pytest
 from plain_steps import plain_order, plain_steps
 from transitions import MachineError
 
-from procedures.engine.machine import BETWEEN, ENDS, RESTS, ProcedureMachine, mermaid, state_of
+from procedures.engine.machine import BETWEEN, ENDS, RESTS, ProcedureMachine, state_chart_mermaid, state_of
 from procedures.engine.order import CaseOrder, Steps, order_of
 from procedures.steps.catalogue import CLINICAL_STEPS, clinical_steps
 
@@ -28,13 +28,13 @@ def test_the_step_sequence_of_a_case_passes_through_the_chart_to_its_end(
 
 @pytest.mark.parametrize("step", CLINICAL_STEPS, ids=lambda step: step.name)
 def test_every_step_is_drawn_in_its_phase(step) -> None:
-    chart = mermaid(CLINICAL_STEPS)
+    chart = state_chart_mermaid(CLINICAL_STEPS)
     phase = chart[chart.index(f"state {step.phase} {{") :]
     assert f"    {step.name}\n" in phase[: phase.index("}")]
 
 
 def test_steps_repeated_for_each_trajectory_loop_back_in_the_chart() -> None:
-    chart = mermaid(plain_steps())
+    chart = state_chart_mermaid(plain_steps())
     assert "fit --> localization : next trajectory" in chart
     assert "back --> approach : next trajectory" in chart
 
@@ -83,7 +83,7 @@ def made(order: CaseOrder) -> set[tuple[str, str]]:
 
 @pytest.mark.parametrize("steps", [CLINICAL_STEPS, clinical_steps(measure_targets=True), plain_steps()])
 def test_the_chart_has_exactly_the_transitions_of_the_machine(steps: Steps) -> None:
-    assert drawn(mermaid(steps)) == made(order_of(steps, ("T1",)))
+    assert drawn(state_chart_mermaid(steps)) == made(order_of(steps, ("T1",)))
 
 
 def test_a_held_case_continues_with_a_step() -> None:

@@ -19,7 +19,7 @@ from procedures.engine.context import StepContext
 from procedures.engine.errors import NotRecorded
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.replay.recorded_answers import read_answers, read_in_order, section_follower
-from procedures.engine.replay.recorded_people import KEPT
+from procedures.engine.replay.recorded_people import KNOWN_MEMBERS
 from procedures.engine.replay.replay import ReplayedRecord, ReplayInput, Verdict, replay
 from procedures.engine.run_folder import run_of
 from procedures.engine.setting import ClinicalInput
@@ -30,9 +30,9 @@ from procedures.workcell import Insertion, MountedTool
 from procedures.workcell.arm_history import arm_history
 from ronna_hw.devices import ConfirmedStart, OpticalTracker, RobotArm, StereoPair
 from ronna_hw.devices.lifecycle import Lifecycle
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.recording.reading_coding import PIXELS
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
 
 EQUAL, DIFFERENT, NOT_RECORDED = Verdict.EQUAL, Verdict.DIFFERENT, Verdict.NOT_RECORDED
 
@@ -68,7 +68,7 @@ class Recorded:
         (folder / "journal.jsonl").unlink()
         cell.journal = Journal(folder, section_follower(tape))
         cell.journal.write(Entry.OPENED, 0.0)
-        cell.opened = RecordingTheatre(cell.theatre, taped(cell.arm, tape), cell.stereo, cell.tracker)  # type: ignore[arg-type]
+        cell.opened = RecordingTheatre(cell.theatre, tape_device(cell.arm, tape), cell.stereo, cell.tracker)  # type: ignore[arg-type]
         cell.workcell = cell.make_workcell()
         self.engine = cell.engine(self.order)
         self.tape, self.engine.recorders = tape, [tape]
@@ -89,7 +89,7 @@ class Recorded:
         self.engine.close("left")
         clinical = ClinicalInput(self.cell.series, self.cell.plan, self.cell.strategy)
         given = ReplayInput(order or self.order, clinical, self.cell.theatre)
-        return list(replay(run_of(inspected(self.folder)), given, read_answers(self.folder)))
+        return list(replay(run_of(inspect_run(self.folder)), given, read_answers(self.folder)))
 
     def edit(self, change: Callable[[dict[str, Any]], None]) -> None:
         """Change every recorded answer."""
@@ -223,7 +223,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
 
     def goes_in_or_out(context: StepContext) -> Outcome[Approach]:
         cell = context.workcell
-        if not cell.place.on_axis:
+        if not cell.place.is_on_axis:
             cell.insert(Insertion("T1", cell.tool_pose(), 10.0))
             raise Killed
         cell.withdraw("T1")
@@ -235,7 +235,7 @@ def test_a_replay_equals_a_run_killed_with_its_guide_in_front_of_an_entry(tmp_pa
     with pytest.raises(Killed):
         recorded.run("approach:T1")
     restarted(recorded)
-    recorded.engine.questions.have_instrument_out()  # no line rules it out
+    recorded.engine.questions.request_instrument_removal()  # no line rules it out
     recorded.run("approach:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
@@ -253,7 +253,7 @@ def test_a_replay_equals_a_run_killed_with_an_instrument_in_its_guide(tmp_path: 
     recorded.run(*CASE[:2])
     restarted(recorded)
     recorded.cell.workcell.instrument.record_assumed("T1")
-    recorded.engine.questions.have_instrument_out()
+    recorded.engine.questions.request_instrument_removal()
     recorded.run("localization:T1")
     assert {one.verdict for one in recorded.replayed()} == {EQUAL}
 
@@ -393,7 +393,7 @@ def test_the_operators_answers_come_from_the_journal(tmp_path: Path) -> None:
 def test_every_device_call_open_to_a_step_is_recorded_or_needs_no_recording(kind: type) -> None:
     asked = {name for name in dir(kind) if not name.startswith("_")}
     without_it = {"state", "fault", "observe", "active", "stop", "recover", "close"}
-    assert asked - without_it - KEPT == set()
+    assert asked - without_it - KNOWN_MEMBERS == set()
 
 
 def test_damaged_or_missing_readings_are_refused(tmp_path: Path) -> None:

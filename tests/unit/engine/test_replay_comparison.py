@@ -4,7 +4,7 @@ from typing import Any
 
 import pytest
 
-from procedures.engine.replay.replay import Verdict, compared
+from procedures.engine.replay.replay import Verdict, compare_records
 from ronna_hw.records import Record
 
 RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5, 0.0]], "joints_rad": [0.009]}
@@ -12,7 +12,7 @@ RECORDED = {"count": 3, "centre_mm": [812.1865, 0.25], "covariance_mm2": [[1e-5,
 
 def verdict(**now: Any) -> tuple[Verdict, tuple[str, ...]]:
     was, again = (Record("09-fit", "fit", {}, payload) for payload in (RECORDED, {**RECORDED, **now}))
-    found = compared("fit", was, again)
+    found = compare_records("fit", was, again)
     return found.verdict, found.why
 
 

@@ -17,9 +17,9 @@ from procedures.journal.journal import Entry, Journal
 from procedures.journal.results import StepResult
 from procedures.runs.engine_setup import theatre_inputs
 from procedures.runs.interrupted_run import read_interrupted_run
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import JOURNAL_FILE, RunChanged, read_chain
-from ronna_hw.evidence.manifest import WITH_PORTS, input_hashes, theatre_files
+from ronna_hw.evidence.manifest import WITH_PORTS, hash_inputs, list_theatre_files
 
 CT, TOOL = "case/ct/slice-1.dcm", "theatre/frame.rom"
 
@@ -46,7 +46,7 @@ def reading(run: Path, *files: Path) -> Engine:
         return Outcome(Image())
 
     cell = RecordingCell(run)
-    cell.journal.write(Entry.OPENED, 0.0, run=run.name, inputs=input_hashes(run, theatre_files(run)))
+    cell.journal.write(Entry.OPENED, 0.0, run=run.name, inputs=hash_inputs(run, list_theatre_files(run)))
     engine = cell.engine(plain_order("T1", image=read))
     engine.run_step(engine.order.find("image"))
     return engine
@@ -57,7 +57,7 @@ def reading(run: Path, *files: Path) -> Engine:
 def test_an_input_exchanged_while_the_run_was_open_is_named(run: Path, engine: Engine, name: str) -> None:
     (run / name).write_text("another")
     engine.close("done")
-    (problem,) = inspected(run).changes
+    (problem,) = inspect_run(run).changes
     assert (
         str(problem) == f"{name}: exchanged while the run was open: its results were made from another file"
     )
@@ -87,11 +87,11 @@ def test_a_repeated_step_is_made_from_the_input_as_it_is_then(run: Path, engine:
 def test_an_input_out_of_reach_at_the_end_is_compared_when_it_is_back(run: Path, engine: Engine) -> None:
     aside = (run / CT).rename(run.with_name("aside"))
     engine.close("left")
-    assert [problem.what for problem in inspected(run).changes] == ["missing"]
+    assert [problem.what for problem in inspect_run(run).changes] == ["missing"]
     aside.rename(run / CT)
-    assert "exchanged" not in str(inspected(run).changes)
+    assert "exchanged" not in str(inspect_run(run).changes)
     (run / CT).write_text("another")
-    assert "changed" in {problem.what for problem in inspected(run).changes if problem.file == CT}
+    assert "changed" in {problem.what for problem in inspect_run(run).changes if problem.file == CT}
 
 
 def test_inputs_whose_folder_is_elsewhere_now_are_not_compared_and_the_run_is_whole(
@@ -102,16 +102,16 @@ def test_inputs_whose_folder_is_elsewhere_now_are_not_compared_and_the_run_is_wh
     (patient / "slice-1.dcm").write_text("as it was")
     reading(run, *patient.iterdir()).close("done")
     aside = patient.rename(tmp_path / "archive")
-    found = inspected(run)
+    found = inspect_run(run)
     assert (found.changes, found.out_of_reach) == ((), (str(patient / "slice-1.dcm"),))
     aside.rename(patient)
     (patient / "slice-1.dcm").unlink()
-    assert [str(problem) for problem in inspected(run).changes] == [f"{patient}/slice-1.dcm: missing"]
+    assert [str(problem) for problem in inspect_run(run).changes] == [f"{patient}/slice-1.dcm: missing"]
 
 
 def test_an_input_changed_after_a_kill_is_told_and_left_to_the_resumed_run(run: Path, engine: Engine) -> None:
     (run / CT).write_text("another")
-    found = inspected(run)
+    found = inspect_run(run)
     assert f"{CT}: changed since results were made from it" in map(str, found.problems)
     assert found.changes == ()
 
@@ -121,8 +121,8 @@ def test_a_theatre_file_exchanged_before_a_kill_is_named_to_who_takes_the_run_up
 ) -> None:
     assert engine.upcoming is not None
     (run / TOOL).write_text("another")
-    assert [str(problem) for problem in inspected(run).changes] == [f"{TOOL}: changed"]
-    assert inspected(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
+    assert [str(problem) for problem in inspect_run(run).changes] == [f"{TOOL}: changed"]
+    assert inspect_run(run).not_as_left == {TOOL: hashlib.sha256(b"as it was").hexdigest()}
     with pytest.raises(RunChanged):
         read_interrupted_run(run)
 
@@ -132,10 +132,10 @@ def test_a_theatre_file_with_the_ports_of_a_program_that_never_took_the_run_up_i
 ) -> None:
     (run / WITH_PORTS).write_text("port = 1")
     cell = RecordingCell(run)
-    inputs = input_hashes(run, theatre_files(run))
+    inputs = hash_inputs(run, list_theatre_files(run))
     cell.journal.write(Entry.OPENED, 0.0, run=run.name, inputs=inputs)
     (run / WITH_PORTS).write_text("port = 2")
-    assert inspected(run).changes == ()
+    assert inspect_run(run).changes == ()
 
 
 def test_a_plan_written_again_in_a_resumed_run_is_no_change_after_a_kill(run: Path, engine: Engine) -> None:
@@ -144,12 +144,12 @@ def test_a_plan_written_again_in_a_resumed_run_is_no_change_after_a_kill(run: Pa
     (run / CT).write_text("the same, with a comment")
     record = next(line["record"] for line in chain.lines if line["entry"] == Entry.RESULT)
     journal = Journal.reopen_run(run, chain)
-    journal.write(Entry.RESTARTED, 0.0, inputs=dict(input_hashes(run, theatre_files(run))))
-    again = dict(input_hashes(run, [run / CT]))
+    journal.write(Entry.RESTARTED, 0.0, inputs=dict(hash_inputs(run, list_theatre_files(run))))
+    again = dict(hash_inputs(run, [run / CT]))
     journal.write(Entry.FINDING, 0.0, text="written again", record=record, inputs=again)
-    assert inspected(run).changes == ()
+    assert inspect_run(run).changes == ()
     (run / CT).write_text("another")
-    assert f"{CT}: changed since results were made from it" in map(str, inspected(run).problems)
+    assert f"{CT}: changed since results were made from it" in map(str, inspect_run(run).problems)
 
 
 @pytest.mark.parametrize("in_place", [None, "a file"], ids=["nothing", "a file"])
@@ -162,7 +162,7 @@ def test_an_input_below_what_is_no_folder_is_out_of_reach(run: Path, in_place: s
     cell.journal.write(
         Entry.CLOSED, 0.0, outcome="done", files={}, inputs={f"{elsewhere}/plan.toml": "0" * 64}
     )
-    assert inspected(run).out_of_reach == (f"{elsewhere}/plan.toml",)
+    assert inspect_run(run).out_of_reach == (f"{elsewhere}/plan.toml",)
 
 
 def test_a_theatre_file_that_was_added_is_no_input_of_who_takes_the_run_up(run: Path) -> None:

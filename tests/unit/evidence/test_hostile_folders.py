@@ -15,7 +15,7 @@ from recording_cell import RecordingCell
 
 from procedures.journal.journal import JOURNAL_FILE, Entry
 from procedures.runs.finishing import seal_run
-from ronna_hw.evidence.inspection import MOST_NAMES, inspected
+from ronna_hw.evidence.inspection import MOST_NAMES, inspect_run
 from ronna_hw.evidence.manifest import LARGEST_FILE_BYTES, NOT_AS_LEFT, SEAL_FILE, read_seal, sha256_of
 from ronna_hw.records import Record, write_record
 
@@ -50,11 +50,11 @@ def test_an_endless_chain_of_folders_is_reported_as_added(
     run: Path, where: str, chain_of_folders: Callable[[Path], None]
 ) -> None:
     chain_of_folders(run / f"{where}deep")
-    (problem,) = inspected(run).changes
+    (problem,) = inspect_run(run).changes
     assert problem.file.startswith(f"{where}deep/")
     assert problem.beside
     gone_home(run)
-    assert inspected(run).problems == (problem,)
+    assert inspect_run(run).problems == (problem,)
 
 
 @pytest.mark.parametrize("where", ["export", ".report.partial"])
@@ -62,13 +62,13 @@ def test_an_endless_chain_of_folders_that_is_not_part_of_the_run_is_ignored(
     run: Path, where: str, chain_of_folders: Callable[[Path], None]
 ) -> None:
     chain_of_folders(run / where)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.parametrize("size", [LARGEST_FILE_BYTES + 1, 300_000_000_000])
 def test_an_oversized_file_is_reported_as_changed_by_its_size_alone(run: Path, size: int) -> None:
     os.truncate(run / "pictures" / "ct-1.png", size)
-    (problem,) = inspected(run).problems
+    (problem,) = inspect_run(run).problems
     assert str(problem) == "pictures/ct-1.png: changed: larger than any file of a run"
 
 
@@ -86,7 +86,7 @@ def test_inputs_elsewhere_are_hashed_up_to_a_limit_of_all_together(
         file.write_bytes(bytes(400))
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.CLOSED, 0.0, inputs={str(file): sha256_of(file) for file in files})
-    named = [problem for problem in inspected(cell.folder).problems if problem.file == str(files[2])]
+    named = [problem for problem in inspect_run(cell.folder).problems if problem.file == str(files[2])]
     assert [problem.what for problem in named] == ["not checked: too much lies outside the run"]
 
 
@@ -100,13 +100,13 @@ def test_a_file_whose_name_is_not_valid_text_is_not_sealed(run: Path) -> None:
     (run / SEAL_FILE).unlink()
     (run / "report" / os.fsdecode(b"a\xff")).write_text("from elsewhere")
     seal_run(run)
-    (problem,) = inspected(run).problems
+    (problem,) = inspect_run(run).problems
     assert str(problem) == "report/a\\udcff: added: not part of the run"
 
 
 def test_a_line_break_in_a_file_name_does_not_forge_a_line(run: Path) -> None:
     (run / "note\nwhole.json").write_text("from elsewhere")
-    (problem,) = inspected(run).problems
+    (problem,) = inspect_run(run).problems
     assert str(problem) == "note whole.json: added: not part of the run"
 
 
@@ -115,7 +115,7 @@ def test_a_seal_that_claims_a_huge_journal_costs_no_memory(run: Path) -> None:
     assert made is not None
     longer = made.model_copy(update={"journal_bytes": 10**18}).with_own_hash()
     (run / SEAL_FILE).write_text(longer.model_dump_json(by_alias=True, indent=1))
-    assert inspected(run).changes == ()  # of the same bytes, which are all there is
+    assert inspect_run(run).changes == ()  # of the same bytes, which are all there is
     (run / JOURNAL_FILE).write_bytes((run / JOURNAL_FILE).read_bytes() + b"\n")
     assert changed_files(run) == {JOURNAL_FILE}
 
@@ -131,7 +131,7 @@ def test_impossible_file_names_in_a_journal_are_reported(tmp_path: Path, name: s
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.RESULT, 0.0, step="image", record=name, sha256="0", pictures={name: "0"})
     cell.journal.write(Entry.CLOSED, 0.0, files={name: "0"})
-    wrong = {problem.file for problem in inspected(cell.folder).changes}
+    wrong = {problem.file for problem in inspect_run(cell.folder).changes}
     assert wrong >= {f"records/{name}.json", f"pictures/{name}", name}
 
 
@@ -149,7 +149,7 @@ def test_a_file_outside_the_run_that_a_journal_names_is_reported_and_not_opened(
     opened: list[Path] = []
     for where in ("inspection.read_record", "inspection.sha256_of"):
         monkeypatch.setattr(f"ronna_hw.evidence.{where}", opened.append)
-    problems = {problem.file: problem.what for problem in inspected(cell.folder).changes}
+    problems = {problem.file: problem.what for problem in inspect_run(cell.folder).changes}
     named = (f"records/../{name}.json", f"records/{name}.json", f"pictures/{name}", f"{name}.json")
     assert {problems[one] for one in named} == {"not the name of a file of the run"}
     assert opened == []
@@ -168,7 +168,7 @@ def test_a_record_that_a_journal_names_twice_is_reported_and_read_once(
         return Record("a", "image", {}, {})
 
     monkeypatch.setattr("ronna_hw.evidence.inspection.read_record", reads)
-    assert "records/a.json: named twice" in map(str, inspected(cell.folder).changes)
+    assert "records/a.json: named twice" in map(str, inspect_run(cell.folder).changes)
     assert read == ["a.json"]
 
 
@@ -185,7 +185,7 @@ def test_a_journal_that_names_very_many_files_is_checked_at_bounded_cost(
     for number in range(2000):
         (cell.folder / f"{number:x}").touch()
     with bounded_cost():
-        problems = inspected(cell.folder).changes
+        problems = inspect_run(cell.folder).changes
     assert problems[0].what.startswith("names more than") == (count > MOST_NAMES)
 
 
@@ -193,4 +193,4 @@ def test_a_journal_that_names_very_many_files_is_checked_at_bounded_cost(
 def test_an_input_elsewhere_with_an_impossible_name_is_reported(tmp_path: Path, name: str) -> None:
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.CLOSED, 0.0, inputs={name: "0" * 64})
-    assert name in {problem.file for problem in inspected(cell.folder).changes}
+    assert name in {problem.file for problem in inspect_run(cell.folder).changes}

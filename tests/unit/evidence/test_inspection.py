@@ -23,14 +23,14 @@ from recording_cell import RecordingCell
 from spoilt_runs import files_in, with_another_byte
 
 from procedures.journal.journal import JOURNAL_FILE
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged
 from ronna_hw.evidence.manifest import OWN_FOLDERS, SEAL_FILE
 from ronna_hw.records import canonical_json
 
 
 def test_an_unchanged_run_is_intact(finished: Path) -> None:
-    assert inspected(finished).require_whole().problems == ()
+    assert inspect_run(finished).require_whole().problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -40,23 +40,23 @@ def test_any_changed_byte_is_found(finished: Path, data: st.DataObject) -> None:
     path = data.draw(st.sampled_from(files_in(finished)))
     place = data.draw(st.integers(0, path.stat().st_size - 1))
     with with_another_byte(path, place, data.draw(st.integers(1, 255))):
-        assert path.relative_to(finished).as_posix() in {one.file for one in inspected(finished).problems}
+        assert path.relative_to(finished).as_posix() in {one.file for one in inspect_run(finished).problems}
         with pytest.raises(RunChanged, match="PRO-033"):
-            inspected(finished).require_whole()
+            inspect_run(finished).require_whole()
 
 
 @pytest.mark.hazard(39)
 @pytest.mark.parametrize("name", ["empty", "records/empty", "theatre/a/b"])
 def test_an_added_folder_is_named_although_it_is_empty(run: Path, name: str) -> None:
     (run / name).mkdir(parents=True)
-    (problem,) = inspected(run).problems
+    (problem,) = inspect_run(run).problems
     assert str(problem) == f"{name}: added: not part of the run"
 
 
 def test_a_folder_that_a_run_made_and_never_filled_is_part_of_it(run: Path) -> None:
     for name in sorted(OWN_FOLDERS):
         (run / name).mkdir(exist_ok=True)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -64,7 +64,7 @@ def test_any_missing_file_is_named(finished: Path, tmp_path: Path) -> None:
     for path in files_in(finished):
         aside = path.rename(tmp_path / "aside")
         try:
-            named = {problem.file for problem in inspected(finished).problems}
+            named = {problem.file for problem in inspect_run(finished).problems}
             assert path.relative_to(finished).as_posix() in named
         finally:
             aside.rename(path)
@@ -76,7 +76,7 @@ def test_any_two_swapped_files_are_named(run: Path) -> None:
         contents = one.read_bytes(), other.read_bytes()
         one.write_bytes(contents[1])
         other.write_bytes(contents[0])
-        named = {problem.file for problem in inspected(run).problems}
+        named = {problem.file for problem in inspect_run(run).problems}
         exchanged = {path.relative_to(run).as_posix() for path in (one, other)}
         # Without journal and seal nothing can be said of the rest.
         assert (exchanged & {JOURNAL_FILE} or exchanged & {SEAL_FILE} or exchanged) <= named
@@ -102,7 +102,7 @@ def test_removed_last_journal_lines_are_detected(run: Path, count: int) -> None:
 def test_a_record_from_another_run_is_named(run: Path, tmp_path: Path) -> None:
     name = "records/02-localization-T1.json"
     shutil.copy(finished_run(tmp_path / "another") / name, run / name)
-    what = " ".join(problem.what for problem in inspected(run).changes if problem.file == name)
+    what = " ".join(problem.what for problem in inspect_run(run).changes if problem.file == name)
     assert "not the record named in the journal" in what
     assert "is of run another" in what
 
@@ -143,7 +143,7 @@ def test_repeating_a_step_keeps_the_pictures_of_its_earlier_runs(tmp_path: Path)
         engine.run_step(order.find("image"))
     engine.close("left")
     assert sorted(os.listdir(cell.folder / "pictures")) == ["ct-1-2.png", "ct-1-3.png", "ct-1.png"]
-    assert inspected(cell.folder).changes == ()
+    assert inspect_run(cell.folder).changes == ()
 
 
 @pytest.mark.hazard(39)
@@ -151,10 +151,10 @@ def test_a_renamed_run_is_refused(run: Path) -> None:
     assert {json.loads(path.read_text())["run"] for path in (run / "records").iterdir()} == {"run"}
     renamed = run.rename(run.with_name("another"))
     with pytest.raises(RunChanged, match="of run run, in a folder named another"):
-        inspected(renamed).require_whole()
+        inspect_run(renamed).require_whole()
 
 
 def test_exports_are_not_part_of_the_run(run: Path) -> None:
     (run / "export").mkdir()
     (run / "export" / "spheres.csv").write_text("M1")
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()

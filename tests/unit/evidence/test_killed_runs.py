@@ -9,9 +9,9 @@ import pytest
 from finished_runs import changed_files
 
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import read_chain
-from ronna_hw.evidence.manifest import SEAL_FILE, truth_so_far
+from ronna_hw.evidence.manifest import SEAL_FILE, hash_truth_files
 from ronna_hw.records import read_record, write_record
 
 
@@ -70,7 +70,7 @@ def test_changes_after_a_kill_are_distinguished_from_the_traces_of_the_kill(
     killed: Path, spoil: Callable[[Path], None]
 ) -> None:
     assert changed_files(killed) == set()
-    assert [problem.what.partition(":")[0] for problem in inspected(killed).problems] == ["not closed"]
+    assert [problem.what.partition(":")[0] for problem in inspect_run(killed).problems] == ["not closed"]
     spoil(killed)
     assert changed_files(killed) == {SPOILED[spoil]}
 
@@ -92,11 +92,11 @@ def sampled(tmp_path: Path) -> Path:
     scene, truth = (folder / "theatre" / name for name in ("scene.json", "truth.jsonl"))
     scene.write_text("where everything is\n")
     journal = Journal(folder)
-    journal.write(Entry.OPENED, 0.0, run=folder.name, **truth_so_far(folder))
+    journal.write(Entry.OPENED, 0.0, run=folder.name, **hash_truth_files(folder))
     journal.write(Entry.INTENT, 1.0, step="at_target:T1")
     truth.write_text("where the tip was\n")
     assert changed_files(folder) == set()  # killed at its target
-    journal.write(Entry.FOUND, 2.0, **truth_so_far(folder))
+    journal.write(Entry.FOUND, 2.0, **hash_truth_files(folder))
     journal.close()
     assert changed_files(folder) == set()
     return folder

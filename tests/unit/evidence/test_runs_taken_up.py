@@ -13,13 +13,13 @@ from user_commands import in_this_process
 from procedures.cli.procedure import app as ronna_procedure
 from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal, read_journal
-from procedures.runs.finishing import make_report
+from procedures.runs.finishing import rebuild_report
 from procedures.runs.interrupted_run import read_interrupted_run
 from ronna_hw.errors import EXIT_DONE, EXIT_REFUSED, EXIT_UNCONFIRMED
-from ronna_hw.evidence.inspection import Problem, inspected
+from ronna_hw.evidence.inspection import Problem, inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
 from ronna_hw.evidence.manifest import SEAL_FILE, Manifest, is_sealed
-from ronna_hw.evidence.unsealed import UNSEALED, unsealed_sentences
+from ronna_hw.evidence.unsealed import UNSEALED, describe_unsealed_files
 
 READINGS = "readings.jsonl"
 
@@ -61,7 +61,7 @@ def with_a_changed_picture(run: Path) -> Path:
 def test_a_change_outside_journal_and_records_passes_the_check_before_homing(
     run: Path, spoil: Callable[[Path], Path]
 ) -> None:
-    found = inspected(spoil(run))
+    found = inspect_run(spoil(run))
     with pytest.raises(RunChanged):
         found.require_unchanged()
     assert found.require_account().changes != ()
@@ -71,9 +71,9 @@ def test_homing_does_not_make_an_added_file_part_of_the_run(run: Path) -> None:
     stray = with_a_stray_file(run) / "notes.txt"
     for _ in range(2):
         gone_home(run)
-        assert [problem.file for problem in inspected(run).problems] == ["notes.txt"]
+        assert [problem.file for problem in inspect_run(run).problems] == ["notes.txt"]
     stray.unlink()
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 def test_homing_does_not_vouch_for_a_changed_file(run: Path) -> None:
@@ -82,9 +82,9 @@ def test_homing_does_not_vouch_for_a_changed_file(run: Path) -> None:
     plan.write_bytes(b"schema = 2\n")
     for _ in range(2):
         gone_home(run)
-        assert inspected(run).problems == (Problem("case/plan.toml", "changed"),)
+        assert inspect_run(run).problems == (Problem("case/plan.toml", "changed"),)
     plan.write_bytes(as_it_was)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -103,7 +103,7 @@ def test_a_session_that_was_killed_does_not_hide_what_it_found_changed(
     (run / "notes.txt").unlink(missing_ok=True)
     if name == READINGS:
         (run / READINGS).write_text("as read")
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -119,7 +119,7 @@ def test_a_file_that_was_put_back_after_a_killed_session_is_as_it_was_left(run: 
 def test_a_changed_journal_or_record_fails_the_check_before_homing(run: Path, name: str) -> None:
     (run / name).write_bytes((run / name).read_bytes().replace(b"image", b"imagf"))
     with pytest.raises(RunChanged, match=name):
-        inspected(run).require_account()
+        inspect_run(run).require_account()
 
 
 @pytest.mark.hazard(39)
@@ -140,11 +140,11 @@ def test_the_seal_of_an_earlier_end_does_not_cover_a_resumed_run(run: Path) -> N
     journal.write(Entry.CLOSED, 2.0, outcome="done", files=files)
     journal.close()
     assert not is_sealed(run)
-    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    assert [problem.file for problem in inspect_run(run).problems] == [SEAL_FILE]
     with pytest.raises(RunChanged, match="the last end was not sealed"):
-        inspected(run).require_whole()
+        inspect_run(run).require_whole()
     sealed(run)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
@@ -161,7 +161,7 @@ def test_a_line_added_to_a_sealed_journal_is_detected(run: Path) -> None:
         (False, 1, gone_home, {"theatre/world.json", "theatre/truth.jsonl", "case/plan.toml"}),
         (False, 0, gone_home, {"theatre/world.json"}),
         (True, 0, gone_home, set()),
-        (False, 0, make_report, {"theatre/world.json"}),
+        (False, 0, rebuild_report, {"theatre/world.json"}),
     ],
     ids=["killed", "home without a seal", "home over a changed log", "report without a seal"],
 )
@@ -198,7 +198,7 @@ def test_taking_up_a_run_without_seal_and_last_line_makes_it_intact_only_as_far_
 
 def test_the_sentence_about_what_lay_unsealed_counts_the_files_of_a_folder() -> None:
     files = {"log.jsonl": 9, "bytes/a": 1, "bytes/b": 2, "theatre/world.json": 3}
-    (sentence,) = unsealed_sentences(({"entry": Entry.RESTARTED, UNSEALED: files},))
+    (sentence,) = describe_unsealed_files(({"entry": Entry.RESTARTED, UNSEALED: files},))
     assert "log.jsonl (9 bytes), bytes (2 files), theatre/world.json (3 bytes) had no seal" in sentence
 
 

@@ -34,9 +34,9 @@ from ronna_hw.devices.readings import (
     TrackerFrame,
     Validity,
 )
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
-from ronna_hw.evidence.manifest import RAW_FOLDER, hashes_at_closing, seal
+from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
 from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape
 
 STAMP = Stamp(7, 4242, 1.25)
@@ -72,7 +72,7 @@ def run_of(folder: Path, *answers: tuple[str, str, object], keep_raw: bool = Fal
     for device, call, value in answers:
         tape.keep(device, call, Lifecycle.ACTIVE, value)
     tape.close()
-    files = hashes_at_closing(folder)
+    files = hash_files_at_closing(folder)
     journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
     journal.close()
     seal(folder, files)
@@ -155,10 +155,12 @@ def test_raw_readings_kept_in_a_run_are_sealed_with_it(run: Path) -> None:
     write_raw(run, run / RAW_FOLDER)
     closed = json.loads((run / "journal.jsonl").read_text().splitlines()[-1])["files"]
     seal(run, closed)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
     picture = run / RAW_FOLDER / "pictures" / "00001-left.png"
     picture.write_bytes(picture.read_bytes()[:-1])
-    assert [str(one) for one in inspected(run).problems] == [f"{RAW_FOLDER}/pictures/00001-left.png: changed"]
+    assert [str(one) for one in inspect_run(run).problems] == [
+        f"{RAW_FOLDER}/pictures/00001-left.png: changed"
+    ]
 
 
 @pytest.mark.parametrize("keep_raw", [True, False])
@@ -169,7 +171,7 @@ def test_sealing_writes_raw_readings_only_when_requested_and_the_run_stays_intac
     for _ in range(2):  # a run that is taken up again ends twice
         seal_run(run)
         assert (run / RAW_FOLDER / "tracker.csv").exists() == keep_raw
-        assert inspected(run).problems == ()
+        assert inspect_run(run).problems == ()
 
 
 def test_existing_raw_readings_are_kept_when_they_cannot_be_rewritten(tmp_path: Path) -> None:
@@ -198,7 +200,7 @@ def test_sealing_at_once_or_interrupted_keeps_the_existing_raw_readings(
         signal.signal(signal.SIGINT, handler)
     assert f"ronna-procedure raw {run}" in capsys.readouterr().err
     assert (run / RAW_FOLDER / "tracker.csv").exists()
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Path) -> None:
@@ -209,7 +211,7 @@ def test_readings_of_a_later_session_missing_from_raw_are_reported(tmp_path: Pat
     journal = Journal.reopen_run(run, read_chain(run / "journal.jsonl"))
     journal.write(Entry.RESTARTED, 4.0)
     journal.write(Entry.INTENT, 4.0, step="relocalization:T2")
-    journal.write(Entry.CLOSED, 5.0, outcome="interrupted", files=hashes_at_closing(run))
+    journal.write(Entry.CLOSED, 5.0, outcome="interrupted", files=hash_files_at_closing(run))
     journal.close()
     seal_run(run, at_once=True)
     for command in ("show", "verify"):

@@ -20,7 +20,7 @@ from procedures.journal.journal import Entry, Journal
 from procedures.journal.results import StepResult
 from procedures.steps.clinical.results import RegisteredRobot
 from ronna_hw.evidence.journal_reading import RunChanged
-from ronna_hw.evidence.manifest import RAW_FOLDER, hashes_at_closing, seal
+from ronna_hw.evidence.manifest import RAW_FOLDER, hash_files_at_closing, seal
 from ronna_hw.frames import Frame, Transform
 from ronna_hw.records import OtherVersion
 
@@ -41,11 +41,11 @@ def record(run: Path, *results: tuple[StepKey, StepResult]) -> Path:
     case, journal = Case(run), Journal(run)
     for key, result in results:
         stored = case.store(key, result, ())
-        gone = [one.identifier for one in case.superseded_by(key)]
+        gone = [one.identifier for one in case.records_superseded_by(key)]
         names = {"record": stored.record.identifier, "sha256": stored.record.sha256}
         journal.write(Entry.RESULT, 0.0, step=str(key), supersedes=gone, **names)
         case.accept(key, stored)
-    files = hashes_at_closing(run)
+    files = hash_files_at_closing(run)
     journal.write(Entry.CLOSED, 0.0, outcome="done", files=files)
     journal.close()
     seal(run, files)

@@ -17,7 +17,7 @@ def watched(places_mm: NDArray[np.float64]) -> HeadFrames:
     """After enough readings that show spheres at these places."""
     head = HeadFrames(SPHERES_MM)
     for _ in range(FAR_READINGS):
-        head.take(showing(places_mm))
+        head.add_frame(showing(places_mm))
     return head
 
 
@@ -50,7 +50,7 @@ def test_a_head_that_moved_is_recognised_although_a_sphere_is_hidden_in_every_fr
 ) -> None:
     head = HeadFrames(SPHERES_MM)
     for number in range(SPAN):
-        head.take(
+        head.add_frame(
             showing(np.delete(np.add(SPHERES_MM, (3.0, 0.0, 0.0)), hidden[number % len(hidden)], axis=0))
         )
     assert head.moved_mm == pytest.approx(3.0)
@@ -62,7 +62,7 @@ def test_frames_that_never_say_whether_the_head_moved_do_not_count_as_seen() -> 
     head = HeadFrames(many)
     for number in range(SPAN + 1):
         shown = [(number + one) % len(many) for one in range(LEAST_POINTS)]  # each in three of eight
-        head.take(showing(many[shown]))
+        head.add_frame(showing(many[shown]))
     assert head.moved_mm is None
     assert not head.seen
 
@@ -73,5 +73,5 @@ def test_one_sphere_that_alone_is_elsewhere_does_not_make_a_moved_head() -> None
     places_mm[3] += (0.0, 0.0, 5.0)  # a glint beside a hidden one
     head = HeadFrames(SPHERES_MM)
     for _ in range(AVERAGED):
-        head.take(showing(places_mm))
+        head.add_frame(showing(places_mm))
     assert head.moved_mm == pytest.approx(0.0)

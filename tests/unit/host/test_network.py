@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from ronna_hw.host.network import interface_of, interfaces
+from ronna_hw.host.network import find_interface, interfaces
 
 
 def test_the_loopback_interface_is_found_and_reaches_only_addresses_of_its_subnet() -> None:
-    own = interface_of("127.0.0.1")
+    own = find_interface("127.0.0.1")
     assert own in interfaces()
     assert own is not None
     assert own.loopback

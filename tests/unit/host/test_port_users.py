@@ -13,11 +13,11 @@ from pathlib import Path
 import pytest
 
 from ronna_hw.host.port_users import (
-    clients_of_tcp_port,
-    permission_advice,
-    permissions,
-    user_of_udp_port,
-    users_of_serial_port,
+    advise_on_permission,
+    describe_permissions,
+    find_serial_port_users,
+    find_tcp_clients,
+    find_udp_port_user,
 )
 
 OPENS_OURS = (
@@ -56,9 +56,9 @@ def terminal() -> Iterator[str]:
 def test_another_process_using_a_serial_port_is_reported_with_its_command_line(
     start: Start, terminal: str
 ) -> None:
-    assert users_of_serial_port(terminal) == ()
+    assert find_serial_port_users(terminal) == ()
     pid, _ = start(OPENS_OURS, terminal)
-    (user,) = users_of_serial_port(terminal)
+    (user,) = find_serial_port_users(terminal)
     assert user.pid == pid
     assert sys.executable[:20] in user.name
     assert f"(pid {pid})" in str(user)
@@ -74,19 +74,19 @@ def test_another_process_connected_to_a_tcp_port_is_reported_and_this_one_is_not
     with socket.create_server(("127.0.0.1", 0)) as server:
         port = server.getsockname()[1]
         with socket.create_connection(("127.0.0.1", port)):
-            assert clients_of_tcp_port("localhost", port) == ()
+            assert find_tcp_clients("localhost", port) == ()
         pid, _ = start(CONNECTS, str(port))
-        (user,) = clients_of_tcp_port("localhost", port)
+        (user,) = find_tcp_clients("localhost", port)
     assert user.pid == pid
 
 
 def test_the_process_on_the_master_side_of_a_terminal_is_not_reported(start: Start) -> None:
     _, path = start(MAKES_ITS_OWN)
-    assert users_of_serial_port(path) == ()
+    assert find_serial_port_users(path) == ()
 
 
 def test_a_port_that_does_not_exist_has_no_users() -> None:
-    assert users_of_serial_port("/dev/no-such-port") == ()
+    assert find_serial_port_users("/dev/no-such-port") == ()
 
 
 @pytest.mark.parametrize("bound", ["127.0.0.1", "0.0.0.0"])
@@ -94,19 +94,19 @@ def test_the_process_bound_to_a_udp_port_is_reported(bound: str) -> None:
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as ours:
         ours.bind((bound, 0))
         port = ours.getsockname()[1]
-        user = user_of_udp_port("127.0.0.1", port)
+        user = find_udp_port_user("127.0.0.1", port)
         assert user is not None
         assert user.pid == os.getpid()
-        assert (user_of_udp_port("127.0.0.2", port) is None) == (bound == "127.0.0.1")
-    assert user_of_udp_port("127.0.0.1", port) is None
+        assert (find_udp_port_user("127.0.0.2", port) is None) == (bound == "127.0.0.1")
+    assert find_udp_port_user("127.0.0.1", port) is None
 
 
 def test_permission_advice_depends_on_the_group_access_to_the_port(tmp_path: Path) -> None:
     port = tmp_path / "ttyUSB0"
     port.touch()
     port.chmod(stat.S_IRUSR | stat.S_IWUSR | stat.S_IRGRP | stat.S_IWGRP)
-    assert "sudo usermod -aG " in permission_advice(str(port))
-    assert permissions(str(port)).startswith("-rw-rw---- ")
+    assert "sudo usermod -aG " in advise_on_permission(str(port))
+    assert describe_permissions(str(port)).startswith("-rw-rw---- ")
     port.chmod(stat.S_IRUSR)
-    assert "udev" in permission_advice(str(port))
-    assert "dialout" in permission_advice("/dev/no-such-port")
+    assert "udev" in advise_on_permission(str(port))
+    assert "dialout" in advise_on_permission("/dev/no-such-port")

@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from ronna_hw.host.process import OWN_PACKAGES, foreign_packages, require_own_packages
+from ronna_hw.host.process import OWN_PACKAGES, find_foreign_packages, require_own_packages
 
 MULTIPLYING = """
 import os, typer
@@ -45,7 +45,7 @@ except ForeignPackage as error:
 
 def test_our_own_packages_are_accepted() -> None:
     require_own_packages()
-    assert foreign_packages() == ()
+    assert find_foreign_packages() == ()
 
 
 def test_foreign_packages_ahead_on_the_path_are_refused_by_name(tmp_path: Path) -> None:

@@ -66,7 +66,7 @@ def test_a_field_without_a_struct_code_is_named() -> None:
 def test_the_places_of_a_memory_map_do_not_overlap() -> None:
     places = MemoryMap(b"TESTMARK")
     word, counters, rows = places.word(), places.counters(3), places.rows(Sample, 2)
-    content, row, last = places.checked_bytes(5), places.checked(Sample), places.word("I")
+    content, row, last = places.checked_bytes(5), places.checked_row(Sample), places.word("I")
     memory = bytearray(places.size_bytes)
     first = Sample(1, Phase.RUNNING, True, (1.0, 2.0, 3.0), "right", "", "one")
     second = first._replace(number=2, name="two")
@@ -119,7 +119,7 @@ def test_a_word_that_another_process_counts_up_is_never_read_as_less() -> None:
 
 def test_a_half_written_row_is_not_read() -> None:
     places = MemoryMap(b"TESTMARK")
-    row, content = places.checked(Sample), places.checked_bytes(16)
+    row, content = places.checked_row(Sample), places.checked_bytes(16)
     memory = bytearray(places.size_bytes)
     assert row.read(memory) is None
     row.write(memory, Sample(1, Phase.IDLE, False, (0.0, 0.0, 0.0), "left", "", ""))

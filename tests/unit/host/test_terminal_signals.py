@@ -61,13 +61,13 @@ with FrameDecoder() as decoder, tempfile.NamedTemporaryFile() as nothing:
         print("gave up" in str(refused))
 """
 COMMAND = """
-from ronna_hw.host.child_process import finished_command
-print(finished_command("sleep", ["sleep", "0.1"], 60).returncode)
+from ronna_hw.host.child_process import run_command
+print(run_command("sleep", ["sleep", "0.1"], 60).returncode)
 """
 MANY_COMMANDS = """
-from ronna_hw.host.child_process import finished_command
+from ronna_hw.host.child_process import run_command
 threading.Thread(target=hammer, daemon=True).start()
-print({finished_command("true", ["true"], 60).returncode for _ in range(50)})
+print({run_command("true", ["true"], 60).returncode for _ in range(50)})
 """
 
 

@@ -11,7 +11,7 @@ import pytest
 from localized_spheres import as_volume
 
 from procedures.imaging import Volume, VoxelGeometry, localize
-from procedures.imaging.pictures import _PLANES, HALF_WIDTH_MM, _plane_name, _planes_through, marker_pictures
+from procedures.imaging.pictures import _PLANES, HALF_WIDTH_MM, _plane_name, _sample_planes, draw_markers
 
 
 def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
@@ -24,7 +24,7 @@ def volume_with_balls(make_scan: Callable[..., Any]) -> Volume:
 def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -> None:
     volume = volume_with_balls(make_scan)
     result = localize(volume, expected=2)
-    pictures = marker_pictures(volume, result)
+    pictures = draw_markers(volume, result)
     assert len(pictures) == 2
     for picture in pictures:
         pixels = cv2.imdecode(np.frombuffer(picture, dtype=np.uint8), cv2.IMREAD_COLOR)
@@ -34,7 +34,7 @@ def test_every_marker_has_a_png_of_three_planes(make_scan: Callable[..., Any]) -
 
 
 def test_each_plane_is_centred_on_the_sphere(make_scan: Callable[..., Any]) -> None:
-    planes = _planes_through(volume_with_balls(make_scan), np.array([20.0, 20.0, 20.0]))
+    planes = _sample_planes(volume_with_balls(make_scan), np.array([20.0, 20.0, 20.0]))
     for plane in planes:
         bright = np.argwhere(plane > -400)
         step_mm = 2 * HALF_WIDTH_MM / (len(plane) - 1)
@@ -44,7 +44,7 @@ def test_each_plane_is_centred_on_the_sphere(make_scan: Callable[..., Any]) -> N
 
 def test_unscanned_regions_are_not_shown_as_air(make_scan: Callable[..., Any]) -> None:
     volume = volume_with_balls(make_scan)
-    _, _, along_columns = _planes_through(volume, np.array([20.0, 2.0, 20.0]))
+    _, _, along_columns = _sample_planes(volume, np.array([20.0, 2.0, 20.0]))
     across = np.linspace(-HALF_WIDTH_MM, HALF_WIDTH_MM, len(along_columns))
     assert np.isnan(along_columns[:, across < -2.1]).all()
     assert np.isfinite(along_columns[:, across > -1.9]).all()

@@ -17,7 +17,7 @@ from scipy.ndimage import gaussian_filter, shift
 
 from procedures.imaging import Volume, localize, read_series
 from procedures.imaging.errors import PatientMoved, SlicesMisplaced
-from procedures.imaging.scan_faults import distortion_warnings, measure_distortion, motion_warnings
+from procedures.imaging.scan_faults import check_distortion, check_motion, measure_distortion
 from procedures.imaging.sphere_centre.ball_model import Stretch
 from procedures.imaging.volume import VoxelGeometry
 
@@ -55,7 +55,7 @@ def head(
 
 
 def test_a_small_movement_is_reported_with_its_size_and_location() -> None:
-    (warning,) = motion_warnings(*head(0.7))
+    (warning,) = check_motion(*head(0.7))
     told_mm = float(warning.split("moved by ")[1].split(" mm")[0])
     assert told_mm == pytest.approx(0.7, rel=0.3)
     assert "between slices 12 and 13" in warning
@@ -67,7 +67,7 @@ def test_a_movement_by_more_than_a_millimetre_is_refused_with_its_size_and_locat
     moved_mm: float, way: tuple[float, float]
 ) -> None:
     with pytest.raises(PatientMoved, match="between slices 12 and 13") as refused:
-        motion_warnings(*head(moved_mm, way=way))
+        check_motion(*head(moved_mm, way=way))
     assert refused.value.got is not None
     assert float(refused.value.got.removesuffix(" mm")) == pytest.approx(moved_mm, rel=0.3)
     assert refused.value.limit == "1.0 mm"
@@ -77,35 +77,35 @@ def test_a_movement_back_along_the_table_that_repeats_slices_is_refused() -> Non
     with pytest.raises(
         PatientMoved, match=r"back along the table at S .*, between slices 12 and 13"
     ) as refused:
-        motion_warnings(*head(0.0, slid_mm=-3.0))
+        check_motion(*head(0.0, slid_mm=-3.0))
     assert refused.value.got is not None
     assert float(refused.value.got.removesuffix(" mm")) == pytest.approx(3.0, rel=0.2)
 
 
 def test_a_movement_shows_in_noisy_slices_of_two_millimetres() -> None:
     with pytest.raises(PatientMoved):
-        motion_warnings(*head(2.0, slice_mm=2.0, noise_hu=50.0))
+        check_motion(*head(2.0, slice_mm=2.0, noise_hu=50.0))
 
 
 @pytest.mark.parametrize("seed", range(4))
 def test_a_patient_who_lies_still_gives_no_warning(seed: int) -> None:
-    assert motion_warnings(*head(0.0, seed=seed)) == ()
-    assert motion_warnings(*head(0.0, slice_mm=2.0, seed=seed, noise_hu=50.0)) == ()
+    assert check_motion(*head(0.0, seed=seed)) == ()
+    assert check_motion(*head(0.0, slice_mm=2.0, seed=seed, noise_hu=50.0)) == ()
 
 
 def test_something_that_begins_between_two_slices_is_no_movement() -> None:
     voxels, geometry = head(0.0)
     voxels[12:, 8:12, 20:100] = 300  # a board under the head
-    assert motion_warnings(voxels, geometry) == ()
+    assert check_motion(voxels, geometry) == ()
 
 
 def test_thick_slices_give_no_motion_warning() -> None:
-    assert motion_warnings(*head(3.0, slice_mm=4.0)) == ()
+    assert check_motion(*head(3.0, slice_mm=4.0)) == ()
 
 
 def test_empty_slices_give_no_motion_warning() -> None:
     _, geometry = head(0.0)
-    assert motion_warnings(np.full(SHAPE, -1000, dtype=np.int16), geometry) == ()
+    assert check_motion(np.full(SHAPE, -1000, dtype=np.int16), geometry) == ()
 
 
 def test_a_series_of_a_patient_who_moved_is_not_read(dicom_series: Callable[..., Path]) -> None:
@@ -171,7 +171,7 @@ def test_three_markers_are_too_few() -> None:
 
 
 def test_one_odd_marker_says_nothing_about_the_scan() -> None:
-    assert distortion_warnings([stretch(0.0 * FLAT)] * 6 + [stretch(0.3 * FLAT)], RADIUS_MM) == ()
+    assert check_distortion([stretch(0.0 * FLAT)] * 6 + [stretch(0.3 * FLAT)], RADIUS_MM) == ()
 
 
 def test_markers_that_disagree_are_not_sure() -> None:
@@ -179,7 +179,7 @@ def test_markers_that_disagree_are_not_sure() -> None:
     found = measure_distortion([stretch(one) for one in shapes_mm], RADIUS_MM)
     assert found is not None
     assert found.scale > 0.03
-    assert distortion_warnings([stretch(one) for one in shapes_mm], RADIUS_MM) == ()
+    assert check_distortion([stretch(one) for one in shapes_mm], RADIUS_MM) == ()
 
 
 def test_a_shear_is_the_same_in_every_direction_across_the_table() -> None:

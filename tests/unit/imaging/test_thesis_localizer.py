@@ -13,7 +13,7 @@ from localized_spheres import as_volume
 from procedures.imaging import ThesisFit, Volume, errors, localize_as_thesis, read_series
 from procedures.imaging.thesis_localizer import Circles, Cluster, cluster_circles, fit_lines, fit_sphere
 from sim.phantom.case import write_case
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 CENTRES = np.array([[30.2, 19.7, 17.4], [31.1, 20.3, 50.6]])
 
@@ -39,7 +39,7 @@ def test_both_fits_find_the_markers_and_nothing_else(volume: Volume, fit: Thesis
 
 
 def test_the_third_of_exactly_three_spheres_is_not_lost(tmp_path: Path) -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     result = localize_as_thesis(read_series(write_case(scene, tmp_path).series), ThesisFit.LINE, expected=3)
     true = np.array([fiducial.centre_ct_mm for fiducial in scene.head.fiducials])
     distance = np.linalg.norm(result.centres_mm[:, None] - true[None], axis=2)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from drivers.kuka_rsi.errors import MotionTripped
-from drivers.kuka_rsi.fault_errors import error_of_fault
+from drivers.kuka_rsi.fault_errors import fault_error
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Choice, Fault
 from drivers.kuka_rsi.realtime.set_points import SetPoints
@@ -113,7 +113,7 @@ def _fault(kind: str, axis: int, value: float, limit: float, mode: OperationMode
         violation_value=value,
         violation_limit=limit,
     )
-    return error_of_fault("master", state, KukaOptions(), mode, surroundings=_post_beside(15.0))
+    return fault_error("master", state, KukaOptions(), mode, surroundings=_post_beside(15.0))
 
 
 def test_a_trip_names_the_two_bodies_and_the_distance() -> None:

@@ -14,7 +14,7 @@ from drivers.kuka_rsi.errors import (
     PoseDisagrees,
     ProtectiveStop,
 )
-from drivers.kuka_rsi.fault_errors import error_of_fault, error_of_refusal
+from drivers.kuka_rsi.fault_errors import fault_error, refusal_error
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_state import NO_STATE, Fault, LinkState, Result
 from ronna_hw.errors import RonnaError
@@ -35,7 +35,7 @@ from ronna_hw.wire.kuka_eki import OperationMode
     ],
 )
 def test_a_latched_fault_becomes_its_error(fault: Fault, error: type[RonnaError], code: str) -> None:
-    made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
+    made = fault_error("arm", _with(fault), KukaOptions(), OperationMode.EXT)
     assert isinstance(made, error)
     assert made.code == code
 
@@ -46,16 +46,16 @@ def _with(fault: Fault) -> LinkState:
 
 def test_the_silence_error_names_the_message_that_the_controller_shows() -> None:
     silent = NO_STATE._replace(fault=Fault.SILENCE)
-    assert "message 29002" in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT, 29002))
-    assert "message" not in str(error_of_fault("arm", silent, KukaOptions(), OperationMode.EXT)).split(";")[0]
+    assert "message 29002" in str(fault_error("arm", silent, KukaOptions(), OperationMode.EXT, 29002))
+    assert "message" not in str(fault_error("arm", silent, KukaOptions(), OperationMode.EXT)).split(";")[0]
 
 
 def test_every_fault_and_every_refusal_has_a_message() -> None:
     for fault in Fault:
-        made = error_of_fault("arm", _with(fault), KukaOptions(), OperationMode.EXT)
+        made = fault_error("arm", _with(fault), KukaOptions(), OperationMode.EXT)
         assert (made is None) == (fault is Fault.NONE)
     for result in Result:
         if result.name.startswith("REFUSED"):
-            assert "arm" in str(error_of_refusal("arm", NO_STATE._replace(result=result)))
-    busy = error_of_refusal("arm", NO_STATE._replace(result=Result.REFUSED_BUSY))
+            assert "arm" in str(refusal_error("arm", NO_STATE._replace(result=result)))
+    busy = refusal_error("arm", NO_STATE._replace(result=Result.REFUSED_BUSY))
     assert (busy.code, "another motion is running" in str(busy)) == ("RSI-012", True)

@@ -74,17 +74,17 @@ class Eki:
     answer: ControllerState | None = None
     asked: int = 0
 
-    def ask(self) -> int:
+    def request_state(self) -> int:
         self.asked += 1
         return self.asked
 
-    def reply(self, number: int) -> ControllerState | None:
+    def find_reply(self, number: int) -> ControllerState | None:
         assert number == self.asked
         return self.answer
 
     def await_reply(self, number: int, timeout_s: float) -> ControllerState | None:
         assert 0.0 < timeout_s <= REASON_S
-        return self.reply(number)
+        return self.find_reply(number)
 
 
 class Watched:

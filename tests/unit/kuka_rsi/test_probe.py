@@ -15,7 +15,7 @@ from drivers.kuka_rsi import probe as kuka_probe
 from drivers.kuka_rsi.arm import KukaRsiArm
 from drivers.kuka_rsi.eki.telegrams import read_state
 from drivers.kuka_rsi.probe import stream_port_diagnostic
-from drivers.kuka_rsi.readings import reported_facts
+from drivers.kuka_rsi.readings import controller_facts
 from ronna_hw.config import DeviceConfig
 from ronna_hw.devices.capabilities import TellsReadiness
 from ronna_hw.devices.lifecycle import Device, Identity
@@ -48,7 +48,7 @@ def test_a_port_in_use_names_the_program(taken: Endpoint) -> None:
 def test_a_port_in_use_by_an_invisible_program_names_the_command_that_finds_it(
     taken: Endpoint, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(kuka_probe, "user_of_udp_port", lambda _address, _port: None)
+    monkeypatch.setattr(kuka_probe, "find_udp_port_user", lambda _address, _port: None)
     diagnostic = stream_port_diagnostic(taken)
     assert "not visible to this user" in diagnostic.seen
     assert f"ss -ulnp 'sport = {taken.port}'" in diagnostic.advice
@@ -112,7 +112,7 @@ def test_brakes_are_judged_as_the_controller_reports_them(
     else:
         controller.facts["Brakes"] = brakes
     state = read_state(ElementTree.fromstring(controller.state()), 0.0)
-    (fact,) = (one for one in reported_facts(state) if one.name == "brakes")
+    (fact,) = (one for one in controller_facts(state) if one.name == "brakes")
     assert (fact.found, fact.ready, bool(fact.advice)) == (found, well, not well)
 
 

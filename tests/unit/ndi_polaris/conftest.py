@@ -10,7 +10,7 @@ import pytest
 from polaris_unit_in_process import StillClock, UnitInProcess, bring_up, tracker_on
 
 from drivers.ndi_polaris import PolarisTracker
-from drivers.ndi_polaris.tool_definition import ToolDefinition, planar_tool
+from drivers.ndi_polaris.tool_definition import ToolDefinition, make_planar_tool
 
 
 @pytest.fixture
@@ -40,7 +40,7 @@ def tracker(make_tracker: Callable[..., PolarisTracker]) -> PolarisTracker:
 @pytest.fixture
 def pointer() -> ToolDefinition:
     """Return a tool that is not the robot's frame."""
-    return planar_tool(
+    return make_planar_tool(
         "POINTER",
         ((0.0, 0.0, 0.0), (0.0, 110.0, 0.0), (52.0, 140.0, 0.0), (-35.0, 33.0, 0.0)),
         manufacturer="TEST",

@@ -19,7 +19,7 @@ import serial
 from polaris_unit_in_process import bring_up, configured
 
 from drivers.ndi_polaris import PolarisTracker, errors
-from drivers.ndi_polaris.shipped_tools import shipped_definitions
+from drivers.ndi_polaris.shipped_tools import build_shipped_definitions
 from drivers.ndi_polaris.tool_definition import definition_hash, encode_definition
 from drivers.ndi_polaris.transport import SerialTransport
 from ronna_hw.clock import HostClock
@@ -28,7 +28,7 @@ from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.endpoints import parse_endpoint
 from ronna_hw.errors import EXIT_NOT_FOUND, RonnaError
 
-ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
+ROBOT_FRAME = build_shipped_definitions()["robot_frame.rom"]
 Make = Callable[..., PolarisTracker]
 
 

@@ -14,7 +14,7 @@ from polaris_unit_in_process import bring_up, configured
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.errors import MalformedReply
 from drivers.ndi_polaris.measuring_volume import parse_volumes
-from drivers.ndi_polaris.tool_definition import encode_definition, planar_tool
+from drivers.ndi_polaris.tool_definition import encode_definition, make_planar_tool
 
 Make = Callable[..., PolarisTracker]
 
@@ -168,7 +168,7 @@ def test_a_pinit_warning_counts_as_success_and_is_reported(make_tracker: Make, u
 
 def test_a_tool_with_similar_marker_distances_is_reported(make_tracker: Make, tmp_path: Path) -> None:
     corners = ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 60.0, 0.0), (0.0, 60.0, 0.0))
-    rectangle = planar_tool("BOX", corners, manufacturer="TEST", made_on=date(2025, 1, 1))
+    rectangle = make_planar_tool("BOX", corners, manufacturer="TEST", made_on=date(2025, 1, 1))
     (tmp_path / "box.rom").write_bytes(encode_definition(rectangle))
     device = bring_up(make_tracker(tools=[{"name": "box", "rom": str(tmp_path / "box.rom")}]))
     assert any("50.0 and 50.0 mm" in note for note in device.notices)

@@ -14,7 +14,7 @@ from polaris_mutations import MUTATIONS, Campaign, crc_by_definition, whole_bina
 from polaris_unit_in_process import Deliveries, StillClock, UnitInProcess, bring_up, tracker_on
 from recorded_bytes import RecordedBytes
 
-from drivers.ndi_polaris.command_link import CommandLink, open_ascii, split_binary
+from drivers.ndi_polaris.command_link import CommandLink, decode_ascii, split_binary
 from drivers.ndi_polaris.discovery import RESET_LIMIT_S, await_reset
 from drivers.ndi_polaris.errors import (
     BadReplyCrc,
@@ -290,7 +290,7 @@ def test_the_campaign_includes_every_kind_of_corruption() -> None:
 def test_a_text_that_lies_is_opened(true: bytes) -> None:
     reply = true + b"%04X\r" % crc16(true)
     told = with_right_crcs(reply, true.replace(b"1", b"9999") + reply[len(true) :])
-    assert open_ascii(told.removesuffix(b"\r")) == true.replace(b"1", b"9999").decode()
+    assert decode_ascii(told.removesuffix(b"\r")) == true.replace(b"1", b"9999").decode()
 
 
 @pytest.mark.parametrize(("length", "read"), [(4, b"\xff\xff\xff\xff"), (5, None)])

@@ -6,10 +6,10 @@ from hypothesis import strategies as st
 from polaris_mutations import crc_by_definition
 
 from drivers.ndi_polaris.command_link import (
-    ascii_line,
     binary_reply_bytes,
+    decode_ascii,
     encode_command,
-    open_ascii,
+    split_ascii_line,
     split_binary,
     unit_error,
     warning_meaning,
@@ -51,15 +51,15 @@ def test_commands_carry_the_published_crc(name: str, argument: str, line: bytes)
 
 
 def test_an_ascii_reply_gives_its_text() -> None:
-    assert open_ascii(b"OKAYA896") == "OKAY"
-    assert ascii_line(b"OKAYA896\rrest") == (b"OKAYA896", b"rest")
-    assert ascii_line(b"OKAYA8") is None
+    assert decode_ascii(b"OKAYA896") == "OKAY"
+    assert split_ascii_line(b"OKAYA896\rrest") == (b"OKAYA896", b"rest")
+    assert split_ascii_line(b"OKAYA8") is None
 
 
 @pytest.mark.parametrize("line", [b"OKAYA897", b"OKAYa896", b"A896", b"OK", b"", b"OKAZA896"])
 def test_an_ascii_reply_with_a_wrong_crc_is_refused(line: bytes) -> None:
     with pytest.raises(BadReplyCrc):
-        open_ascii(line)
+        decode_ascii(line)
 
 
 def test_error_and_warning_replies_are_recognised() -> None:

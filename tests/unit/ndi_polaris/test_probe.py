@@ -139,8 +139,8 @@ def test_a_line_without_a_unit_is_tried_at_every_rate_and_diagnosed(
 def test_a_garbled_first_reply_is_requested_again(other_end: Callable[[Hears], OtherEnd]) -> None:
     answers = iter([b"\xff\xfe", ANSWER])
     state = check_line(other_end(lambda _rate, _said: next(answers)).endpoint)
-    assert state.answered is not None
-    assert state.answered.baud == 9600
+    assert state.answered_attempt is not None
+    assert state.answered_attempt.baud == 9600
 
 
 @pytest.fixture
@@ -172,7 +172,7 @@ def test_another_program_is_named_and_its_line_is_left_alone(other_program: tupl
 
 @pytest.mark.hazard(34)
 def test_a_network_line_that_another_program_uses_is_left_alone(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(line_check, "clients_of_tcp_port", lambda *_: (PortUser(4711, "ronna-procedure"),))
+    monkeypatch.setattr(line_check, "find_tcp_clients", lambda *_: (PortUser(4711, "ronna-procedure"),))
     with socket.create_server(("127.0.0.1", 0)) as unit:
         diagnostic = line_diagnostic(check_line(Endpoint("tcp", "127.0.0.1", unit.getsockname()[1])))
         unit.setblocking(False)
@@ -186,7 +186,7 @@ def test_a_lock_with_an_invisible_holder_is_reported(
     other_end: Callable[[Hears], OtherEnd], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     end = other_end(unit_at(9600))
-    monkeypatch.setattr(line_check, "users_of_serial_port", lambda _path: ())
+    monkeypatch.setattr(line_check, "find_serial_port_users", lambda _path: ())
     locked = os.open(end.path, os.O_RDWR | os.O_NOCTTY)
     try:
         fcntl.flock(locked, fcntl.LOCK_EX)
@@ -271,7 +271,7 @@ def test_a_robot_controller_found_without_a_theatre_file_is_no_error(
     listener: Callable[[bytes | None], Endpoint], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(line_check, "INQUIRY_LIMIT_S", 0.2)
-    (found,) = probe.look_at([listener(b'<State Mode="EXT"></State>')], lambda _share: None)
+    (found,) = probe.probe_endpoints([listener(b'<State Mode="EXT"></State>')], lambda _share: None)
     assert found.well
     assert found.seen == "a robot controller that sends its state over EKI"
     assert "eki_project of [robot.master]" in found.advice

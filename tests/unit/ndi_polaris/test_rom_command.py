@@ -8,9 +8,9 @@ import pytest
 
 from drivers.ndi_polaris import PolarisTracker
 from drivers.ndi_polaris.rom_command import app
-from drivers.ndi_polaris.shipped_tools import FOLDER, shipped_definitions
+from drivers.ndi_polaris.shipped_tools import FOLDER, build_shipped_definitions
 from drivers.ndi_polaris.tool_definition import decode_definition, encode_definition, read_definition
-from drivers.ndi_polaris.tool_description import describe
+from drivers.ndi_polaris.tool_description import describe_tool
 from ronna_hw.clock import HostClock
 from ronna_hw.command_line.terminal import exit_code_of
 from ronna_hw.config import read_theatre_file
@@ -83,7 +83,7 @@ marker_type = "disc"
     assert (tool.minimum_spread_mm, tool.unique_geometry, tool.marker_type) == ((1.0, 2.0, 3.0), False, 49)
 
 
-@pytest.mark.parametrize("name", sorted(shipped_definitions()))
+@pytest.mark.parametrize("name", sorted(build_shipped_definitions()))
 def test_a_shown_description_makes_the_same_bytes_again(rom: Rom, tmp_path: Path, name: str) -> None:
     code, description, _ = rom("show", name, "--toml")
     assert code == 0
@@ -190,8 +190,8 @@ def test_a_foreign_file_is_refused_by_name(rom: Rom, tmp_path: Path, command: st
 
 
 def test_a_description_rounds_numbers_to_single_precision() -> None:
-    tool = decode_definition(encode_definition(shipped_definitions()["x_frame.rom"]))
-    assert describe(tool)["markers_mm"][1] == [31.5, 50.0, 0.0]
+    tool = decode_definition(encode_definition(build_shipped_definitions()["x_frame.rom"]))
+    assert describe_tool(tool)["markers_mm"][1] == [31.5, 50.0, 0.0]
 
 
 def test_a_theatre_file_names_its_tool_definitions_relative_to_itself(

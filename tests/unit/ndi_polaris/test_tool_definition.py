@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from drivers.ndi_polaris.errors import BadToolFile, SameGeometry
-from drivers.ndi_polaris.shipped_tools import FOLDER, shipped_definitions
+from drivers.ndi_polaris.shipped_tools import FOLDER, build_shipped_definitions
 from drivers.ndi_polaris.tool_comparison import (
     check_distinct,
     compare_definitions,
@@ -23,15 +23,15 @@ from drivers.ndi_polaris.tool_definition import (
     blank_block,
     decode_definition,
     encode_definition,
-    planar_tool,
+    make_planar_tool,
     read_definition,
 )
 from sim.polaris.unit.tool_definition import parse_definition, write_definition
 from sim.world.scene.named_scenes import robot_frame
 
-ROBOT_FRAME = shipped_definitions()["robot_frame.rom"]
-X_FRAME = shipped_definitions()["x_frame.rom"]
-RIGID_BODY = planar_tool(
+ROBOT_FRAME = build_shipped_definitions()["robot_frame.rom"]
+X_FRAME = build_shipped_definitions()["x_frame.rom"]
+RIGID_BODY = make_planar_tool(
     "8700339",
     ((0.0, 0.0, 0.0), (28.59, 41.02, 0.0), (0.0, 88.0, 0.0), (-44.32, 40.45, 0.0)),
     manufacturer="NDI",
@@ -88,11 +88,11 @@ def test_zero_padding_after_a_definition_is_allowed() -> None:
 
 @pytest.mark.parametrize("name", ["robot_frame.rom", "x_frame.rom"])
 def test_a_shipped_definition_matches_the_generator(name: str) -> None:
-    assert (FOLDER / name).read_bytes() == encode_definition(shipped_definitions()[name])
+    assert (FOLDER / name).read_bytes() == encode_definition(build_shipped_definitions()[name])
 
 
 def test_only_generated_definitions_are_shipped() -> None:
-    assert {path.name for path in FOLDER.iterdir()} == set(shipped_definitions())
+    assert {path.name for path in FOLDER.iterdir()} == set(build_shipped_definitions())
 
 
 def test_the_robot_frame_matches_the_one_in_the_simulated_scene() -> None:
@@ -258,7 +258,7 @@ def test_two_tools_that_share_a_triangle_are_refused() -> None:
 
 
 def test_similar_segments_of_a_tool_are_found() -> None:
-    square = planar_tool(
+    square = make_planar_tool(
         "SQUARE",
         ((0.0, 0.0, 0.0), (50.0, 0.0, 0.0), (50.0, 50.0, 0.0), (0.0, 50.0, 0.0)),
         manufacturer="X",

@@ -33,7 +33,7 @@ def test_the_fit_recovers_drift_and_measurement_time_despite_jitter_and_stalls()
     clock = FrameClock()
     errors_s = []
     for count, delay_s in zip(range(60 * 90), delays(1), strict=False):
-        fitted_s = clock.note(count, made_s(count) + delay_s)
+        fitted_s = clock.add_reply(count, made_s(count) + delay_s)
         errors_s.append(fitted_s - made_s(count) - LEAST_DELAY_S)
     assert max(abs(error_s) for error_s in errors_s[60 * 30 :]) < 0.0005
     assert clock.period_s / NOMINAL_PERIOD_S - 1.0 == pytest.approx(40e-6, abs=5e-6)
@@ -43,30 +43,30 @@ def test_no_measurement_time_is_later_than_the_arrival() -> None:
     clock = FrameClock()
     for count, delay_s in zip(range(60 * 20), delays(2), strict=False):
         arrived_s = made_s(count) + delay_s
-        assert clock.note(count, arrived_s) <= arrived_s + 1e-9
+        assert clock.add_reply(count, arrived_s) <= arrived_s + 1e-9
 
 
 def test_polling_faster_than_the_unit_measures_does_not_shift_the_fit() -> None:
     clock = FrameClock()
     for count in range(120):
         for again in range(20):
-            fitted_s = clock.note(count, made_s(count) + LEAST_DELAY_S + again * 0.0008)
+            fitted_s = clock.add_reply(count, made_s(count) + LEAST_DELAY_S + again * 0.0008)
     assert fitted_s == pytest.approx(made_s(119) + LEAST_DELAY_S, abs=1e-4)
 
 
 def test_a_frame_counter_that_jumps_starts_a_new_fit() -> None:
     clock = FrameClock()
     for count in range(600):
-        clock.note(count, made_s(count))
+        clock.add_reply(count, made_s(count))
     jumped = 600 + 100_000
-    assert clock.note(jumped, made_s(600)) == pytest.approx(made_s(600))
-    assert clock.note(jumped + 1, made_s(601) + 0.05) == pytest.approx(made_s(601), abs=1e-4)
+    assert clock.add_reply(jumped, made_s(600)) == pytest.approx(made_s(600))
+    assert clock.add_reply(jumped + 1, made_s(601) + 0.05) == pytest.approx(made_s(601), abs=1e-4)
 
 
 def test_an_implausible_frame_rate_is_rejected() -> None:
     clock = FrameClock()
     for count in range(60 * 30):
-        clock.note(count, count / 50)
+        clock.add_reply(count, count / 50)
     assert clock.period_s == NOMINAL_PERIOD_S
 
 

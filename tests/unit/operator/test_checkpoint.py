@@ -161,5 +161,5 @@ def test_a_pause_takes_effect_while_a_guard_waits() -> None:
 
 def test_a_stopped_motion_is_asked_about_without_a_pause_request() -> None:
     rig = Rig()
-    rig.checkpoint.stopped("the motion 'go'", "plans it anew")
+    rig.checkpoint.rest_after_stop("the motion 'go'", "plans it anew")
     assert [one.value for one in rig.asked] == ["the motion 'go' was stopped; continuing plans it anew"]

@@ -14,7 +14,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from ronna_hw.arm.kr6_r900 import ArmVariant, kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.pose import radians6
@@ -76,7 +76,7 @@ def make_arm() -> Callable[..., ArmSetting]:
             "kinematics": kr6_r900(ArmVariant.SIXX),
             "robot_from_ct": Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(head_mm, axes)),
             "flange_from_tool": Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-            "strategy": strategy_named("ocs"),
+            "strategy": find_strategy("ocs"),
             "start_rad": radians6(0.0, -90.0, 90.0, 0.0, 90.0, 0.0),
             "limits": working_limits(kr6_r900(ArmVariant.SIXX)),
         }

@@ -15,7 +15,7 @@ import psutil
 import pytest
 from waiting import HANG_LIMIT_S, eventually
 
-from procedures.planning.cart_map import judging, map_places, propose_place
+from procedures.planning.cart_map import map_places, open_judge, propose_place
 from procedures.planning.cart_place import CartCase, CartMove, PlaceSolution, Verdict
 from procedures.planning.errors import NoPlace
 from procedures.planning.proposed_place import TURNED_SHARE
@@ -135,7 +135,7 @@ class _Unjudged:
 
 
 def _judge_elsewhere(halted: bool) -> None:
-    with judging(cast("CartCase", _Unjudged(halted)), WORKERS) as judge:
+    with open_judge(cast("CartCase", _Unjudged(halted)), WORKERS) as judge:
         judge([(CartMove(0.0, 0.0), (), False)] * 100)
 
 

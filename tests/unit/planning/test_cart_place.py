@@ -15,8 +15,8 @@ from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import SENSORS_MM, StereoSight
 from procedures.planning.scene import PlanningScene
-from procedures.planning.visits import ArmSetting, Axes, localizations_along, target_visit
-from procedures.strategies.catalogue import strategy_named
+from procedures.planning.visits import ArmSetting, Axes, build_target_visit, list_localizations
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
@@ -26,7 +26,7 @@ from ronna_hw.frames import Frame, Transform
 
 HEAD = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=(78.0, 98.0, 93.0))
 FIDUCIALS = ((-23.0, -68.0, 68.0), (61.0, -33.0, 68.0), (2.0, -18.0, 103.0))
-ALONG = Trajectory("T1", (7.0, -70.0, 60.0), (2.0, -28.0, 26.0)).held(0.7)
+ALONG = Trajectory("T1", (7.0, -70.0, 60.0), (2.0, -28.0, 26.0)).with_rest(0.7)
 # Left towards robot y, the vertex up and towards the robot, the face up: as in a half sitting position.
 LEFT, SUPERIOR = np.array([0.0, 1.0, 0.0]), np.array([-0.5, 0.0, math.sqrt(0.75)])
 RECLINED = Rotation.from_matrix(np.column_stack([LEFT, np.cross(SUPERIOR, LEFT), SUPERIOR]))
@@ -48,7 +48,7 @@ def _setting(*bodies: RoomBody) -> ArmSetting:
         limits=working_limits(kr6_r900("kr6_r900_sixx")),
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=strategy_named("ocs"),
+        strategy=find_strategy("ocs"),
         start_rad=radians6(0.0, -75.0, 99.0, 0.0, 66.0, 180.0),
         scene=PlanningScene(cell, HEAD, FIDUCIALS),
     )
@@ -85,7 +85,7 @@ def _pushed(setting: ArmSetting, move: CartMove) -> ArmSetting:
 
 
 def test_a_cart_is_pushed_and_then_turned() -> None:
-    seen = CartMove(100.0, 0.0, math.pi / 2.0).seen_from_cart(
+    seen = CartMove(100.0, 0.0, math.pi / 2.0).to_cart_frame(
         RigidTransform.from_translation([300.0, 0.0, 50.0])
     )
     assert seen.apply([0.0, 0.0, 0.0]) == pytest.approx([0.0, -200.0, 50.0])
@@ -121,7 +121,7 @@ def test_a_position_from_which_the_guide_cannot_go_to_its_gauge_is_refused_by_ma
 
 @pytest.mark.hazard(48)
 def test_a_known_solution_that_comes_too_close_here_is_not_taken_over() -> None:
-    x, y, z = target_visit(_setting(), ALONG).pose.apply([-130.0, 0.0, -120.0]).tolist()
+    x, y, z = build_target_visit(_setting(), ALONG).pose.apply([-130.0, 0.0, -120.0]).tolist()
     stand = RoomBody(
         name="drip stand", start_mm=(x, y, z), end_mm=(x, y, z), radius_mm=15.0, frame=BodyFrame.ROBOT
     )
@@ -134,7 +134,7 @@ def test_a_known_solution_that_comes_too_close_here_is_not_taken_over() -> None:
 def test_a_known_solution_in_which_a_sphere_hides_another_is_not_taken_over() -> None:
     setting, known = _setting(), _known()
     (axis,) = Axes.of(setting, (ALONG,), FIDUCIALS).localized
-    pose = localizations_along(setting, axis, FIDUCIALS, known.branch)[0].pose
+    pose = list_localizations(setting, axis, FIDUCIALS, known.branch)[0].pose
     second = pose.inverse().apply(setting.robot_from_ct.apply(np.array(FIDUCIALS[1])))
     hidden = replace(SIGHT, right_mm=250.0 * second / np.linalg.norm(second))
     judged = _case(setting, hidden).judge(HERE, (known,))

@@ -11,7 +11,7 @@ import pytest
 from procedures.planning.free_angle import LEAST_BEND_RAD, WristState, choose_free_angles
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
-from procedures.planning.visits import ArmSetting, Axes, Visit, visits_of
+from procedures.planning.visits import ArmSetting, Axes, Visit, list_visits
 from procedures.strategies.fixed_orientation import OrientationCorrection
 from procedures.strategies.strategy import OUTWARDS_RAD, intermediate_turns_rad
 from procedures.strategies.trajectory import Trajectory
@@ -38,7 +38,7 @@ FREE = np.array([[60.0, 0.0, 50.0], [-50.0, 40.0, 60.0], [-40.0, -60.0, 40.0]])
 
 def visits(trajectory: Trajectory, fiducials: np.ndarray) -> tuple[Visit, ...]:
     axes = Axes.of(SETTING, (trajectory,), fiducials)
-    return visits_of(SETTING, axes, fiducials, SETTING.kinematics.branch_of(SETTING.start_rad))
+    return list_visits(SETTING, axes, fiducials, SETTING.kinematics.branch_of(SETTING.start_rad))
 
 
 def _beside_the_line_of_sight() -> np.ndarray:
@@ -123,9 +123,9 @@ def test_an_angle_that_turns_the_wrist_far_is_replaced_by_the_next_good_one() ->
     leaning = _leaning(-40.0)
     own = _wrist_at(leaning, 0.0)
     assert own is not None
-    assert not own.good
+    assert not own.is_good
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
-    assert WristState.of(SETTING.kinematics, turned.check).good
+    assert WristState.of(SETTING.kinematics, turned.check).is_good
     assert turned.turns_rad == pytest.approx({"T1": math.radians(10.0)})
 
 
@@ -141,7 +141,7 @@ def test_the_wrist_is_turned_away_from_its_singularity() -> None:
 def test_the_angle_farthest_from_the_singularity_is_chosen_when_none_is_good() -> None:
     leaning = _leaning(-22.0)
     wrists = [wrist for turn in OUTWARDS_RAD if (wrist := _wrist_at(leaning, turn)) is not None]
-    assert not any(wrist.good for wrist in wrists)
+    assert not any(wrist.is_good for wrist in wrists)
     turned = choose_free_angles(SETTING, (leaning,), FREE, SIGHT)
     assert turned.check.passed
     best_rad = max(wrist.least_bend_rad for wrist in wrists)
@@ -157,6 +157,6 @@ def test_the_wrist_is_judged_separately_for_each_trajectory() -> None:
 
 
 def test_a_wrist_is_good_only_away_from_the_singularity_and_similar_at_all_poses() -> None:
-    assert WristState(LEAST_BEND_RAD, math.radians(44.0)).good
-    assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).good
-    assert not WristState(math.radians(60.0), math.radians(46.0)).good
+    assert WristState(LEAST_BEND_RAD, math.radians(44.0)).is_good
+    assert not WristState(LEAST_BEND_RAD - 0.01, 0.0).is_good
+    assert not WristState(math.radians(60.0), math.radians(46.0)).is_good

@@ -7,7 +7,7 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import NoHeadInCt
-from procedures.planning.head_in_ct import HeadEllipsoid, head_shape, skull_angle_rad
+from procedures.planning.head_in_ct import HeadEllipsoid, fit_head, skull_angle_rad
 from procedures.strategies.trajectory import Trajectory
 
 CENTRE_MM = np.array([3.0, -40.0, 810.0])
@@ -41,7 +41,7 @@ def _fits(shape: HeadEllipsoid, tolerance_mm: float = 8.0) -> None:
 
 
 def test_an_ellipsoidal_head_is_found() -> None:
-    _fits(head_shape(_volume(_head(_points()))))
+    _fits(fit_head(_volume(_head(_points()))))
 
 
 def test_posts_a_cable_and_a_headrest_shell_are_ignored() -> None:
@@ -50,20 +50,20 @@ def test_posts_a_cable_and_a_headrest_shell_are_ignored() -> None:
     post = (np.hypot(x - 10, y + 20) < 6) & (z > 60)
     cable = np.hypot(x + 90, z) < 4
     shell = (y > 100) & (y < 106)
-    _fits(head_shape(_volume(_head(points) | post | cable | shell)))
+    _fits(fit_head(_volume(_head(points) | post | cable | shell)))
 
 
 def test_hollows_are_ignored() -> None:
     points = _points()
     sinus = np.linalg.norm(points - np.array([0.0, -60.0, 0.0]), axis=-1) < 22
-    _fits(head_shape(_volume(_head(points) & ~sinus)))
+    _fits(fit_head(_volume(_head(points) & ~sinus)))
 
 
 def test_a_protruding_chin_lies_within_the_ellipsoid() -> None:
     points = _points()
     chin = np.all(np.abs(points - np.array([0.0, -75.0, -65.0])) < 25, axis=-1)
     solid = _head(points) | chin
-    found = head_shape(_volume(solid))
+    found = fit_head(_volume(solid))
     ways = (np.argwhere(chin) @ np.array([[0, 0, 2.0], [0, 2.0, 0], [2.0, 0, 0]])) - np.array(
         [SHAPE[2], SHAPE[1], SHAPE[0]]
     )
@@ -74,13 +74,13 @@ def test_a_protruding_chin_lies_within_the_ellipsoid() -> None:
 
 def test_air_is_not_taken_for_a_head() -> None:
     with pytest.raises(NoHeadInCt) as caught:
-        head_shape(_volume(np.zeros(SHAPE, dtype=bool)))
+        fit_head(_volume(np.zeros(SHAPE, dtype=bool)))
     assert caught.value.code == "PLAN-014"
 
 
 def test_a_head_cropped_by_the_ct_is_not_made_larger() -> None:
     points = _points()
-    _fits(head_shape(_volume(_head(points) & (points[..., 2] > -55.0))))
+    _fits(fit_head(_volume(_head(points) & (points[..., 2] > -55.0))))
 
 
 RADIUS_MM, THICK_MM, SKIN_MM = 80.0, 7.0, 5.0

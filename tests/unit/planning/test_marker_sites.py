@@ -10,15 +10,15 @@ import pytest
 
 from procedures.imaging.volume import Volume, VoxelGeometry
 from procedures.planning.errors import HeadUnreadable, NoMarkerSites, NoTemplate
-from procedures.planning.head_in_ct import HeadEllipsoid, head_shape
+from procedures.planning.head_in_ct import HeadEllipsoid, fit_head
 from procedures.planning.marker_sites import (
     APART_MM,
     CLEAR_OF_PATH_MM,
     STANDOFF_MM,
-    head_of_scene,
     propose_further,
     propose_markers,
     propose_template,
+    read_scene_head,
     write_template,
 )
 from procedures.registration.error_theory import tre_principal_axes_mm
@@ -124,7 +124,7 @@ def test_the_skin_is_taken_from_the_ct_and_not_from_the_ellipsoid() -> None:
         voxels.shape, np.full(3, axis[0]), np.eye(3)[:, ::-1].copy(), np.full(3, voxel_mm)
     )
     volume = Volume(voxels, geometry, "1.2.3", "1.2.4")
-    found = propose_template(head_shape(volume), 3, 10.0, volume=volume)
+    found = propose_template(fit_head(volume), 3, 10.0, volume=volume)
     feet = [np.array(one.centre_mm) - STANDOFF_MM * np.array(one.post) for one in found.markers]
     for foot in feet:
         assert min(abs(np.linalg.norm(foot) - radius_mm), abs(foot[0] - flat_at_mm)) < voxel_mm
@@ -140,7 +140,7 @@ def test_objects_on_the_skin_are_not_taken_for_skin() -> None:
 
     def on(solid: np.ndarray) -> MarkerTemplate:
         volume = Volume(np.where(solid, 40, -1000).astype(np.int16), geometry, "1.2.3", "1.2.4")
-        return propose_template(head_shape(volume), 3, 10.0, volume=volume)
+        return propose_template(fit_head(volume), 3, 10.0, volume=volume)
 
     head = np.linalg.norm(points, axis=-1) < radius_mm
     standing = [np.linalg.norm(points - np.array(one.centre_mm), axis=-1) < 8.0 for one in on(head).markers]
@@ -189,7 +189,7 @@ def test_a_scene_without_a_head_is_refused(tmp_path: Path, text: str, said: str)
     path = tmp_path / "scene.toml"
     path.write_text(text)
     with pytest.raises(HeadUnreadable, match=said):
-        head_of_scene(path)
+        read_scene_head(path)
 
 
 def test_the_distances_of_a_template_are_listed_in_ascending_order() -> None:

@@ -15,11 +15,11 @@ from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.motions import HOME, motions_of, previews_of
+from procedures.planning.motions import HOME, plan_motions, preview_motions
 from procedures.planning.paths import check_paths
 from procedures.planning.scene import PlanningScene
 from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
@@ -32,7 +32,7 @@ HEAD = HeadEllipsoid(centre_mm=(3.2, -41.7, 812.4), semi_axes_mm=(78.0, 98.0, 93
 FIDUCIALS = ((-20.0, -110.0, 880.0), (64.0, -75.0, 880.0), (5.0, -60.0, 915.0))
 HELD_MM = 55.0  # beyond the entry the tip frame of a guide of 85 mm reach that is held 30 mm outside
 TRAJECTORIES = tuple(
-    one.held(HELD_MM - one.depth_mm)
+    one.with_rest(HELD_MM - one.depth_mm)
     for one in (
         Trajectory("T1", (10.0, -112.0, 872.0), (5.0, -70.0, 838.0)),
         Trajectory("T2", (30.0, -100.0, 880.0), (18.0, -62.0, 845.0)),
@@ -56,7 +56,7 @@ def _setting(cell: CollisionConfig | None = None) -> ArmSetting:
         limits=working_limits(arm),
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, RigidTransform.from_components(origin_mm, AXES)),
         flange_from_tool=Transform.of(Frame.FLANGE, Frame.TOOL, translation_mm=(220.0, 0.0, 60.0)),
-        strategy=strategy_named("ocs"),
+        strategy=find_strategy("ocs"),
         start_rad=CASE_HOME,
         scene=None if cell is None else PlanningScene(cell, HEAD, FIDUCIALS),
     )
@@ -73,7 +73,7 @@ def test_the_motions_lead_from_home_through_all_visits_and_back_home() -> None:
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
     assert check.passed, check.unmet
-    motions = list(motions_of(setting, setting.scene, check, TRAJECTORIES))
+    motions = list(plan_motions(setting, setting.scene, check, TRAJECTORIES))
     assert motions[0].start == motions[-1].end == HOME
     for before, after in pairwise(motions):
         # A line ends where it will be left: at its approach point.
@@ -94,7 +94,7 @@ def test_every_motion_has_a_preview_that_can_be_recorded() -> None:
     setting = _setting(CollisionConfig())
     assert setting.scene is not None
     check = check_paths(setting, TRAJECTORIES, FIDUCIALS)
-    previews = previews_of(setting, setting.scene, check, TRAJECTORIES)
+    previews = preview_motions(setting, setting.scene, check, TRAJECTORIES)
     payload = json.loads(json.dumps([one.as_payload() for one in previews], allow_nan=False))
     assert all(motion["clear"] for motion in payload)
     assert all(motion["closest"]["distance_mm"] >= 10.0 - 0.5 for motion in payload)
@@ -121,7 +121,7 @@ def test_a_clamp_in_the_way_is_named_with_the_pose_and_the_distance() -> None:
 @pytest.mark.hazard(24)
 def test_a_guide_held_too_close_to_the_head_is_refused_with_the_stand_off_and_a_least_distance() -> None:
     first = TRAJECTORIES[0]
-    close = first.held(first.beyond_mm + 27.0, standoff_mm=3.0)
+    close = first.with_rest(first.beyond_mm + 27.0, standoff_mm=3.0)
     setting = _setting(CollisionConfig())
     with pytest.raises(NotReachable) as caught:
         check_paths(setting, (close,), FIDUCIALS).require()
@@ -158,7 +158,7 @@ def test_an_angle_between_two_steps_of_the_search_is_found() -> None:
         robot_from_ct=Transform(Frame.ROBOT, Frame.CT, at),
         scene=PlanningScene(CollisionConfig(margin_mm=12.0), head, spheres),
     )
-    trajectory = Trajectory("T1", (24.41, -89.05, 886.16), (8.69, -72.1, 846.59)).held(9.18)
+    trajectory = Trajectory("T1", (24.41, -89.05, 886.16), (8.69, -72.1, 846.59)).with_rest(9.18)
     sight = StereoSight(np.array([-0.2, -115.42, -222.15]), np.array([-0.22, 115.46, -221.91]))
     turned = choose_free_angles(setting, (trajectory,), spheres, sight)
     assert turned.check.passed, turned.check.unmet

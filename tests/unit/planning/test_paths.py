@@ -11,7 +11,7 @@ from ur5 import Ur5
 from procedures.planning.errors import NotReachable
 from procedures.planning.free_angle import WristState
 from procedures.planning.paths import check_paths, rank_branches
-from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, visits_of
+from procedures.planning.visits import ArmSetting, Axes, Visit, VisitKind, list_visits
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame, FrameMismatch, Transform
@@ -25,7 +25,7 @@ TRAJECTORIES = (
 
 def visits(setting: ArmSetting) -> tuple[Visit, ...]:
     axes = Axes.of(setting, TRAJECTORIES, FIDUCIALS)
-    return visits_of(setting, axes, FIDUCIALS, setting.kinematics.branch_of(setting.start_rad))
+    return list_visits(setting, axes, FIDUCIALS, setting.kinematics.branch_of(setting.start_rad))
 
 
 @pytest.fixture

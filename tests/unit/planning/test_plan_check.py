@@ -25,7 +25,7 @@ from procedures.planning.errors import (
     WrongSeries,
 )
 from procedures.planning.line_of_sight import StereoSight
-from procedures.planning.plan_check import check_plan, layout_warnings, least_side_difference_mm
+from procedures.planning.plan_check import check_plan, least_side_difference_mm, warn_of_ambiguity
 from procedures.planning.plan_file import read_plan
 from ronna_hw.errors import EXIT_REFUSED
 from ronna_hw.tool_record import GuideBore
@@ -251,21 +251,23 @@ def test_sides_that_differ_by_less_than_six_millimetres_are_warned_about(sides_m
     points = triangle(*sides_mm)
     smallest = np.diff(np.sort(sides_mm)).min()
     assert least_side_difference_mm(points) == pytest.approx(smallest)
-    warnings = layout_warnings(points)
+    warnings = warn_of_ambiguity(points)
     assert bool(warnings) == (smallest < 6.0)
     assert all(f"differ by {smallest:.1f} mm" in one for one in warnings)
 
 
 def test_the_warning_about_a_rectangle_names_interchangeable_fiducials():
     rectangle = np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0]])
-    (warning,) = layout_warnings(rectangle)
+    (warning,) = warn_of_ambiguity(rectangle)
     assert "1 for 2" in warning or "1 for 3" in warning or "1 for 4" in warning
 
 
 def test_one_sphere_out_of_the_plane_and_off_centre_removes_the_ambiguity():
-    assert layout_warnings(np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]])) == []
+    assert (
+        warn_of_ambiguity(np.array([[0.0, 0, 0], [80, 0, 0], [80, 110, 0], [0, 110, 0], [30, 20, 60]])) == []
+    )
 
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_fewer_than_three_fiducials_give_no_layout_warning(count):
-    assert layout_warnings(np.eye(3)[:count] * 50.0) == []
+    assert warn_of_ambiguity(np.eye(3)[:count] * 50.0) == []

@@ -14,7 +14,7 @@ from procedures.planning.errors import (
     PlanMistakes,
     PlanUnreadable,
 )
-from procedures.planning.plan_file import new_plan, read_plan
+from procedures.planning.plan_file import compose_plan, read_plan
 from procedures.planning.plan_model import FiducialKind, PatientPosition
 from ronna_hw.errors import EXIT_USAGE
 
@@ -157,7 +157,7 @@ TRAJECTORY = (
 
 def _begun(tmp_path: Path, position: str, spheres_mm: list[list[float]] = SPHERES_MM) -> Path:
     path = tmp_path / "plan.toml"
-    path.write_text(new_plan("1.2.3", position, spheres_mm, "ct"))
+    path.write_text(compose_plan("1.2.3", position, spheres_mm, "ct"))
     return path
 
 

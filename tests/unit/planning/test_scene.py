@@ -6,7 +6,7 @@ from scipy.spatial.transform import RigidTransform, Rotation
 
 from procedures.planning.head_in_ct import HeadEllipsoid
 from procedures.planning.plan_model import FiducialKind
-from procedures.planning.scene import PlanningScene, frame_bodies
+from procedures.planning.scene import PlanningScene, build_frame_bodies
 from procedures.registration.errors import LayoutNotFound
 from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame, Transform
@@ -21,7 +21,7 @@ FLANGE_FROM_TOOL = Transform.of(Frame.FLANGE, Frame.TOOL)
 
 @pytest.mark.hazard(24)
 def test_the_frames_bars_and_foot_are_obstacles_where_the_ct_shows_its_spheres() -> None:
-    frame = frame_bodies(FiducialKind.XFRAME, SPHERES_MM[[2, 0, 3, 1]])
+    frame = build_frame_bodies(FiducialKind.XFRAME, SPHERES_MM[[2, 0, 3, 1]])
     scene = PlanningScene(CollisionConfig(), HEAD, tuple(map(tuple, SPHERES_MM.tolist())), frame)
     around = scene.with_guide(ROBOT_FROM_CT, FLANGE_FROM_TOOL, None)
     bars = {one.name: one.capsule for one in around.obstacles if "frame" in one.name}
@@ -33,9 +33,9 @@ def test_the_frames_bars_and_foot_are_obstacles_where_the_ct_shows_its_spheres()
 
 
 def test_free_spheres_add_no_obstacles_and_an_incomplete_frame_is_refused() -> None:
-    assert frame_bodies(FiducialKind.FREE, SPHERES_MM) == ()
+    assert build_frame_bodies(FiducialKind.FREE, SPHERES_MM) == ()
     with pytest.raises(LayoutNotFound):
-        frame_bodies(FiducialKind.XFRAME, SPHERES_MM[:3])
+        build_frame_bodies(FiducialKind.XFRAME, SPHERES_MM[:3])
 
 
 @pytest.mark.hazard(24)

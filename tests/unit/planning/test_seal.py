@@ -16,7 +16,7 @@ from procedures.imaging.volume import Volume
 from procedures.planning.errors import AlteredPlan, OtherVoxels, PlanInUse, PlanNotSaved
 from procedures.planning.plan_check import check_plan
 from procedures.planning.plan_file import parse_plan_bytes, read_plan, seal_plan, write_plan
-from procedures.planning.plan_lock import lock_plan, plan_in_use, plan_replacement
+from procedures.planning.plan_lock import is_plan_in_use, lock_plan, plan_replacement
 from procedures.planning.plan_model import Plan
 
 
@@ -88,11 +88,11 @@ def test_a_full_disk_leaves_the_previous_plan_intact(saved: Path, monkeypatch: p
 
 
 def test_a_plan_held_by_a_case_is_in_use_until_the_case_ends(saved: Path) -> None:
-    assert not plan_in_use(saved)
+    assert not is_plan_in_use(saved)
     with lock_plan(saved), lock_plan(saved):
-        assert plan_in_use(saved)
-    assert not plan_in_use(saved)
-    assert not plan_in_use(saved.with_name("none"))
+        assert is_plan_in_use(saved)
+    assert not is_plan_in_use(saved)
+    assert not is_plan_in_use(saved.with_name("none"))
 
 
 def test_a_case_that_waits_for_a_plan_to_be_replaced_holds_the_new_one(saved: Path) -> None:
@@ -105,7 +105,7 @@ def test_a_case_that_waits_for_a_plan_to_be_replaced_holds_the_new_one(saved: Pa
         waiting.result(10.0)
         with pytest.raises(PlanInUse, match="PLAN-026"), plan_replacement(saved):
             pass
-    assert not plan_in_use(saved)
+    assert not is_plan_in_use(saved)
 
 
 def test_a_case_reads_the_plan_it_holds_even_after_the_file_is_replaced(saved: Path) -> None:

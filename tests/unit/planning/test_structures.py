@@ -13,7 +13,7 @@ from procedures.planning.errors import NearStructure, OutsideField, PlanMistakes
 from procedures.planning.plan_check import check_plan
 from procedures.planning.plan_file import parse_plan, read_plan, write_plan
 from procedures.planning.plan_model import MOST_POINTS, Plan, Structure
-from procedures.planning.structures import read_structure, structure_distances, structure_of
+from procedures.planning.structures import build_structure, measure_distances, read_structure
 from ronna_hw.errors import RonnaError
 
 BESIDE_TARGET = (9.0, -20.0, 20.0)  # 4 mm to the left of the target of T1
@@ -38,7 +38,7 @@ def test_the_distance_is_measured_to_the_axis_between_entry_and_target(plan: Pla
     beyond = target + 5.0 * along
     for place, distance_mm in ((beside, 7.0), (beyond, 5.0), (entry, 0.0)):
         one = Structure(name="vessel", margin_mm=3.0, points_mm=(tuple(place.tolist()),))
-        first, _ = structure_distances(avoiding(plan, one))
+        first, _ = measure_distances(avoiding(plan, one))
         assert first.distance_mm == pytest.approx(distance_mm)
         assert first.is_kept == (distance_mm >= 3.0)
 
@@ -47,7 +47,7 @@ def test_the_distance_is_measured_to_the_axis_between_entry_and_target(plan: Pla
 def test_a_trajectory_within_the_margin_of_a_structure_is_refused(
     plan: Plan, make_volume: Callable[..., Volume], margin_mm: float, passes: bool
 ) -> None:
-    near = structure_of("vessel", margin_mm, [BESIDE_TARGET])
+    near = build_structure("vessel", margin_mm, [BESIDE_TARGET])
     check = check_plan(avoiding(plan, near), make_volume())
     assert check.passed == passes
     said = check.as_payload()["structures"][0]
@@ -58,13 +58,13 @@ def test_a_trajectory_within_the_margin_of_a_structure_is_refused(
 
 
 def test_a_structure_outside_the_ct_field_is_refused(plan: Plan, make_volume: Callable[..., Volume]) -> None:
-    elsewhere = structure_of("vessel", 1.0, [(90.0, 90.0, 98.0), (90.0, 90.0, 101.0), (90.0, 90.0, 104.0)])
+    elsewhere = build_structure("vessel", 1.0, [(90.0, 90.0, 98.0), (90.0, 90.0, 101.0), (90.0, 90.0, 104.0)])
     with pytest.raises(OutsideField, match=r"PLAN-006.*67% of the points of vessel"):
         check_plan(avoiding(plan, elsewhere), make_volume()).require()
 
 
 def test_gaps_wider_than_the_margin_are_warned_about(plan: Plan, make_volume: Callable[..., Volume]) -> None:
-    sparse = structure_of("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
+    sparse = build_structure("vessel", 1.0, [(60.0, 0.0, 0.0), (60.0, 20.0, 0.0)])
     (warning,) = check_plan(avoiding(plan, sparse), make_volume()).warnings
     assert "vessel are up to 20.0 mm apart" in warning
 
@@ -80,16 +80,16 @@ def test_the_gap_between_slices_is_subtracted_where_the_points_of_each_lie_close
     across /= np.linalg.norm(across)
     line = [middle + 1.3 * across + step * np.array((1.0, 0.0, 0.0)) for step in (-8.25, -2.75, 2.75, 8.25)]
     for points in (rings, line):
-        first, _ = structure_distances(avoiding(plan, structure_of("vessel", 3.0, points)))
+        first, _ = measure_distances(avoiding(plan, build_structure("vessel", 3.0, points)))
         assert not first.is_kept
 
 
 def test_a_thinned_structure_never_seems_farther_away_than_it_is(plan: Plan) -> None:
     cloud = np.random.default_rng(5).uniform((-35.0, -60.0, 50.0), (45.0, 20.0, 130.0), (20_000, 3))
-    thin = structure_of("vessel", 1.0, cloud)
+    thin = build_structure("vessel", 1.0, cloud)
     assert len(thin.points_mm) <= MOST_POINTS
     within = avoiding(plan, thin)
-    for said in structure_distances(within):
+    for said in measure_distances(within):
         way = plan.trajectory(said.trajectory)
         samples = np.linspace(way.entry_mm, way.target_mm, 200)
         nearest = min(float(np.linalg.norm(cloud - one, axis=1).min()) for one in samples)
@@ -98,7 +98,8 @@ def test_a_thinned_structure_never_seems_farther_away_than_it_is(plan: Plan) -> 
 
 def test_a_plan_with_structures_survives_writing_and_reading(plan: Plan, tmp_path: Path) -> None:
     full = [
-        structure_of(f"S{k}", 2.0, np.random.default_rng(k).uniform(-99.0, 99.0, (1000, 3))) for k in range(3)
+        build_structure(f"S{k}", 2.0, np.random.default_rng(k).uniform(-99.0, 99.0, (1000, 3)))
+        for k in range(3)
     ]
     file = tmp_path / "plan.toml"
     write_plan(file, avoiding(plan, *full))
@@ -106,10 +107,10 @@ def test_a_plan_with_structures_survives_writing_and_reading(plan: Plan, tmp_pat
 
 
 def test_duplicate_structure_names_and_too_many_points_are_refused(plan: Plan) -> None:
-    one = structure_of("vessel", 2.0, [(0.0, 0.0, 0.0)])
+    one = build_structure("vessel", 2.0, [(0.0, 0.0, 0.0)])
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*the same name"):
         avoiding(plan, one, one)
-    clouds = [structure_of(f"S{k}", 2.0, np.arange(3000.0).reshape(-1, 3)) for k in range(4)]
+    clouds = [build_structure(f"S{k}", 2.0, np.arange(3000.0).reshape(-1, 3)) for k in range(4)]
     with pytest.raises(PlanMistakes, match=r"PLAN-002.*4000 points in total, limit 3000"):
         avoiding(plan, *clouds)
 

@@ -23,7 +23,7 @@ from procedures.planning.target_error import (
 from procedures.planning.visits import ArmSetting, PathCheck
 from procedures.registration.error_theory import tre_principal_axes_mm
 from procedures.registration.rigid_fit import fit_rigid
-from procedures.strategies.catalogue import CANDIDATES, BestOfEach, strategy_named
+from procedures.strategies.catalogue import CANDIDATES, BestOfEach, find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.calibrated_arm.deviations import ArmDeviations, flange_poses
 from ronna_hw.calibrated_arm.error_budget import ErrorSizes
@@ -68,7 +68,7 @@ LEANING = Trajectory("T1", (10.0, -80.0, 60.0), (5.0, -20.0, 20.0))
 def test_the_strategy_with_the_least_predicted_error_is_chosen(
     make_arm: Callable[..., ArmSetting], sizes: ErrorSizes
 ) -> None:
-    setting = make_arm(strategy=strategy_named("best"), sizes=sizes)
+    setting = make_arm(strategy=find_strategy("best"), sizes=sizes)
     chosen = choose_best_strategies(setting, [LEANING], FIDUCIALS, SIGHT).strategy
     assert isinstance(chosen, BestOfEach)
     predicted_mm = {}
@@ -76,29 +76,29 @@ def test_the_strategy_with_the_least_predicted_error_is_chosen(
         alone = replace(setting, strategy=one)
         check = choose_free_angles(alone, [LEANING], FIDUCIALS, SIGHT).check
         predicted_mm[one.name] = predict_arm_error_mm(alone, check, LEANING)
-    assert chosen.of("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
+    assert chosen.strategy_for("T1").name == min(predicted_mm, key=lambda name: predicted_mm[name])
 
 
 def test_the_predicted_error_is_that_of_drawn_arms_at_the_target_not_at_the_holding_pose(
     make_arm: Callable[..., ArmSetting],
 ) -> None:
-    held = LEANING.held(-90.0)
+    with_rest = LEANING.with_rest(-90.0)
     setting = make_arm(sizes=ErrorSizes(tool_mm=0.0, backlash=0.0))
-    check = choose_free_angles(setting, [held], FIDUCIALS, SIGHT).check
-    errors_mm = np.array([_error_of_a_drawn_arm_mm(setting, check, held, draw) for draw in range(DRAWS)])
+    check = choose_free_angles(setting, [with_rest], FIDUCIALS, SIGHT).check
+    errors_mm = np.array([_error_of_a_drawn_arm_mm(setting, check, with_rest, draw) for draw in range(DRAWS)])
     rms_mm = np.sqrt(np.mean(np.sum(errors_mm**2, axis=1)))
-    assert predict_arm_error_mm(setting, check, held) == pytest.approx(rms_mm, rel=0.1)
+    assert predict_arm_error_mm(setting, check, with_rest) == pytest.approx(rms_mm, rel=0.1)
 
 
 def _error_of_a_drawn_arm_mm(
-    setting: ArmSetting, check: PathCheck, held: Trajectory, draw: int
+    setting: ArmSetting, check: PathCheck, with_rest: Trajectory, draw: int
 ) -> NDArray[np.float64]:
     """Where an arm of set S brings the tip beside the target, by its nominal twin's poses."""
     generator, chain = np.random.default_rng(draw), setting.kinematics.chain
     sigmas = ArmModel(setting.kinematics, setting.flange_from_tool).prior
-    drawn = ArmDeviations.of_flat(sigmas * generator.normal(size=len(sigmas)), len(chain.joints))
+    drawn = ArmDeviations.from_flat(sigmas * generator.normal(size=len(sigmas)), len(chain.joints))
     points = np.concatenate(
-        [setting.robot_from_ct.apply(FIDUCIALS), [setting.robot_from_ct.apply(held.target_mm)]]
+        [setting.robot_from_ct.apply(FIDUCIALS), [setting.robot_from_ct.apply(with_rest.target_mm)]]
     )
     off = np.zeros_like(points)
     for row, (one, point) in enumerate(zip(check.reached, points, strict=True)):

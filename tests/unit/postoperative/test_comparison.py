@@ -9,7 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform
 
-from benchmarks.scans.postoperative import after, before, errors_of, misplaced, plan_of
+from benchmarks.scans.postoperative import (
+    compare_instrument,
+    draw_misplaced,
+    make_plan,
+    paint_after,
+    paint_before,
+)
 from procedures.imaging.volume import Volume
 from procedures.planning.errors import WrongSeries
 from procedures.postoperative.bone_registration import BoneRegistration, register_on_bone
@@ -17,8 +23,8 @@ from procedures.postoperative.comparison import (
     Candidate,
     FoundKind,
     assign,
-    compare,
     compare_registered,
+    compare_with_plan,
     require_series,
 )
 from procedures.postoperative.errors import (
@@ -31,11 +37,11 @@ from procedures.postoperative.errors import (
     SeriesSwapped,
 )
 from procedures.postoperative.planned_line import ExpectedFit, FitQuality, PlannedLine
-from procedures.postoperative.summary import summary_of
+from procedures.postoperative.summary import summarize_comparison
 from sim.phantom.postoperative_scan import Instrument, draw_scan
 from sim.world.options import InstrumentKind
 from sim.world.scene.model import CtProtocol, Scene
-from sim.world.scene.named_scenes import MINI_CT, named_scene
+from sim.world.scene.named_scenes import MINI_CT, draw_scene
 
 COARSE = CtProtocol(pixel_mm=1.2, slice_mm=1.5, columns=200, rows=200, slices=134)
 SEED = 7
@@ -43,12 +49,12 @@ SEED = 7
 
 @pytest.fixture(scope="module")
 def scene() -> Scene:
-    return named_scene("default", seed=SEED, targets=2).model_copy(update={"ct": COARSE})
+    return draw_scene("default", seed=SEED, targets=2).model_copy(update={"ct": COARSE})
 
 
 @pytest.fixture(scope="module")
 def planned(scene: Scene) -> Volume:
-    return before(scene)
+    return paint_before(scene)
 
 
 @cache
@@ -56,16 +62,16 @@ def _after(scene: Scene, left: tuple[Instrument, ...]) -> tuple[Volume, BoneRegi
     """The second scan, and how it truly lies."""
     scan = draw_scan(scene, left, SEED)
     pose = RigidTransform.from_matrix(scan.pose.scan_from_head)
-    return after(scan), BoneRegistration(pose, 1.0, 1.0, 0.0)
+    return paint_after(scan), BoneRegistration(pose, 1.0, 1.0, 0.0)
 
 
 def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Volume) -> None:
-    left = misplaced(scene, InstrumentKind.ELECTRODE, SEED)
+    left = draw_misplaced(scene, InstrumentKind.ELECTRODE, SEED)
     post, _ = _after(scene, left)
-    proof = compare(plan_of(scene), planned, post)
+    proof = compare_with_plan(make_plan(scene), planned, post)
     assert [one.id for one in proof.trajectories] == ["T1", "T2"]
     for truth, found in zip(left, proof.trajectories, strict=True):
-        tip_mm, entry_mm, angle_deg = errors_of(truth, found)
+        tip_mm, entry_mm, angle_deg = compare_instrument(truth, found)
         assert tip_mm < 0.2
         assert entry_mm < 0.2
         assert angle_deg < 0.3
@@ -74,12 +80,14 @@ def test_electrodes_are_found_within_the_accuracy_goal(scene: Scene, planned: Vo
 @pytest.mark.hazard(43)
 def test_the_streaks_of_an_electrode_do_not_shift_its_tip() -> None:
     seed = 88  # strong ones; left unfitted they shift the tip by 0.24 mm
-    scene = named_scene("default", seed=seed, targets=1).model_copy(update={"ct": MINI_CT})
-    left = misplaced(scene, InstrumentKind.ELECTRODE, seed)
+    scene = draw_scene("default", seed=seed, targets=1).model_copy(update={"ct": MINI_CT})
+    left = draw_misplaced(scene, InstrumentKind.ELECTRODE, seed)
     scan = draw_scan(scene, left, seed)
     truth = BoneRegistration(RigidTransform.from_matrix(scan.pose.scan_from_head), 1.0, 1.0, 0.0)
-    (found,) = compare_registered(truth, plan_of(scene), before(scene), after(scan)).trajectories
-    tip_mm, _, angle_deg = errors_of(left[0], found)
+    (found,) = compare_registered(
+        truth, make_plan(scene), paint_before(scene), paint_after(scan)
+    ).trajectories
+    tip_mm, _, angle_deg = compare_instrument(left[0], found)
     assert tip_mm < 0.1
     assert angle_deg < 0.03
 
@@ -89,13 +97,13 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
     deeper = np.subtract(target.target_ct_mm, 1.5 * np.array(target.outwards_ct))
     left = (Instrument("T1", InstrumentKind.NEEDLE, tuple(deeper.tolist()), target.outwards_ct),)
     post, truth = _after(scene, left)
-    plan = plan_of(scene)
+    plan = make_plan(scene)
     proof = compare_registered(truth, plan, planned, post, ["T1"])
     (found,) = proof.trajectories
-    assert summary_of(proof, plan, planned, post).warnings == ()
+    assert summarize_comparison(proof, plan, planned, post).warnings == ()
     strict = plan.trajectories[0].model_copy(update={"margin_mm": 1.0})
     plan = plan.model_copy(update={"trajectories": (strict, plan.trajectories[1])})
-    (said,) = summary_of(proof, plan, planned, post).warnings
+    (said,) = summarize_comparison(proof, plan, planned, post).warnings
     assert said == f"T1 is {found.target_error_mm:.2f} mm off its target: the plan accepts 1 mm"
     assert found.kind is FoundKind.INSTRUMENT
     assert found.depth_error_mm == pytest.approx(1.5, abs=0.2)
@@ -107,15 +115,15 @@ def test_errors_are_measured_against_the_plan(scene: Scene, planned: Volume) -> 
 
 
 def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, planned: Volume) -> None:
-    left = misplaced(scene, InstrumentKind.DRILL_HOLE, SEED)
+    left = draw_misplaced(scene, InstrumentKind.DRILL_HOLE, SEED)
     post, truth = _after(scene, left)
     for one, found in zip(
-        left, compare_registered(truth, plan_of(scene), planned, post).trajectories, strict=True
+        left, compare_registered(truth, make_plan(scene), planned, post).trajectories, strict=True
     ):
         assert found.kind is FoundKind.DRILL_HOLE
         assert found.tip_mm is None
         assert found.depth_error_mm is None
-        _, entry_mm, angle_deg = errors_of(one, found)
+        _, entry_mm, angle_deg = compare_instrument(one, found)
         assert entry_mm < 0.2
         assert angle_deg < 0.7  # of a skull 7 mm thick, in slices of 1.5 mm
         assert found.doubts == ()
@@ -125,11 +133,11 @@ def test_a_drill_hole_has_an_entry_and_a_direction_but_no_tip(scene: Scene, plan
 def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
     scene: Scene, planned: Volume
 ) -> None:
-    post, truth = _after(scene, misplaced(scene, InstrumentKind.ELECTRODE, SEED)[:1])
+    post, truth = _after(scene, draw_misplaced(scene, InstrumentKind.ELECTRODE, SEED)[:1])
     with pytest.raises(InstrumentMissing, match=r"was found along T2; .*found along T1"):
-        compare_registered(truth, plan_of(scene), planned, post)
+        compare_registered(truth, make_plan(scene), planned, post)
     assert [
-        one.id for one in compare_registered(truth, plan_of(scene), planned, post, ["T1"]).trajectories
+        one.id for one in compare_registered(truth, make_plan(scene), planned, post, ["T1"]).trajectories
     ] == ["T1"]
 
 
@@ -138,12 +146,12 @@ def test_a_trajectory_without_an_instrument_is_named_along_with_those_found(
 def test_one_instrument_or_hole_is_not_counted_for_two_trajectories(
     scene: Scene, planned: Volume, kind: InstrumentKind
 ) -> None:
-    left = misplaced(scene, kind, SEED)[:1]
+    left = draw_misplaced(scene, kind, SEED)[:1]
     post, truth = _after(scene, left)
-    first, second = plan_of(scene).trajectories
+    first, second = make_plan(scene).trajectories
     aside = {name: tuple(np.add(getattr(first, name), (3.0, 0.0, 0.0))) for name in ("entry_mm", "target_mm")}
     beside = second.model_copy(update=aside)
-    plan = plan_of(scene).model_copy(update={"trajectories": (first, beside)})
+    plan = make_plan(scene).model_copy(update={"trajectories": (first, beside)})
     with pytest.raises(InstrumentAmbiguous, match=r"T1 and T2|T2 and T1"):
         compare_registered(truth, plan, planned, post)
 
@@ -159,7 +167,7 @@ def test_an_opening_that_is_not_a_drill_hole_is_refused_with_the_reason(
     flap = voxels[slices - 12 : slices + 13, rows - 15 : rows + 16, columns - 15 : columns + 16]
     flap[flap > 300] = 40  # a plate of bone of 36 mm was taken out
     with pytest.raises(FitFailed, match=r"T1 \(drill hole: .*ended at a limit"):
-        compare_registered(truth, plan_of(scene), planned, replace(post, voxels=voxels), ["T1"])
+        compare_registered(truth, make_plan(scene), planned, replace(post, voxels=voxels), ["T1"])
 
 
 def _between(post: Volume, first: int, end: int) -> Volume:
@@ -180,7 +188,7 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
     entry = _slice_of(post, truth, scene.head.targets[0].entry_ct_mm)
     for below in (0, 8, 15):  # slices by which it ends too low
         with pytest.raises(InstrumentMissing):
-            compare_registered(truth, plan_of(scene), planned, _between(post, 0, entry - below), ["T1"])
+            compare_registered(truth, make_plan(scene), planned, _between(post, 0, entry - below), ["T1"])
 
 
 @pytest.mark.hazard(43)
@@ -188,13 +196,13 @@ def test_bone_beyond_the_end_of_the_scan_is_not_taken_for_a_drill_hole(scene: Sc
 def test_an_instrument_or_hole_that_the_scan_shows_in_part_is_refused_with_the_reason(
     scene: Scene, planned: Volume, kind: InstrumentKind
 ) -> None:
-    post, truth = _after(scene, misplaced(scene, kind, SEED))
+    post, truth = _after(scene, draw_misplaced(scene, kind, SEED))
     target = scene.head.targets[0]
     cut = _between(post, _slice_of(post, truth, target.target_ct_mm) + 10, len(post.voxels))
     if kind is InstrumentKind.DRILL_HOLE:
         cut = _between(post, 0, _slice_of(post, truth, target.entry_ct_mm) - 3)
     with pytest.raises(FitFailed, match=r"T1 \(.*: the CT ends there"):
-        compare_registered(truth, plan_of(scene), planned, cut, ["T1"])
+        compare_registered(truth, make_plan(scene), planned, cut, ["T1"])
 
 
 @pytest.mark.hazard(43)
@@ -203,7 +211,7 @@ def test_another_skull_is_refused(scene: Scene, planned: Volume) -> None:
     hardly = scene.head.model_copy(update={"semi_axes_mm": (a - 1.0, b - 1.0, c + 1.0)})
     other = draw_scan(scene.model_copy(update={"head": hardly}), (), SEED)
     with pytest.raises(HeadsDiffer):
-        register_on_bone(planned, after(other))
+        register_on_bone(planned, paint_after(other))
 
 
 def test_a_scan_without_bone_is_refused(planned: Volume) -> None:
@@ -217,7 +225,7 @@ def test_a_scan_without_bone_is_refused(planned: Volume) -> None:
 def test_the_plan_must_match_the_first_series_and_the_second_series_must_differ(
     scene: Scene, planned: Volume
 ) -> None:
-    plan, post = plan_of(scene), replace(planned, series_instance_uid="1.2.2")
+    plan, post = make_plan(scene), replace(planned, series_instance_uid="1.2.2")
     require_series(plan, planned, post)
     with pytest.raises(SeriesSwapped):
         require_series(plan, post, planned)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.postoperative.instrument import RodAxis, Slices, streaks_along
+from procedures.postoperative.instrument import RodAxis, Slices, read_streaks
 
 TIP = RodAxis(np.array([0.3, -0.2, 0.0]), np.array([0.4, 0.1, 1.0]), 0.0)
 RAYS_HU, RAYS, SLICE_MM = 250.0, 5, 1.5
@@ -34,7 +34,7 @@ def test_the_pattern_of_the_shaft_continues_in_the_slices_of_the_tip(slices: Sli
     true_hu = rays(slices, TIP)
     noisy = true_hu + np.random.default_rng(3).normal(0.0, 20.0, len(true_hu))
     usable = np.ones(len(true_hu), dtype=bool)
-    found = streaks_along(slices, TIP, noisy, usable)
+    found = read_streaks(slices, TIP, noisy, usable)
     shaft = found.shaft_hu != 0.0
     assert np.std((found.shaft_hu - true_hu)[shaft]) < 10.0
     (part,) = found.parts  # from 0.75 mm before the tip to 0.75 mm beyond it
@@ -45,7 +45,7 @@ def test_the_pattern_of_the_shaft_continues_in_the_slices_of_the_tip(slices: Sli
 
 def test_a_rod_that_lies_in_the_slices_has_no_streaks_to_read(slices: Slices) -> None:
     flat = RodAxis(TIP.point_mm, np.array([1.0, 0.2, 0.1]), 0.0)
-    found = streaks_along(slices, flat, rays(slices, TIP), np.ones(len(slices.voxels), dtype=bool))
+    found = read_streaks(slices, flat, rays(slices, TIP), np.ones(len(slices.voxels), dtype=bool))
     assert found.parts == ()
     assert not found.hu(found.start).any()
 
@@ -53,4 +53,4 @@ def test_a_rod_that_lies_in_the_slices_has_no_streaks_to_read(slices: Slices) ->
 def test_from_a_few_voxels_no_streaks_are_read(slices: Slices) -> None:
     usable = np.zeros(len(slices.voxels), dtype=bool)
     usable[-50:] = True
-    assert streaks_along(slices, TIP, rays(slices, TIP), usable).parts == ()
+    assert read_streaks(slices, TIP, rays(slices, TIP), usable).parts == ()

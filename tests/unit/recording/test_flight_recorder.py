@@ -15,8 +15,8 @@ from user_commands import in_this_process
 from waiting import eventually
 
 from procedures.cli.procedure import app as ronna_procedure
-from ronna_hw.devices.capabilities import Direction, Passed
-from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder, LinkLine, links_of, read_link
+from ronna_hw.devices.capabilities import Direction, PassedBytes
+from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder, LinkLine, list_links, read_link
 
 SENT, RECEIVED = Direction.SENT, Direction.RECEIVED
 PCAP_HEAD, PACKET_HEAD = 24, struct.Struct("<IIII")
@@ -67,13 +67,13 @@ def test_recorded_bytes_are_read_back_with_direction_and_time(
     make: Make, folder: Path, theatre: Theatre
 ) -> None:
     recorder = make()
-    recorder.passed("tracker", SENT, b"BX 1801\r")
+    recorder.on_bytes("tracker", SENT, b"BX 1801\r")
     theatre.moment_s = 2.5
-    recorder.passed("tracker", RECEIVED, bytes(range(256)))
+    recorder.on_bytes("tracker", RECEIVED, bytes(range(256)))
     recorder.note("tracker", baud=115200)
-    recorder.passed("robot.master.eki", SENT, b"<Cmd/>")
+    recorder.on_bytes("robot.master.eki", SENT, b"<Cmd/>")
     recorder.close()
-    assert links_of(folder) == ("robot.master.eki", "tracker")
+    assert list_links(folder) == ("robot.master.eki", "tracker")
     first, second, note = _kept(folder, "tracker")
     assert (first.direction, first.data, first.theatre_time_s) == (SENT, b"BX 1801\r", 0.0)
     assert (second.direction, second.data, second.theatre_time_s) == (RECEIVED, bytes(range(256)), 2.5)
@@ -85,10 +85,12 @@ def test_bytes_from_another_process_get_a_theatre_time_between_two_calls(
     make: Make, folder: Path, theatre: Theatre
 ) -> None:
     recorder = make()
-    recorder.passed_earlier("rsi", [])
+    recorder.on_earlier_bytes("rsi", [])
     began_ns = time.monotonic_ns()
     theatre.moment_s = 10.0
-    recorder.passed_earlier("rsi", [Passed(began_ns, RECEIVED, b"a"), Passed(began_ns + 5000, SENT, b"b")])
+    recorder.on_earlier_bytes(
+        "rsi", [PassedBytes(began_ns, RECEIVED, b"a"), PassedBytes(began_ns + 5000, SENT, b"b")]
+    )
     recorder.close()
     first, second = _kept(folder, "rsi")
     assert 0.0 <= first.theatre_time_s <= second.theatre_time_s <= 10.0
@@ -100,7 +102,7 @@ def test_a_link_keeps_its_newest_bytes_in_two_files_of_limited_size(make: Make, 
     recorder = make(file_bytes=limit)
     for number in range(40):
         for _ in range(10):
-            recorder.passed("tracker", SENT, b"%04d" % number)
+            recorder.on_bytes("tracker", SENT, b"%04d" % number)
         recorder._write_waiting()
     recorder.close()
     assert len(list(folder.iterdir())) == 2
@@ -114,7 +116,7 @@ def test_a_link_keeps_its_newest_bytes_in_two_files_of_limited_size(make: Make, 
 def test_bytes_that_do_not_fit_into_the_queue_are_dropped_counted_and_noted(make: Make, folder: Path) -> None:
     recorder = make(queue_length=0)
     for _ in range(7):
-        recorder.passed("tracker", SENT, b"x")
+        recorder.on_bytes("tracker", SENT, b"x")
     recorder.close()
     assert sum(int(line.note["dropped"]) for line in _kept(folder, "tracker")) == 7
 
@@ -123,8 +125,8 @@ def test_a_file_that_cannot_be_written_loses_only_its_own_bytes(make: Make, fold
     recorder = make()
     (folder / "tracker.a.jsonl").mkdir()
     (folder / "tracker.b.jsonl").mkdir()
-    recorder.passed("tracker", SENT, b"lost")
-    recorder.passed("eki", SENT, b"kept")
+    recorder.on_bytes("tracker", SENT, b"lost")
+    recorder.on_bytes("eki", SENT, b"kept")
     recorder.close()
     assert [line.data for line in _kept(folder, "eki")] == [b"kept"]
 
@@ -136,12 +138,12 @@ def test_a_link_is_recorded_again_once_its_file_can_be_written_and_says_how_much
     for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
         (folder / name).mkdir()
     for data in (b"one", b"two"):
-        recorder.passed("tracker", SENT, data)
-    recorder.passed("eki", SENT, b"later than both")
+        recorder.on_bytes("tracker", SENT, data)
+    recorder.on_bytes("eki", SENT, b"later than both")
     eventually((folder / "eki.a.jsonl").exists)
     for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
         (folder / name).rmdir()
-    recorder.passed("tracker", SENT, b"three")
+    recorder.on_bytes("tracker", SENT, b"three")
     recorder.close()
     lines = _kept(folder, "tracker")
     assert [line.data for line in lines if not line.note] == [b"three"]
@@ -153,22 +155,22 @@ def test_the_recorder_keeps_the_last_theatre_time_when_the_clock_ends(
 ) -> None:
     theatre.moment_s = 3.0
     recorder = make()
-    recorder.passed("tracker", SENT, b"before")
+    recorder.on_bytes("tracker", SENT, b"before")
     theatre.moment_s = -1.0
-    recorder.passed("tracker", SENT, b"after")
+    recorder.on_bytes("tracker", SENT, b"after")
     recorder.close()
     assert [line.theatre_time_s for line in _kept(folder, "tracker")] == [3.0, 3.0]
 
 
 def test_a_later_process_of_the_run_appends_after_a_torn_line(make: Make, folder: Path) -> None:
     first = make()
-    first.passed("tracker", SENT, b"one")
-    first.passed("tracker", SENT, b"two")
+    first.on_bytes("tracker", SENT, b"one")
+    first.on_bytes("tracker", SENT, b"two")
     first.close()
     file = folder / "tracker.a.jsonl"
     os.truncate(file, file.stat().st_size - 5)
     second = make()
-    second.passed("tracker", SENT, b"three")
+    second.on_bytes("tracker", SENT, b"three")
     second.close()
     assert [line.data for line in _kept(folder, "tracker")] == [b"one", b"three"]
 
@@ -179,7 +181,7 @@ def run(make: Make, folder: Path, theatre: Theatre) -> Path:
     recorder = make()
     for second, link in ((1.0, "tracker"), (2.0, "stereo.left.control"), (3.0, "tracker")):
         theatre.moment_s = second
-        recorder.passed(link, SENT, b"%d abcdef0123456789 deadbeef \x00\xff" % second)
+        recorder.on_bytes(link, SENT, b"%d abcdef0123456789 deadbeef \x00\xff" % second)
     recorder.close()
     return folder.parent
 

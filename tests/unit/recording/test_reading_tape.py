@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from recording_cell import HOME, RecordingArm, RecordingDevice
 
-from ronna_hw.arm.clearance.sweep import Closest
+from ronna_hw.arm.clearance.sweep import ClosestPair
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.kinematics import SingularMeasure
 from ronna_hw.arm.kr6_r900 import kr6_r900
@@ -35,7 +35,7 @@ from ronna_hw.devices.readings import (
     Validity,
 )
 from ronna_hw.recording.reading_coding import ANSWERS, as_plain, as_recorded
-from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape, taped
+from ronna_hw.recording.reading_tape import READINGS_FILE, ReadingTape, tape_device
 
 STAMP = Stamp(3, 17, 0.1 + 0.2, 0.3)
 PIXELS = np.arange(12, dtype=np.uint16).reshape(3, 4)
@@ -54,7 +54,7 @@ GIVEN: dict[str, Any] = {
     "preview": PathPreview(
         1.0,
         ((0.0, 1.0),),
-        Closest("arm", "head", 3.0, 0.5),
+        ClosestPair("arm", "head", 3.0, 0.5),
         None,
         SingularMeasure(1.0, 2.0, 3.0),
         0.5,
@@ -89,7 +89,7 @@ def _lines(tape: ReadingTape, folder: Path) -> list[dict[str, Any]]:
 
 
 def test_only_answers_requested_by_the_step_itself_are_on_the_tape(tape: ReadingTape, tmp_path: Path) -> None:
-    arm: Any = taped(RecordingArm("arm"), tape)
+    arm: Any = tape_device(RecordingArm("arm"), tape)
     arm.read_state()  # between two steps
     tape.begin(5)
     arm.read_tool_identity()
@@ -108,7 +108,7 @@ def test_only_answers_requested_by_the_step_itself_are_on_the_tape(tape: Reading
 def test_an_error_is_raised_as_usual_and_recorded_with_the_resulting_state(
     tape: ReadingTape, tmp_path: Path
 ) -> None:
-    arm: Any = taped(
+    arm: Any = tape_device(
         RecordingArm("arm", state=Lifecycle.FAULT, failing=NotClear("too near", got="2 mm")), tape
     )
     tape.begin(1)
@@ -120,13 +120,13 @@ def test_an_error_is_raised_as_usual_and_recorded_with_the_resulting_state(
 
 def test_a_device_on_tape_keeps_its_device_kinds(tape: ReadingTape) -> None:
     for device in (RecordingArm("arm"), RecordingDevice("tracker")):
-        on_tape = taped(device, tape)  # type: ignore[arg-type]
+        on_tape = tape_device(device, tape)  # type: ignore[arg-type]
         for kind in (RobotArm, OpticalTracker):
             assert isinstance(on_tape, kind) == isinstance(device, kind)
 
 
 def test_settled_answers_are_on_disk(tape: ReadingTape, tmp_path: Path) -> None:
-    arm: Any = taped(RecordingArm("arm"), tape)
+    arm: Any = tape_device(RecordingArm("arm"), tape)
     tape.begin(0)
     for _ in range(100):
         arm.read_state()
@@ -136,7 +136,7 @@ def test_settled_answers_are_on_disk(tape: ReadingTape, tmp_path: Path) -> None:
 
 def test_a_full_tape_ends_with_a_mark(tmp_path: Path) -> None:
     tape = ReadingTape(tmp_path, lambda: 0.0, {}, most_bytes=100)
-    arm: Any = taped(RecordingArm("arm"), tape)
+    arm: Any = tape_device(RecordingArm("arm"), tape)
     tape.begin(0)
     arm.read_state()
     tape._write_waiting()

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import RigidTransform, Rotation
 
-from procedures.registration.movement import RigidMove, rigid_move
+from procedures.registration.movement import RigidMove, fit_rigid_move
 
 SPHERES_MM = np.array([[0, 0, 80], [60, 0, 50], [-60, 10, 50], [10, 70, 30], [0, -70, 40]], dtype=float)
 SIGMA_MM = np.array([0.03, 0.03, 0.1])  # a tracker is worse in depth
@@ -24,7 +24,7 @@ def moves() -> list[RigidMove]:
     """The same move measured again and again."""
     generator = np.random.default_rng(5)
     return [
-        rigid_move(
+        fit_rigid_move(
             measured(generator, SPHERES_MM), measured(generator, MOVE.apply(SPHERES_MM)), COVARIANCE_MM2
         )
         for _ in range(TRIALS)
@@ -47,4 +47,4 @@ def test_a_sphere_that_moved_on_its_own_fails_the_gate() -> None:
     for _ in range(MOVED_TRIALS):
         before, after = measured(generator, SPHERES_MM), measured(generator, MOVE.apply(SPHERES_MM))
         after[0] += (1.0, 0.0, 0.0)  # far beyond its noise, in every trial
-        assert not rigid_move(before, after, COVARIANCE_MM2).gate.passed
+        assert not fit_rigid_move(before, after, COVARIANCE_MM2).gate.passed

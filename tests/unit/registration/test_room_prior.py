@@ -23,12 +23,12 @@ def lying(axis: str, angle_deg: float) -> np.ndarray:
 
 @pytest.mark.parametrize("reclined_deg", [-29.0, 0.0, 60.0, 89.0])
 def test_a_patient_lies_flat_or_is_raised_within_the_range(reclined_deg: float) -> None:
-    assert PRIOR.against_position(lying("y", reclined_deg), MIDDLE_MM) == ""
+    assert PRIOR.check_position(lying("y", reclined_deg), MIDDLE_MM) == ""
 
 
 @pytest.mark.parametrize(("reclined_deg", "beyond"), [(-50.0, "50"), (100.0, "40"), (180.0, "120")])
 def test_a_patient_head_down_or_bent_forward_beyond_it_is_refused(reclined_deg: float, beyond: str) -> None:
-    reason = PRIOR.against_position(lying("y", reclined_deg), MIDDLE_MM)
+    reason = PRIOR.check_position(lying("y", reclined_deg), MIDDLE_MM)
     assert (
         reason == f"the head would be turned {beyond} deg beyond the planned patient position, limit 30 deg"
     )
@@ -36,18 +36,18 @@ def test_a_patient_head_down_or_bent_forward_beyond_it_is_refused(reclined_deg: 
 
 @pytest.mark.parametrize(("turned_deg", "allowed"), [(25.0, True), (-25.0, True), (35.0, False)])
 def test_a_head_may_be_turned_to_the_side_within_the_tolerance(turned_deg: float, allowed: bool) -> None:
-    assert (PRIOR.against_position(lying("x", turned_deg), MIDDLE_MM) == "") is allowed
+    assert (PRIOR.check_position(lying("x", turned_deg), MIDDLE_MM) == "") is allowed
 
 
 def test_a_table_tilted_by_20_degrees_takes_its_part_of_the_tolerance() -> None:
-    assert PRIOR.against_position(lying("x", 20.0), MIDDLE_MM) == ""
-    assert "turned 35 deg" in PRIOR.against_position(lying("x", 15.0 + 20.0), MIDDLE_MM)
+    assert PRIOR.check_position(lying("x", 20.0), MIDDLE_MM) == ""
+    assert "turned 35 deg" in PRIOR.check_position(lying("x", 15.0 + 20.0), MIDDLE_MM)
 
 
 def test_the_arm_cannot_stand_where_the_body_of_the_patient_is() -> None:
     feet_to_the_arm = lying("z", 180.0)
-    assert "where the patient's body is" in PRIOR.against_position(feet_to_the_arm, MIDDLE_MM)
-    assert PRIOR.against_position(lying("z", 90.0), MIDDLE_MM) == ""
+    assert "where the patient's body is" in PRIOR.check_position(feet_to_the_arm, MIDDLE_MM)
+    assert PRIOR.check_position(lying("z", 90.0), MIDDLE_MM) == ""
 
 
 def test_the_tracker_sees_no_sphere_through_the_head() -> None:

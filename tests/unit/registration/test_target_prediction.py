@@ -10,13 +10,13 @@ from scipy.stats import chi2
 from procedures.registration import register
 from procedures.registration.error_theory import FreGate, chi_square_limit
 from procedures.registration.target_prediction import (
-    OwnErrors,
+    IndependentErrors,
     SharedErrors,
     UnnoticedPoint,
     chi_square_of_shared,
+    find_unnoticed_point,
     influence_of_spheres,
     predict_target_error,
-    unnoticed_point,
 )
 
 SPHERES = np.array([[80.0, 0, 0], [0, 90, 20], [-70, -10, 40], [10, -80, 0]])
@@ -56,7 +56,7 @@ def test_the_region_contains_the_errors_of_many_registrations() -> None:
     own = np.tile(np.diag([0.01, 0.02, 0.09]), (4, 1, 1))
     columns = 0.1 * random.normal(size=(5, 3, 2))
     predicted = predict_target_error(
-        SPHERES, TARGET, [SharedErrors("arm", columns[:4], columns[4]), OwnErrors("CT", own, NOTHING)]
+        SPHERES, TARGET, [SharedErrors("arm", columns[:4], columns[4]), IndependentErrors("CT", own, NOTHING)]
     )
     errors = []
     for _ in range(800):
@@ -65,7 +65,7 @@ def test_the_region_contains_the_errors_of_many_registrations() -> None:
         fit = register(SPHERES, SPHERES - columns[:4] @ size + noise)
         errors.append(fit.transform.apply(TARGET) + columns[4] @ size - TARGET)
     np.testing.assert_allclose(np.cov(np.array(errors).T), predicted.covariance_mm2, atol=0.01)
-    assert predicted.holds(errors).mean() == pytest.approx(0.95, abs=0.02)
+    assert predicted.mark_contained(errors).mean() == pytest.approx(0.95, abs=0.02)
     assert sum(share**2 for share in predicted.budget_mm.values()) == pytest.approx(predicted.rms_mm**2)
 
 
@@ -107,7 +107,7 @@ def _worst(points_mm: Array, largest_mm: float = 3.0) -> UnnoticedPoint:
     count = len(points_mm)
     gate = FreGate(0.0, 0.0, chi_square_limit(3 * count - 6, 0.999), 0.999)
     covariance, shared = COVARIANCE_MM2[:count], np.zeros((count, 3, 1))
-    return unnoticed_point(
+    return find_unnoticed_point(
         points_mm, TARGET_MM, covariance, shared, np.linalg.inv(covariance), gate, largest_mm
     )
 

@@ -41,7 +41,7 @@ def run(settings, twist, repeatability_mm=0.0, start=None):
     pose, state = start or tool_pose(), ServoState(settings)
     while True:
         residual = residual_seen(pose, twist)
-        state = state.measured(pose, residual)
+        state = state.with_measurement(pose, residual)
         if state.converged:
             return state, pose, residual
         pose = state.next_pose(pose)
@@ -65,7 +65,7 @@ def test_the_servo_converges_within_eight_steps_from_five_millimetres(seed, dire
     )
     twist = Rotation.from_rotvec([0.02, -0.03, 0.02])
     state, pose, residual = run(ServoSettings(), twist, 0.008, tool_pose(start_mm, seed))
-    assert state.steps_made <= 8
+    assert state.step_count <= 8
     assert state.residuals_mm[-1] <= 0.03
     assert np.linalg.norm(pose.translation_mm - SPHERE_MM) < 0.035
     assert np.linalg.norm(recorded_point(pose, residual) - SPHERE_MM) < 0.003
@@ -79,9 +79,9 @@ def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest():
         state, commanded = ServoState(), Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=[5.0, 0.0, 0.0])
         while not state.converged:
             at_rest_mm = commanded.translation_mm + generator.normal(0.0, 0.015, 3)
-            state = state.measured(commanded, -at_rest_mm)  # the sphere is the origin
+            state = state.with_measurement(commanded, -at_rest_mm)  # the sphere is the origin
             commanded = state.next_pose(commanded)
-        steps.append(state.steps_made)
+        steps.append(state.step_count)
     assert sum(count <= 8 for count in steps) >= 999
     assert np.mean(steps) < 2.25  # 2.3 with the last near looks alone
 
@@ -89,14 +89,14 @@ def test_the_servo_converges_within_eight_steps_despite_random_errors_at_rest():
 def test_the_next_pose_aims_at_the_mean_of_the_near_measurements() -> None:
     at, state = Transform.of(Frame.ROBOT, Frame.TOOL), ServoState()
     for x_mm in (0.04, 0.06, 0.05):
-        state = state.measured(at, [x_mm, 0.0, 0.0])
+        state = state.with_measurement(at, [x_mm, 0.0, 0.0])
     assert state.next_pose(at).translation_mm == pytest.approx([0.05, 0.0, 0.0], abs=1e-4)
 
 
 def test_a_distant_measurement_counts_less_than_a_near_one() -> None:
     far = Transform.of(Frame.ROBOT, Frame.TOOL, translation_mm=[5.0, 0.0, 0.0])
     near = Transform.of(Frame.ROBOT, Frame.TOOL)
-    state = ServoState().measured(far, [-5.2, 0.0, 0.0]).measured(near, [0.1, 0.0, 0.0])
+    state = ServoState().with_measurement(far, [-5.2, 0.0, 0.0]).with_measurement(near, [0.1, 0.0, 0.0])
     assert 0.0 < state.next_pose(near).translation_mm[0] < 0.1
 
 
@@ -107,13 +107,13 @@ def test_the_next_pose_is_refused_before_the_first_measurement() -> None:
 
 def test_the_orientation_is_kept():
     pose = tool_pose()
-    moved = ServoState().measured(pose, [1.0, 2.0, 2.0]).next_pose(pose)
+    moved = ServoState().with_measurement(pose, [1.0, 2.0, 2.0]).next_pose(pose)
     assert moved.quaternion_wxyz == pytest.approx(pose.quaternion_wxyz)
     assert np.linalg.norm(moved.translation_mm - pose.translation_mm) == pytest.approx(3.0)
 
 
 def test_one_step_never_exceeds_its_limit():
-    moved = ServoState().measured(tool_pose(), [0.0, 300.0, 400.0]).next_pose(tool_pose())
+    moved = ServoState().with_measurement(tool_pose(), [0.0, 300.0, 400.0]).next_pose(tool_pose())
     assert np.linalg.norm(moved.translation_mm - tool_pose().translation_mm) == pytest.approx(10.0)
 
 
@@ -125,15 +125,15 @@ def test_a_reversed_head_is_detected_as_divergence():
 def test_a_servo_that_stays_above_its_limit_is_exhausted():
     state = ServoState(ServoSettings(steps=5))
     for _ in range(5):
-        state = state.measured(tool_pose(), [0.0, 0.0, 0.05])
+        state = state.with_measurement(tool_pose(), [0.0, 0.0, 0.05])
     with pytest.raises(ServoExhausted, match="STE-008"):
-        state.measured(tool_pose(), [0.0, 0.0, 0.05])
+        state.with_measurement(tool_pose(), [0.0, 0.0, 0.05])
 
 
 @pytest.mark.parametrize("residual", [[np.nan, 0.0, 0.0], [1.0, 2.0], [[0.0, 0.0, 0.0]]])
 def test_an_invalid_residual_is_refused(residual):
     with pytest.raises(BadMeasurement, match="STE-004"):
-        ServoState().measured(tool_pose(), residual)
+        ServoState().with_measurement(tool_pose(), residual)
 
 
 def test_the_recorded_point_is_the_residual_mapped_by_the_pose():

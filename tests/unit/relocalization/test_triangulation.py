@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from procedures.relocalization import SphereImage, SphereStatus, measure_sphere, triangulate
-from procedures.relocalization.ellipse import circle, fit_ellipse
+from procedures.relocalization.ellipse import circle_as_ellipse, fit_ellipse
 from procedures.relocalization.errors import BadMeasurement, RaysDoNotMeet, WrongCamera, WrongSize
 from procedures.relocalization.triangulation import Camera, check_serial
 from ronna_hw.calibration import CameraCalibration, PoseRecord
@@ -41,9 +41,9 @@ def exact_outline(camera, centre_mm, radius_mm=RADIUS_MM):
     angle = np.linspace(0.0, 2 * np.pi, 200, endpoint=False)[:, None]
     sine = radius_mm / distance
     rays = np.sqrt(1 - sine**2) * axis + sine * (np.cos(angle) * side + np.sin(angle) * up)
-    points = np.array([camera.pixel_of(ray[:2] / ray[2]) for ray in rays])
+    points = np.array([camera.to_pixel(ray[:2] / ray[2]) for ray in rays])
     middle = points.mean(axis=0)
-    start = circle(tuple(middle), float(np.hypot(*(points - middle).T).mean()))
+    start = circle_as_ellipse(tuple(middle), float(np.hypot(*(points - middle).T).mean()))
     fit = fit_ellipse(points, start)
     major, minor = fit.ellipse.axes_px
     return outline(fit.ellipse.centre_px, minor, major)
@@ -69,7 +69,7 @@ def test_the_perspective_bias_is_removed_exactly(x_mm):
 
 def test_the_bias_three_millimetres_off_axis_is_one_and_a_half_micrometres():
     camera = bare_camera()
-    raw = camera.undistorted(exact_outline(camera, np.array([3.0, 0.0, 250.0])).centre_px)
+    raw = camera.undistort(exact_outline(camera, np.array([3.0, 0.0, 250.0])).centre_px)
     assert (raw[0] * 250.0 - 3.0) * 1e3 == pytest.approx(1.6, abs=0.2)
 
 
@@ -83,7 +83,7 @@ def test_the_angular_radius_matches_the_sphere():
 def test_distortion_is_removed():
     camera = bare_camera(distortion=(-0.08, 0.02, 4e-4, -3e-4, 0.001))
     ideal = np.array([0.085, -0.045])
-    assert camera.undistorted(camera.pixel_of(ideal)) == pytest.approx(ideal, abs=1e-12)
+    assert camera.undistort(camera.to_pixel(ideal)) == pytest.approx(ideal, abs=1e-12)
 
 
 def test_the_bias_correction_holds_under_distortion():
@@ -129,9 +129,9 @@ def test_the_covariance_matches_repeated_noise(head):
 
 def test_offsets_of_an_area_of_interest_are_added_before_triangulation(head):
     left, right = exact_pair(head, np.array([1.0, 0.5, 0.0]))
-    cut = left.shifted(-512, -256)
+    cut = left.with_offset(-512, -256)
     assert cut.centre_px[0] == pytest.approx(left.centre_px[0] - 512)
-    found = triangulate(cut.shifted(512, 256), right, head.calibration)
+    found = triangulate(cut.with_offset(512, 256), right, head.calibration)
     assert found.position_mm == pytest.approx([1.0, 0.5, 0.0], abs=1e-6)
 
 

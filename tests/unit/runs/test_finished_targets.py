@@ -41,12 +41,12 @@ from procedures.reporting.run_reading import read_for_report
 from procedures.reporting.second_reading import second_reading
 from procedures.reporting.tables import target_rows
 from procedures.runs import case_outcome, lifecycle
-from procedures.runs.case_outcome import finished
+from procedures.runs.case_outcome import build_finished_outcome
 from procedures.runs.engine_setup import MovedCart
 from procedures.runs.interrupted_run import read_interrupted_run
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
-from procedures.runs.way_out import head_moved_since, surround
+from procedures.runs.way_out import has_head_moved, surround
 from procedures.steps.branches import HOLD
 from procedures.steps.clinical import at_target, confirmation, path_check, positioning, retreat
 from procedures.steps.clinical.at_target import ReachedTarget
@@ -138,7 +138,9 @@ PREDICTED_MM = {FIRST: 0.4, LAST: 0.8}  # by the fourth and by the eighth record
 
 def test_outcome_and_report_show_each_target_with_the_registration_that_led_there(tmp_path: Path) -> None:
     engine = registered_twice(ClinicalCell(tmp_path))
-    outcome = finished(RunRequest(procedure=CaseProcedure()), engine.case, TRAJECTORIES, 0.0, 0.0, Truth())
+    outcome = build_finished_outcome(
+        RunRequest(procedure=CaseProcedure()), engine.case, TRAJECTORIES, 0.0, 0.0, Truth()
+    )
     assert {one.id: one.predicted_tre_mm for one in outcome.targets} == PREDICTED_MM
     rows = target_rows(read_for_report(tmp_path), Truth())
     assert {one.target: one.predicted.rms_mm for one in rows} == PREDICTED_MM
@@ -286,7 +288,7 @@ def test_an_arm_still_out_after_a_restart_can_be_brought_home(
     assert not engine.over
     again.workcell.restore_history(left.arm, HOME_RAD)
     again.workcell.mount.identify()
-    assert head_moved_since(engine)
+    assert has_head_moved(engine)
     engine.accept()
     near_rad: list[JointVector | None] = []
     monkeypatch.setattr(again.workcell, "surround", lambda _, near=None: near_rad.append(near))

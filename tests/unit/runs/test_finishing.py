@@ -14,14 +14,14 @@ from procedures.journal.errors import GateFailed
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
 from procedures.reporting import report
 from procedures.runs.engine_setup import EngineInput
-from procedures.runs.finishing import finalize_run, leave_report, seal_run
+from procedures.runs.finishing import finalize_run, seal_run, write_final_report
 from procedures.runs.interrupted_run import Resumption, read_interrupted_run
 from procedures.runs.lifecycle import open_engine
 from procedures.runs.observers import RunObservers
 from procedures.runs.request import CaseProcedure, RunRequest
 from procedures.runs.request_file import write_request
 from ronna_hw.clock import ClockUnavailable
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import REQUEST_FILE
 
 
@@ -44,7 +44,7 @@ def test_while_a_run_is_open_its_page_says_so_and_not_how_it_ended_before(tmp_pa
     cell = RecordingCell(tmp_path / "run")
     cell.journal.write(Entry.OPENED, 0.0, run="run")
     cell.engine(plain_order()).close("left")
-    page = leave_report(cell.folder)
+    page = write_final_report(cell.folder)
     seal_run(cell.folder)
     assert page is not None
     assert "The operator left" in page.read_text()
@@ -58,7 +58,7 @@ def test_while_a_run_is_open_its_page_says_so_and_not_how_it_ended_before(tmp_pa
     )
     with opened:
         text = page.read_text()
-        assert not inspected(cell.folder).changes
+        assert not inspect_run(cell.folder).changes
     assert "The operator left" not in text
     assert "run: not finished" in text
     assert f"ronna-procedure report {cell.folder}" in text

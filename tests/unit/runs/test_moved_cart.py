@@ -190,7 +190,7 @@ def test_a_resumed_run_knows_its_finished_targets(tmp_path: Path) -> None:
     cell = ClinicalCell(tmp_path)
     engine = half_done(cell, f"out:{FIRST}")
     engine.close("left")
-    case = read_interrupted_run(tmp_path).restored(engine.order)
+    case = read_interrupted_run(tmp_path).restore_case(engine.order)
     assert [stored.record.identifier for stored in case.standing] == [
         "01-plan",
         f"03-target-{FIRST}",
@@ -220,7 +220,7 @@ def test_a_repeated_step_leaves_a_finished_target_valid_unless_the_step_belongs_
     engine.run_step(engine.order.find(f"target:{FIRST}"))
     assert not engine.case.stands(StepKey("out", FIRST))
     engine.close("left")
-    case = read_interrupted_run(tmp_path).restored(engine.order)
+    case = read_interrupted_run(tmp_path).restore_case(engine.order)
     assert [one.record for one in case.standing] == [one.record for one in cell.case.standing]
 
 

@@ -302,7 +302,7 @@ def test_the_journal_says_since_when_the_seat_is_taken_however_late_it_is_writte
     stand.give("release")
     (event,) = [one for one in reader.read(0.0).events if isinstance(one.what, Seat) and not one.what.holder]
     for change in stand.station.changes_of_seat():
-        stand.engine.seated(*change)
+        stand.engine.record_seat(*change)
     lines = read_journal(stand.engine.case.folder / JOURNAL_FILE)
     (freed,) = [line for line in lines if line["entry"] == "seat" and not line["by"]]
     assert freed["since_s"] == event.theatre_time_s

@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from procedures.runs.request_checks import check_fault_script, never_began
+from procedures.runs.request_checks import check_fault_script, list_unreached_faults
 from ronna_hw.command_line.errors import UsageMistake
 
 STEPS = ("registration", "at_target")
@@ -53,7 +53,7 @@ def test_a_fault_whose_step_or_time_the_case_did_not_reach_is_named_at_its_end(t
         "since step == at_target:T9: room shift cart 0 2 0 mm\n"
         "at cycle 500: robot drop 5 %\n"
     )
-    assert [*never_began(_script(tmp_path, text), ("registration", "at_target:T1"), 60.04)] == [
+    assert [*list_unreached_faults(_script(tmp_path, text), ("registration", "at_target:T1"), 60.04)] == [
         "line 2 of faults.txt had no effect: the case ended after 60.0 s",
         "line 5 of faults.txt had no effect: the case did not run at_target:T9",
     ]

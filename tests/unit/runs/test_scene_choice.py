@@ -10,19 +10,19 @@ from procedures.runs.request import CaseProcedure, RunRequest, SceneChoice
 
 
 def test_a_built_in_scene_uses_the_requested_seed() -> None:
-    assert SceneChoice("mini", seed=7).own_seed == 7
+    assert SceneChoice("mini", seed=7).scene_seed == 7
 
 
 @pytest.mark.parametrize(("name", "text"), [("scene.toml", "seed = 4\n"), ("scene.json", '{"seed": 4}')])
 def test_a_scene_file_brings_its_own_seed(tmp_path: Path, name: str, text: str) -> None:
     (tmp_path / name).write_text(text, encoding="utf-8")
-    assert SceneChoice(str(tmp_path / name)).own_seed == 4
+    assert SceneChoice(str(tmp_path / name)).scene_seed == 4
 
 
 @pytest.mark.parametrize("text", ["seed = ", "seed = [1]\n"])
 def test_an_invalid_scene_file_gives_seed_zero(tmp_path: Path, text: str) -> None:
     (tmp_path / "scene.toml").write_text(text, encoding="utf-8")
-    assert SceneChoice(str(tmp_path / "scene.toml")).own_seed == 0
+    assert SceneChoice(str(tmp_path / "scene.toml")).scene_seed == 0
 
 
 def test_a_case_on_configured_endpoints_has_no_seed(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ import pytest
 
 from procedures.engine.errors import TheatreInUse, TheatreNotNoted
 from procedures.runs import theatre_note
-from procedures.runs.theatre_lock import hold_theatre, last_moved, require_free_theatre, theatre_user
+from procedures.runs.theatre_lock import find_theatre_user, hold_theatre, read_last_note, require_free_theatre
 from procedures.runs.theatre_note import TheatreNote, read_note
 
 NOBODY = 65534  # an account without rights
@@ -52,19 +52,19 @@ def test_the_lock_survives_an_editor_that_replaces_the_theatre_file(theatre: Pat
         other = theatre.with_name("other")
         other.write_text("schema = 1")
         other.rename(theatre)
-        assert theatre_user(theatre) is not None
+        assert find_theatre_user(theatre) is not None
 
 
 def test_one_file_under_two_names_is_one_theatre(theatre: Path) -> None:
     link = theatre.with_name("link.toml")
     link.symlink_to(theatre)
     with hold_theatre(link, theatre.parent / "run-1"):
-        assert theatre_user(theatre) is not None
+        assert find_theatre_user(theatre) is not None
 
 
 def test_a_user_without_a_run_is_named_as_a_program(theatre: Path) -> None:
     with hold_theatre(theatre, None):
-        user = theatre_user(theatre)
+        user = find_theatre_user(theatre)
         assert user is not None
         assert user.seen == f"another program (pid {os.getpid()}) is using this theatre"
 
@@ -72,7 +72,7 @@ def test_a_user_without_a_run_is_named_as_a_program(theatre: Path) -> None:
 def test_a_note_of_another_process_names_no_run(theatre: Path) -> None:
     with hold_theatre(theatre, theatre.parent / "run-1"):
         lock_file(theatre).write_text('{"run": "/runs/long-ended", "pid": 1, "moved_before": null}')
-        user = theatre_user(theatre)
+        user = find_theatre_user(theatre)
         assert user is not None
         assert user.run is None
 
@@ -84,12 +84,12 @@ def test_from_a_damaged_note_nobody_knows_who_moved_the_arm_until_a_run_moves_it
 ) -> None:
     lock_file(theatre).write_bytes(content)
     for _ in range(2):
-        assert last_moved(theatre).unreadable
+        assert read_last_note(theatre).unreadable
         with hold_theatre(theatre, None) as before:
             assert before.unreadable
     assert read_note(theatre.with_name("none")) == TheatreNote()
     lock_file(theatre).write_bytes(b"")  # made, and its program killed
-    assert not last_moved(theatre).unreadable
+    assert not read_last_note(theatre).unreadable
 
 
 def _of_nobody(path: Path) -> None:
@@ -111,7 +111,7 @@ def test_a_note_that_another_account_can_have_written_is_not_believed(
     (note,) = arms_folder.iterdir()
     give(note)
     for _ in range(2):
-        assert last_moved(theatre).unreadable
+        assert read_last_note(theatre).unreadable
     with hold_theatre(theatre, None) as before:
         assert before.unreadable
     assert not note.stat().st_mode & 0o002
@@ -123,10 +123,10 @@ def test_a_note_that_another_account_can_have_removed_is_not_known(tmp_path: Pat
     with hold_theatre(theatre, None):
         pass
     _of_nobody(arms_folder)
-    assert not last_moved(theatre).unreadable  # it is there, and ours
+    assert not read_last_note(theatre).unreadable  # it is there, and ours
     (note,) = arms_folder.iterdir()
     note.unlink()
-    assert last_moved(theatre).unreadable
+    assert read_last_note(theatre).unreadable
 
 
 @pytest.mark.hazard(5)
@@ -141,15 +141,15 @@ def test_a_note_is_believed_by_every_user_of_the_group_that_may_write_it(
         if os.geteuid() == 0:  # who owns everything that root made
             os.chown(path, NOBODY, -1)
     monkeypatch.setattr(theatre_note.os, "geteuid", lambda: NOBODY - 1)
-    assert not last_moved(theatre).unreadable
+    assert not read_last_note(theatre).unreadable
     monkeypatch.setattr(theatre_note.os, "getegid", lambda: NOBODY)
     monkeypatch.setattr(theatre_note.os, "getgroups", list)
-    assert last_moved(theatre).unreadable
+    assert read_last_note(theatre).unreadable
 
 
 def test_a_killed_run_with_a_name_that_no_folder_has_may_have_moved_the_arm(theatre: Path) -> None:
     lock_file(theatre).write_bytes(b'{"run": "a\\u0000b", "pid": 1}')
-    assert last_moved(theatre).moved_before == Path("a\0b")
+    assert read_last_note(theatre).moved_before == Path("a\0b")
 
 
 @pytest.mark.hazard(5)
@@ -159,7 +159,7 @@ def test_a_copy_of_a_theatre_file_is_the_same_arm(tmp_path: Path, arms_folder: P
     with hold_theatre(one, None):
         with pytest.raises(TheatreInUse):
             hold_theatre(other, None).__enter__()
-        assert theatre_user(other) is not None
+        assert find_theatre_user(other) is not None
     (made,) = arms_folder.iterdir()
     assert made.name in ("192.168.10.2.in-use", "_dev_ttyUSB3.in-use")
     assert arms_folder.stat().st_mode & 0o1777 == 0o1777
@@ -180,8 +180,8 @@ def test_a_controller_is_the_same_under_every_name_that_leads_to_it(
         with_arm(tmp_path / f"{number}.toml", endpoint) for number, endpoint in enumerate(endpoints)
     )
     with hold_theatre(named, None):
-        assert theatre_user(spelt) is not None
-        assert theatre_user(numbered) is not None
+        assert find_theatre_user(spelt) is not None
+        assert find_theatre_user(numbered) is not None
 
 
 def test_a_note_that_is_a_link_is_refused_and_what_it_leads_to_stays(
@@ -202,7 +202,7 @@ def test_simulated_arms_at_the_same_address_are_used_side_by_side(tmp_path: Path
         with_arm(tmp_path / name, "tcp://127.0.0.1:54602", local="127.0.0.1") for name in ("a.toml", "b.toml")
     )
     with hold_theatre(one, None), hold_theatre(other, None):
-        assert theatre_user(one) is not None
+        assert find_theatre_user(one) is not None
     assert not arms_folder.exists()
 
 
@@ -267,7 +267,7 @@ def test_a_run_that_cannot_be_noted_for_the_next_one_is_refused(
             pass
     with read_only(), pytest.raises(TheatreNotNoted, match="PRO-045"):
         hold_theatre(theatre, theatre.parent / "run-2").__enter__()
-    assert theatre_user(theatre) is None
+    assert find_theatre_user(theatre) is None
 
 
 @pytest.mark.hazard(5)
@@ -279,8 +279,8 @@ def test_a_user_who_can_write_next_to_the_theatre_is_kept_out_by_one_who_cannot(
             first.enter_context(hold_theatre(theatre, theatre.parent / "run-1", only_leaving=True))
         with pytest.raises(TheatreInUse):
             hold_theatre(theatre, theatre.parent / "run-2").__enter__()
-        assert theatre_user(theatre) is not None
-    assert theatre_user(theatre) is None
+        assert find_theatre_user(theatre) is not None
+    assert find_theatre_user(theatre) is None
 
 
 def test_a_note_that_a_group_may_write_stays_so(theatre: Path) -> None:

@@ -61,7 +61,8 @@ def cell(tmp_path: Path) -> ClinicalCell:
 def operation(cell: ClinicalCell, *trajectories: str) -> CaseOrder:
     """From the tool check on, with everything before it given."""
     identities = {
-        role: DeviceIdentity.of(Identity("Test", f"a {role}", "1", "0")) for role in cell.workcell.devices
+        role: DeviceIdentity.from_identity(Identity("Test", f"a {role}", "1", "0"))
+        for role in cell.workcell.devices
     }
     set_up = checked_set_up(cell).model_copy(update={"identities": identities})
     before = (localized_fiducials(), checked_plan(), set_up, global_localization(), correspondence())

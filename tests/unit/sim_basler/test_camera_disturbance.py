@@ -19,7 +19,7 @@ from sim.errors import BadFaultScript
 from sim.world.faults import check_faults, parse_faults
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import CameraTruth
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 Array = NDArray[np.float64]
@@ -120,7 +120,7 @@ def picture(world: World, truth: CameraTruth, number: int) -> NDArray[np.int16]:
     ],
 )
 def test_a_fault_changes_the_pictures_of_its_cameras_only_while_it_is_active(line: str, sides: str) -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     cameras = {"left": world.scene.left, "right": world.scene.right}
     before = {side: picture(world, truth, 1) for side, truth in cameras.items()}
     world.set_fault_script(f"now: {line} for 1 s")
@@ -133,7 +133,7 @@ def test_a_fault_changes_the_pictures_of_its_cameras_only_while_it_is_active(lin
 
 
 def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
-    world = World.create(named_scene("default", seed=4), paced=False)
+    world = World.create(draw_scene("default", seed=4), paced=False)
     scene = world.scene
     aim_at_first_sphere(world)
     for truth in (scene.left, scene.right):
@@ -147,7 +147,7 @@ def test_a_twisted_camera_sees_everything_turned_about_its_centre() -> None:
 
 
 def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     left, right = (Disturbances(world, truth) for truth in (world.scene.left, world.scene.right))
     world.set_fault_script("at 10 s: camera creep left -0.02 deg per min for 60 s")
     turned_deg = []
@@ -170,4 +170,4 @@ def test_a_creeping_camera_keeps_turning_with_theatre_time() -> None:
 )
 def test_a_vision_fault_with_an_invalid_target_or_amount_is_refused(line: str, mistake: str) -> None:
     with pytest.raises(BadFaultScript, match=mistake):
-        check_faults(parse_faults(f"now: {line}"), named_scene("default"))
+        check_faults(parse_faults(f"now: {line}"), draw_scene("default"))

@@ -315,7 +315,7 @@ class LosesFirst(NoFaults):
         super().__init__()
         self.messages = 0
 
-    def message_lost(self) -> bool:
+    def draw_message_loss(self) -> bool:
         self.messages += 1
         return self.messages == 1
 

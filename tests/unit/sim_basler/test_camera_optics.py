@@ -18,7 +18,7 @@ from sim.basler.optics.sensor import Lighting
 from sim.basler.optics.sphere import Sphere, draw_sphere
 from sim.world.noise import noise
 from sim.world.rigid import rotation_from_vector
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 Array = NDArray[np.float64]
 
@@ -189,7 +189,7 @@ def test_the_rim_is_as_soft_as_a_thin_lens_makes_it_at_its_depth(depth_mm: float
 
 
 def test_the_light_is_uneven_differently_for_each_camera_and_darker_in_the_corners() -> None:
-    scene = named_scene("default", seed=3)
+    scene = draw_scene("default", seed=3)
     left, right = (Lighting(3, camera.serial, (2048, 1088)) for camera in (scene.left, scene.right))
     for light in (left, right):
         on_film = light.on_film(FULL)
@@ -207,7 +207,9 @@ def test_the_brightness_of_a_sphere_follows_the_light_at_its_place() -> None:
     seen, falling = [], []
     for x_mm in (-15.0, 15.0):
         centre, _ = expected_ellipse((x_mm, 0.0, 250.0))
-        middle = tuple(slice(round(at) - 60, round(at) + 60) for at in centre[::-1])
+        middle = tuple(
+            slice(round(brightness_at) - 60, round(brightness_at) + 60) for brightness_at in centre[::-1]
+        )
         seen.append(optics.light_on(FULL, [ball((x_mm, 0.0, 250.0))])[middle].mean())
         falling.append(lighting.on_film(FULL)[middle].mean())
     assert abs(falling[0] / falling[1] - 1.0) > 0.005
@@ -229,11 +231,11 @@ def test_the_grain_is_fixed_to_the_sphere() -> None:
     points = noise(0, "points", 0).normal(size=(3, 20000)).astype(np.float32)
     points *= np.float32(RADIUS_MM) / np.linalg.norm(points, axis=0)
     grain = Grain(3, 2)
-    values = grain.at(*points)
+    values = grain.brightness_at(*points)
     assert values.std() == pytest.approx(CONTRAST, rel=0.1)
     assert values.mean() == pytest.approx(1.0, abs=0.002)
-    assert np.array_equal(values, Grain(3, 2).at(*points))
-    assert abs(np.corrcoef(values, Grain(3, 1).at(*points))[0, 1]) < 0.05
+    assert np.array_equal(values, Grain(3, 2).brightness_at(*points))
+    assert abs(np.corrcoef(values, Grain(3, 1).brightness_at(*points))[0, 1]) < 0.05
     # A sphere that turns shows other beads in the same place of the image, and the same beads elsewhere.
     turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     still = draw_sphere(ball((0, 0, 250.0), np.eye(3)), lens(), FULL, Film(grain, RADIUS_MM)).light

@@ -16,7 +16,7 @@ from sim.basler.optics.sensor import Sensor
 from sim.basler.settings import FrameSettings, RampImage, Settings
 from sim.world.noise import noise
 from sim.world.rigid import apply, matrix_of, rotation_towards
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 READ_NOISE, FULL_WELL = 13.5, 11900.0
@@ -90,7 +90,7 @@ def test_test_images_are_ramps() -> None:
 
 
 def test_the_same_trigger_number_gives_the_same_bytes() -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     camera = Photographer(world, world.scene.left)
     again = Photographer(world, world.scene.left)
     first = camera.triggered(frame(), 7)
@@ -104,7 +104,7 @@ def brightest(image: bytes) -> int:
 
 
 def test_the_bench_shows_a_sphere_to_both_cameras() -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     for truth in (world.scene.left, world.scene.right):
         pixels = np.frombuffer(Photographer(world, truth).triggered(frame(), 1), np.uint8).reshape(1024, 1024)
         assert 180 < pixels[400:600, 400:600].mean() < 230
@@ -112,12 +112,12 @@ def test_the_bench_shows_a_sphere_to_both_cameras() -> None:
 
 
 def test_nothing_is_in_view_without_an_arm() -> None:
-    world = World.create(named_scene("default"), paced=False)
+    world = World.create(draw_scene("default"), paced=False)
     assert brightest(Photographer(world, world.scene.left).triggered(frame(), 1)) < 30
 
 
 def test_a_sphere_near_the_tool_centre_point_has_its_computed_place_in_both_cameras() -> None:
-    world = World.create(named_scene("default", seed=4), paced=False)
+    world = World.create(draw_scene("default", seed=4), paced=False)
     for offset in ((0.0, 0.0, 0.0), (4.0, -3.0, 2.0)):
         aim_at_first_sphere(world, offset)
         for truth in (world.scene.left, world.scene.right):
@@ -132,7 +132,7 @@ def test_a_sphere_near_the_tool_centre_point_has_its_computed_place_in_both_came
 
 
 def test_a_camera_sees_nothing_while_the_guide_is_mounted() -> None:
-    world = World.create(named_scene("default"), paced=False)
+    world = World.create(draw_scene("default"), paced=False)
     aim_at_first_sphere(world)
     camera = Photographer(world, world.scene.left)
     assert brightest(camera.triggered(frame(), 1)) > 150
@@ -141,7 +141,7 @@ def test_a_camera_sees_nothing_while_the_guide_is_mounted() -> None:
 
 
 def test_a_free_running_camera_repeats_prepared_pictures_until_the_view_changes() -> None:
-    world = World.create(named_scene("default"), paced=False)
+    world = World.create(draw_scene("default"), paced=False)
     aim_at_first_sphere(world)
     camera = Photographer(world, world.scene.left)
     first = camera.running(frame(), 0)[1]
@@ -155,7 +155,7 @@ def test_a_free_running_camera_repeats_prepared_pictures_until_the_view_changes(
 
 
 def test_a_prepared_picture_carries_the_settings_it_was_taken_with() -> None:
-    world = World.create(named_scene("bench"), paced=False)
+    world = World.create(draw_scene("bench"), paced=False)
     camera = Photographer(world, world.scene.left)
     small = frame(width=64, height=32)
     settings, image = camera.running(small, 0)
@@ -166,7 +166,7 @@ def test_a_prepared_picture_carries_the_settings_it_was_taken_with() -> None:
 
 @pytest.mark.parametrize("seed", range(6))
 def test_a_picture_is_rendered_wherever_the_head_is_over_a_sphere(seed: int) -> None:
-    scene = named_scene("default", seed=seed)
+    scene = draw_scene("default", seed=seed)
     world = World.create(scene, paced=False)
     photographer = Photographer(world, scene.left)
     generator = np.random.default_rng(seed)

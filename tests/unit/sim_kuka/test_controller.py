@@ -20,7 +20,7 @@ from sim.kuka.pendant import TRIPS as MESSAGES
 from sim.kuka.rsi.link import RsiSocket, resolve
 from sim.world.faults import FaultBoard, check_faults, parse_faults
 from sim.world.faults.robot import TRIPS
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 GOAL = (4.0, 0.0, 0.0, 0.0, 0.0, 0.0)
@@ -125,7 +125,7 @@ def test_set_tool_is_refused_during_a_run_and_tool_base_and_override_apply_outsi
 def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fault(make_bench: Make) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
-    autostart = Autostart(controller, wanted=True)
+    autostart = Autostart(controller, is_requested=True)
     autostart.begin()
     bench.miss(500)  # nobody is there yet
     assert controller.run.late == 0
@@ -151,7 +151,7 @@ def test_autostart_waits_for_its_client_and_restarts_after_a_lost_client_or_a_fa
 def test_autostart_restarts_after_an_emergency_stop_is_released(make_bench: Make) -> None:
     bench = make_bench(start=False)
     controller = bench.controller
-    autostart = Autostart(controller, wanted=True)
+    autostart = Autostart(controller, is_requested=True)
     autostart.begin()
     bench.enter_movecorr()
     controller.press_emergency_stop(True)
@@ -224,7 +224,7 @@ ON_ITS_PATH = {"timeout", "rsi_bad", "monitor", "end_switch"}  # the arm brakes 
 def test_a_script_can_name_every_existing_message_and_no_other() -> None:
     assert set(TRIPS) == set(MESSAGES) == set(NUMBERS)
     with pytest.raises(BadFaultScript, match=r"expected trip timeout, .*, got tea"):
-        check_faults(parse_faults("now: robot trip tea"), named_scene("mini"))
+        check_faults(parse_faults("now: robot trip tea"), draw_scene("mini"))
 
 
 @pytest.mark.parametrize("name", TRIPS)
@@ -267,7 +267,7 @@ def test_narrowed_limits_clamp_corrections_from_the_current_position_and_stat_sh
 
 
 def test_a_fault_set_for_a_cycle_begins_with_that_telegram_and_lasts_in_theatre_time() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     seen: list[tuple[bool, int]] = []
     board = FaultBoard(world, "robot", lambda: len(seen) + 1)
     world.set_fault_script("at cycle 3: robot drop 7 % for 0.007 s\nat cycle 4: robot collision")

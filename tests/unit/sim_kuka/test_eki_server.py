@@ -24,10 +24,10 @@ from sim.kuka.eki.server import (
     READ_BYTES,
     UNREAD_LIMIT,
     EkiServer,
-    half,
-    padded,
+    halve,
+    pad_with_nul,
+    prepend_garbage,
     split_requests,
-    with_garbage,
 )
 
 LOOP_S = 0.012
@@ -150,7 +150,7 @@ def test_requests_to_a_silent_program_are_kept_until_it_reads_again(line: Line) 
 
 
 def test_the_half_telegram_fault_spoils_only_one_telegram(line: Line) -> None:
-    line.server.corrupt_next(half)
+    line.server.corrupt_next(halve)
     for _ in range(2):
         line.server.send("<Robot></Robot>")
         line.loop()
@@ -160,8 +160,8 @@ def test_the_half_telegram_fault_spoils_only_one_telegram(line: Line) -> None:
 @pytest.mark.parametrize(
     ("how", "written"),
     [
-        (with_garbage, GARBAGE + b"<Robot></Robot>"),
-        (padded, PADDING + b"<Robot></Robot>" + PADDING),
+        (prepend_garbage, GARBAGE + b"<Robot></Robot>"),
+        (pad_with_nul, PADDING + b"<Robot></Robot>" + PADDING),
     ],
 )
 def test_the_garbage_and_padding_faults_spoil_only_one_telegram(
@@ -201,7 +201,7 @@ def test_a_client_receives_the_state_once_and_again_as_soon_as_it_changes(
     line: Line, make_bench: Callable[..., Any], kind: Any, period_s: float, element: bytes
 ) -> None:
     controller = make_bench(start=False).controller
-    channel = kind(line.server, controller, Autostart(controller, wanted=False))
+    channel = kind(line.server, controller, Autostart(controller, is_requested=False))
     said = []
     for change in (lambda: None, lambda: None, lambda: controller.open_guard(True), lambda: None):
         change()

@@ -12,7 +12,7 @@ from ronna_hw.wire.kuka_eki import OperationMode
 from sim.kuka.faults import ControllerFaults, FaultLog
 from sim.kuka.rsi.link import LinkFaults
 from sim.world.faults import FaultBoard
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 # What is true while a fault lasts, of the controller and of a channel.
@@ -37,7 +37,7 @@ MOMENTARY: list[tuple[str, Callable[[Any], bool]]] = [
 
 @pytest.fixture
 def world() -> Iterator[World]:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     yield world
     world.clock.close()
 

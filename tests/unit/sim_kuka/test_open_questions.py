@@ -274,7 +274,7 @@ class Heard:
 
 def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
     heard: Any = Heard()
-    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
+    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, is_requested=False))
     channel.request(ElementTree.fromstring(request))
     return [ElementTree.fromstring(text) for text in heard.texts]
 
@@ -283,7 +283,7 @@ def _ask(bench: Any, request: str) -> list[ElementTree.Element]:
 def test_a_client_that_sends_no_request_loses_the_channel(make_bench: Make, asks: bool) -> None:
     bench = make_bench(parameters=ControllerParameters(first_request_s=3.0), start=False)
     heard: Any = Heard()
-    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, wanted=False))
+    channel = ProjectChannel(heard, bench.controller, Autostart(bench.controller, is_requested=False))
     channel.client_connected()
     if asks:
         channel.request(ElementTree.fromstring('<Cmd Id="1" Name="STATUS"></Cmd>'))

@@ -253,7 +253,7 @@ def test_a_context_supplies_the_wiring_of_an_ethernet_file(read_file: Make) -> N
             f'<ELEMENT TAG="V{number}" TYPE="DOUBLE" INDX="{number}" HOLDON="1" />\n  </ELEMENTS></RECEIVE>',
         )
     context = read_file(text, load_context())
-    assert context.wired_tag("AXISCORR", "A5") == "V6"  # by channel, not by name
+    assert context.find_wired_tag("AXISCORR", "A5") == "V6"  # by channel, not by name
     assert context.axis_correction is not None
     with pytest.raises(EthernetFileInvalid, match="not received"):
         read_file(ETHERNET_XML, load_context())

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from sim.world.scene.model import CtProtocol, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52, noise_HU=20.0)
 
@@ -13,10 +13,10 @@ COARSE = CtProtocol(pixel_mm=2.0, slice_mm=4.0, columns=128, rows=128, slices=52
 @pytest.fixture(scope="session")
 def coarse_scene() -> Scene:
     """The mini scene with a coarse protocol."""
-    return named_scene("mini", seed=3).model_copy(update={"ct": COARSE})
+    return draw_scene("mini", seed=3).model_copy(update={"ct": COARSE})
 
 
 @pytest.fixture
 def mini_scene() -> Scene:
     """The mini scene as it is."""
-    return named_scene("mini", seed=3)
+    return draw_scene("mini", seed=3)

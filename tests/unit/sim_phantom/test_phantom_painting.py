@@ -15,7 +15,7 @@ from sim.phantom.head.shapes import Ball, Cable, Ellipsoid, Rod, Trough
 from sim.phantom.scan import SlicePainter
 from sim.phantom.scanner.grid import CtGrid, place_grid
 from sim.world.scene.model import CtProtocol, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 AXIS = np.linspace(-20.0, 20.0, 81, dtype=np.float32)
 X, Y, Z = AXIS[None, None, :], AXIS[None, :, None], AXIS[:, None, None]
@@ -25,7 +25,7 @@ ORIGIN = (0.0, 0.0, 0.0)
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])
 @pytest.mark.parametrize("seed", range(5))
 def test_all_spheres_and_trajectories_lie_in_the_field(name: str, seed: int) -> None:
-    scene = named_scene(name, seed=seed, markers=3 + seed)
+    scene = draw_scene(name, seed=seed, markers=3 + seed)
     grid = place_grid(scene.head, scene.ct)
     low = np.array([grid.x_mm[0], grid.y_mm[0], grid.z_mm[0]])
     high = np.array([grid.x_mm[-1], grid.y_mm[-1], grid.z_mm[-1]])
@@ -102,7 +102,7 @@ def test_the_head_has_skin_skull_and_brain_from_outside_in() -> None:
     head = HeadLayers(ORIGIN, (75.0, 95.0, 90.0), 0.0)
     depths = np.array([-3.0, 0.8, 3.0, 7.0, 9.0, 60.0], dtype=np.float32)
     zero = np.zeros(1, dtype=np.float32)
-    found = head.at(75.0 - depths, zero, zero).tolist()
+    found = head.hu_at(75.0 - depths, zero, zero).tolist()
     assert found == [AIR_HU, LAYERS[0][1], LAYERS[1][1], LAYERS[3][1], LAYERS[4][1], LAYERS[-1][1]]
     assert head.half_widths(95.0, 3.0) is None
     assert head.half_widths(0.0, 0.0) == pytest.approx((75.0, 95.0))

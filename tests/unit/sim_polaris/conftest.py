@@ -13,7 +13,7 @@ from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.model import SPECTRA, UnitModel
 from sim.polaris.unit.ports import WiredPorts
 from sim.world.scene.model import Scene, TrackerTool
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 POINTER = TrackerTool(
@@ -21,7 +21,7 @@ POINTER = TrackerTool(
     part_number="8700340",
     markers_mm=((0.0, 0.0, 0.0), (0.0, 50.0, 0.0), (25.0, 100.0, 0.0), (-25.0, 135.0, 0.0)),
 )
-BENCH = named_scene("bench")
+BENCH = draw_scene("bench")
 EVERY_FRAME = 2  # illuminator rate of 60 Hz: each count is a new measurement
 
 

@@ -13,7 +13,7 @@ from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
 from sim.world.nominal_arm import description
 from sim.world.rigid import matrix_of
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import JointChain
 from sim.world.world import ArmState, World
 
@@ -25,7 +25,7 @@ BUILT_MM = 6.0  # a mount is built beside its drawing by 2 mm per axis
 
 
 def stage_at_home(name: str, seed: int) -> tuple[TrueScene, World]:
-    scene = named_scene(name, seed=seed)
+    scene = draw_scene(name, seed=seed)
     world = World.create(scene, paced=False)
     joints = tuple(np.radians(scene.arm.home_deg).tolist())
     flange = JointChain(description(scene.arm.variant)).flange(joints)
@@ -88,7 +88,7 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: str, seed: i
     arm = scene.arm()
     assert arm is not None
     frame = scene.frame(arm, UNDISTURBED)
-    assert scene.on_mount(frame)
+    assert scene.is_on_mount(frame)
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
         assert visible(eyes_mm(), scene.fiducials_mm, scene.bodies(arm, tool)).all()
         assert visible(eyes_mm(), frame.markers_mm, scene.bodies(arm, tool, past_mount=True)).all()
@@ -108,7 +108,7 @@ def test_the_mount_leaves_the_guide_axis_free_over_its_reach() -> None:
 
 
 def test_a_tool_on_the_flange_axis_gives_finite_capsules() -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     pose = scene.mount.flange_from_tool_true.model_copy(update={"translation_mm": (0.0, 0.0, 60.0)})
     mount = scene.mount.model_copy(update={"flange_from_tool_true": pose})
     arm = ArmState(tuple(np.radians(scene.arm.home_deg).tolist()), np.eye(4), 0, True)
@@ -149,7 +149,7 @@ def beyond_mm(places_mm: np.ndarray, capsules: list[Capsule]) -> float:
 @pytest.mark.hazard(24)
 @pytest.mark.parametrize("tool", ["stereo", "guide"])
 def test_the_planners_bodies_cover_every_body_of_the_simulated_mount(tool: str) -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     mount = scene.mount.model_copy(update={"flange_from_tool_true": scene.mount.flange_from_tool_nominal})
     scene = scene.model_copy(update={"mount": mount})  # as drawn; the margin covers how it was built
     cell = CollisionConfig()
@@ -162,7 +162,7 @@ def test_the_planners_bodies_cover_every_body_of_the_simulated_mount(tool: str) 
 
 
 def test_every_guide_body_of_the_planner_lies_on_a_simulated_one() -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     starts_mm, ends_mm, _ = carried(scene, scene.mount.tool_number_guide)
     shares = np.linspace(0.0, 1.0, 200)[:, None, None]
     places = (starts_mm + shares * (ends_mm - starts_mm)).reshape(-1, 3)

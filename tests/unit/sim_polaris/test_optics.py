@@ -9,7 +9,7 @@ from sim.polaris.measurement.optics import Optics
 from sim.polaris.unit.model import EXTENDED_PYRAMID, PYRAMID, SPECTRA, VICRA_VOLUME, Volume
 from sim.world.noise import noise
 from sim.world.scene.model import TrackerTruth
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 READINGS = 30  # per place; manufacturers state the mean
 PLACES = 1500
@@ -18,7 +18,7 @@ STATED_MM = {"Pyramid": 0.25, "Extended Pyramid": 0.30, "Vicra": 0.25}
 
 @pytest.fixture
 def truth() -> TrackerTruth:
-    return named_scene("default").tracker
+    return draw_scene("default").tracker
 
 
 def optics(truth: TrackerTruth, seed: int, *volumes: Volume) -> Optics:
@@ -69,10 +69,10 @@ def test_the_rms_error_over_the_whole_volume_matches_the_published_value(
 def test_the_systematic_error_is_smooth_and_nearly_constant_across_a_head(truth: TrackerTruth) -> None:
     unit = optics(truth, 5)
     points = places_in(PYRAMID)
-    bias = unit.bias_field.at(points)
-    across_a_head = unit.bias_field.at(points + np.array([0.0, 150.0, 0.0])) - bias
+    bias = unit.bias_field.error_at(points)
+    across_a_head = unit.bias_field.error_at(points + np.array([0.0, 150.0, 0.0])) - bias
     assert np.sqrt((across_a_head**2).sum(axis=1).mean()) < 0.6 * truth.bias_mm
-    beside = unit.bias_field.at(points + np.array([10.0, 0.0, 0.0])) - bias
+    beside = unit.bias_field.error_at(points + np.array([10.0, 0.0, 0.0])) - bias
     assert np.linalg.norm(beside, axis=1).max() < 0.1 * truth.bias_mm
 
 

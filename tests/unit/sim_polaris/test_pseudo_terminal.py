@@ -20,7 +20,7 @@ from sim.polaris.line.pseudo_terminal import PseudoTerminal
 from sim.polaris.line.server import EndSignal, Server
 from sim.polaris.tracker_unit import Mode, Unit
 from sim.polaris.unit.behaviour import UnitBehaviour
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 ANSWER_LIMIT_S = 30.0
@@ -85,7 +85,7 @@ class Line:
     """A unit on a serial line, in a thread of its own."""
 
     def __init__(self, *, throttle: bool = False, faults: str = "", **behaviour: Any) -> None:
-        world = World.create(named_scene("bench"), paced=True)
+        world = World.create(draw_scene("bench"), paced=True)
         world.set_fault_script(faults)
         self.interpreter = CommandInterpreter(Unit(world, behaviour=UnitBehaviour(**behaviour)))
         self._end = EndSignal()
@@ -271,7 +271,7 @@ def test_unavailable_pseudo_terminals_are_reported_with_the_reason(monkeypatch: 
         raise OSError(errno.ENOSPC, "No space left on device")
 
     monkeypatch.setattr(os, "openpty", refuse)
-    interpreter = CommandInterpreter(Unit(World.create(named_scene("bench"), paced=True)))
+    interpreter = CommandInterpreter(Unit(World.create(draw_scene("bench"), paced=True)))
     with pytest.raises(LineUnavailable, match="No space left") as refused:
         PseudoTerminal(interpreter, throttle=False)
     assert refused.value.code == "PSU-003"

@@ -7,7 +7,7 @@ from polaris_bench import Bench, MakeBench
 
 from sim.polaris.unit.model import VICRA
 from sim.world.scene.model import TrackerTool
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @pytest.mark.parametrize(
@@ -152,12 +152,12 @@ def test_the_watchdog_can_reset_the_unit(make_bench: MakeBench) -> None:
     bench = make_bench(watch_dog="reset", reset_s=0.0).ready()
     bench.send("HCWDOG 2")
     bench.world.clock.sleep(1.0)
-    assert bench.interpreter.unsolicited() == b""
+    assert bench.interpreter.unsolicited_bytes() == b""
     bench.world.clock.sleep(2.0)
-    assert bench.interpreter.unsolicited() == b"RESETBE6F\r"
+    assert bench.interpreter.unsolicited_bytes() == b"RESETBE6F\r"
     assert bench.send("PHSR 00") == "ERROR10"
     bench.world.clock.sleep(10.0)
-    assert bench.interpreter.unsolicited() == b""  # it was reset too
+    assert bench.interpreter.unsolicited_bytes() == b""  # it was reset too
 
 
 @pytest.mark.parametrize(
@@ -176,7 +176,7 @@ def test_a_beep_is_refused_while_another_one_sounds(make_bench: MakeBench) -> No
 
 
 def test_the_near_bench_lies_within_the_vicra_volume(make_bench: MakeBench, pointer: TrackerTool) -> None:
-    bench = make_bench(named_scene("bench-near"), model=VICRA).ready()
+    bench = make_bench(draw_scene("bench-near"), model=VICRA).ready()
     for handle, _ in enumerate(bench.world.scene.tracker.places, start=1):
         bench.track(pointer)
         tool, strays = bench.send("TX 1001").split("\n")

@@ -12,7 +12,7 @@ from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus
 from sim.polaris.measurement.optics import REFLECTION_PRESENCE
 from sim.polaris.unit.model import PYRAMID
 from sim.world.scene.model import Scene, TrackerTool
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 POINTER_NUMBER = "8700340"
 BENCH_STRAYS = 3
@@ -214,7 +214,7 @@ def test_the_same_faults_give_the_same_frames(make_bench: MakeBench, pointer: Tr
 
 def phantom_scene() -> Scene:
     """The bench with two strays in one epipolar plane, and a unit that separates rays 0.5 mm apart."""
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     pair = ((60.0, -80.0, -1600.0), (60.0, 40.0, -1600.0), (-90.0, 0.0, -1400.0))
     return scene.model_copy(
         update={"tracker": scene.tracker.model_copy(update={"strays_mm": pair, "line_separation_mm": 0.5})}
@@ -236,7 +236,7 @@ def test_two_spheres_in_one_plane_with_both_sensors_make_two_phantoms(
 
 
 def test_out_of_volume_bits_mark_the_strays_outside(make_bench: MakeBench, pointer: TrackerTool) -> None:
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     strays = ((0.0, 0.0, -1500.0), (0.0, 0.0, -2600.0), (0.0, 700.0, -1500.0))
     tracker = scene.tracker.model_copy(update={"strays_mm": strays})
     bench = make_bench(scene.model_copy(update={"tracker": tracker})).ready().track(pointer)

@@ -11,7 +11,7 @@ from polaris_bench import Bench, MakeBench
 from sim.world.nominal_arm import description
 from sim.world.rigid import apply, inverse, matrix_of, quaternion_from_rotation
 from sim.world.scene.model import Scene, TrackerTool
-from sim.world.scene.named_scenes import frame_on_head, named_scene, robot_frame
+from sim.world.scene.named_scenes import draw_scene, frame_on_head, robot_frame
 from sim.world.true_arm import JointChain
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState
@@ -56,7 +56,7 @@ def with_arm(make_bench: MakeBench, scene: Scene, *tools: TrackerTool) -> Bench:
 
 def at_depth(depth_mm: float) -> Scene:
     """The bench with its first place moved along the axis of the tracker."""
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     place = scene.tracker.places[0].model_copy(update={"translation_mm": (0.0, 0.0, -depth_mm)})
     tracker = scene.tracker.model_copy(update={"places": (place,)})
     return scene.model_copy(update={"tracker": tracker})
@@ -164,11 +164,11 @@ def test_noise_repeats_bit_for_bit_for_the_same_seed_and_frame(
         bench.world.clock.sleep((skipped + 0.5) / 60.0)
         return [bench.raw("BX 1803") for _ in range(20)]
 
-    scene = named_scene("bench")
+    scene = draw_scene("bench")
     assert record(scene, 0) == record(scene, 0)
     # frames that nobody asked for change nothing in those that follow
     assert record(scene, 5) == record(scene, 0)[5:] + record(scene, 20)[:5]
-    assert record(named_scene("bench", seed=1), 0) != record(scene, 0)
+    assert record(draw_scene("bench", seed=1), 0) != record(scene, 0)
 
 
 def test_a_frame_lost_on_the_line_is_sent_again(make_bench: MakeBench, pointer: TrackerTool) -> None:
@@ -217,7 +217,7 @@ def test_a_tool_is_fitted_to_its_noisy_markers(bench: Bench, pointer: TrackerToo
 
 
 def test_the_reference_frame_is_tracked_on_the_arm(make_bench: MakeBench) -> None:
-    scene = named_scene("default")
+    scene = draw_scene("default")
     bench = make_bench(scene)
     truth = put_arm(bench)
     bench.send("INIT ")
@@ -229,7 +229,7 @@ def test_the_reference_frame_is_tracked_on_the_arm(make_bench: MakeBench) -> Non
 
 
 def test_fiducials_on_the_head_are_strays(make_bench: MakeBench) -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     bench = with_arm(make_bench, scene, robot_frame())
     answer = bench.send("TX 1801")
     assert "MISSING" not in answer
@@ -244,7 +244,7 @@ def test_fiducials_on_the_head_are_strays(make_bench: MakeBench) -> None:
 
 
 def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_bench: MakeBench) -> None:
-    scene = named_scene("mini", seed=3, x_frame=True)
+    scene = draw_scene("mini", seed=3, x_frame=True)
     here = inverse(matrix_of(scene.tracker.robot_from_tracker)) @ matrix_of(scene.head.robot_from_ct)
     spheres = apply(here, [one.centre_ct_mm for one in scene.head.fiducials])
     as_strays = with_arm(make_bench, scene, robot_frame())
@@ -258,7 +258,7 @@ def test_the_frame_on_the_head_is_a_tool_when_loaded_and_strays_otherwise(make_b
 
 
 def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_bench: MakeBench) -> None:
-    scene = named_scene("mini", seed=3)
+    scene = draw_scene("mini", seed=3)
     place = scene.mount.guide.tip_from_frame
     assert place is not None
     bench = with_arm(make_bench, scene, robot_frame(), scene.tracker.tools[-1])
@@ -273,14 +273,14 @@ def test_the_frame_on_the_guide_is_tracked_only_while_the_guide_is_mounted(make_
 def test_the_spheres_of_an_untracked_reference_frame_are_strays_too(
     make_bench: MakeBench, pointer: TrackerTool
 ) -> None:
-    bench = with_arm(make_bench, named_scene("mini", seed=4), pointer)
+    bench = with_arm(make_bench, draw_scene("mini", seed=4), pointer)
     answer = bench.send("TX 1801")
     assert answer.startswith("0101MISSING00000031")  # the pointer is not in this room
     assert answer.split("\n")[1].startswith("07")
 
 
 def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: MakeBench) -> None:
-    bench = make_bench(named_scene("mini", seed=4))
+    bench = make_bench(draw_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
     tool = robot_frame()
@@ -297,7 +297,7 @@ def test_a_wrong_definition_of_the_reference_frame_does_not_fit(make_bench: Make
 def test_occlusion_faults_hide_the_named_tool_or_marker_for_their_duration(
     make_bench: MakeBench, line: str
 ) -> None:
-    bench = make_bench(named_scene("mini", seed=4))
+    bench = make_bench(draw_scene("mini", seed=4))
     put_arm(bench)
     bench.send("INIT ")
     bench.enable(robot_frame())

@@ -183,7 +183,7 @@ def test_a_unit_without_power_is_silent_and_sends_reset_when_power_returns(
     tracked.world.clock.sleep(1.0)
     assert tracked.raw("TX 0801") == b""
     assert tracked.raw("INIT ") == b""
-    assert tracked.interpreter.unsolicited() == b""
+    assert tracked.interpreter.unsolicited_bytes() == b""
     tracked.world.clock.sleep(2.0)
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.interpreter.reply_line.baud == 9600
@@ -201,7 +201,7 @@ def test_a_restarted_unit_sends_reset_once_and_requires_init(
     assert tracked.raw("TX 0801") == b""
     assert first_words(tracked) == b"RESETBE6F\r"
     assert tracked.send("PHSR 00") == "ERROR10"
-    assert tracked.interpreter.unsolicited() == b""  # once
+    assert tracked.interpreter.unsolicited_bytes() == b""  # once
 
 
 def later() -> Iterator[float]:
@@ -215,6 +215,6 @@ def later() -> Iterator[float]:
 def first_words(bench: Bench) -> bytes:
     """First bytes that the unit sends unsolicited."""
     for _ in range(1000):
-        if said := bench.interpreter.unsolicited():
+        if said := bench.interpreter.unsolicited_bytes():
             return said
     return b""

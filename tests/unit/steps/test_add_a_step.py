@@ -15,9 +15,9 @@ from force_sensor import UNSCALED_N, ScaledForceSensor
 from prepared_results import mounted_guide
 
 from procedures.engine.case import StepKey
-from procedures.engine.machine import mermaid
+from procedures.engine.machine import state_chart_mermaid
 from procedures.engine.order import CaseOrder, order_of
-from procedures.engine.run_folder import typed
+from procedures.engine.run_folder import parse_record
 from procedures.journal.errors import GateFailed
 from procedures.steps import catalogue as steps_catalogue
 from procedures.steps import clinical
@@ -75,7 +75,7 @@ def catalogue(force_check: ModuleType, monkeypatch: pytest.MonkeyPatch) -> Modul
 def test_one_line_in_the_catalogue_adds_the_step_to_the_case_and_the_chart(catalogue: ModuleType) -> None:
     names = [str(key) for key in order_of(catalogue.CLINICAL_STEPS, ("T1",)).sequence]
     assert names.index("tool_check") < names.index("force_check") < names.index("positioning:T1")
-    assert "tool_check --> force_check" in mermaid(catalogue.CLINICAL_STEPS)
+    assert "tool_check --> force_check" in state_chart_mermaid(catalogue.CLINICAL_STEPS)
 
 
 def test_the_new_step_declares_what_every_step_must(
@@ -90,4 +90,4 @@ def test_the_new_step_declares_what_every_step_must(
     result = model(force_N=0.1 + 0.2)
     stored = cell.case.store(StepKey(model.kind), result, ())
     record = read_record(cell.folder / "records" / f"{stored.record.identifier}.json")
-    assert typed(record, model) == result
+    assert parse_record(record, model) == result

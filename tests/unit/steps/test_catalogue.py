@@ -12,7 +12,7 @@ from procedures.cli.case.commands import carry_out, read_command
 from procedures.operator.question import Topic
 from procedures.steps import branches
 from procedures.steps.branches import BRANCHES, Branch, Ending
-from procedures.steps.catalogue import CLINICAL_STEPS, planned_questions
+from procedures.steps.catalogue import CLINICAL_STEPS, list_questions
 
 
 def said(tmp_path: Path, command: str, argument: str = "") -> list[str]:
@@ -38,10 +38,10 @@ def test_the_list_of_steps_names_what_each_asks_in_its_course(tmp_path: Path) ->
 
 def test_a_question_of_the_course_and_of_a_branch_is_planned_once() -> None:
     for step in CLINICAL_STEPS:
-        planned = [one.topic for one in planned_questions(step) if not one.condition]
+        planned = [one.topic for one in list_questions(step) if not one.condition]
         assert planned == list(step.asks)
     (gauge,) = [step for step in CLINICAL_STEPS if step.name == "tool_check"]
-    assert [one.topic for one in planned_questions(gauge)].count(Topic.INSTRUMENT_OUT) == 1
+    assert [one.topic for one in list_questions(gauge)].count(Topic.INSTRUMENT_OUT) == 1
 
 
 TESTS = Path(__file__).resolve().parents[2]

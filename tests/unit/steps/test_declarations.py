@@ -7,7 +7,7 @@ from typing import Any
 import pytest
 from clinical_case import HOME_RAD, OUTLINE, ClinicalCell
 from declaration_checks import reading_too_early, undescribed, without_unit
-from generate import step_results
+from generate import list_step_results
 from prepared_results import (
     LINK,
     SERIES,
@@ -27,23 +27,23 @@ from procedures.calibration.frame_calibration import FrameLook, FrameLooks, Use
 from procedures.calibration.tip_calibration import BallLook, DivotReading, TipLooks
 from procedures.engine.case import StepKey
 from procedures.engine.order import Steps, StepSpec
-from procedures.engine.run_folder import typed
+from procedures.engine.run_folder import parse_record
 from procedures.guards.stability import SeenUnchanged
 from procedures.journal.results import FramedPose, StepResult
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.frame_looks import ObservedFrame
-from procedures.steps.calibration.head_looks import LookedAtBall, ObservedBall, VisitedBaseline
+from procedures.steps.calibration.head_looks import BallMeasurement, ObservedBall, VisitedBaseline
 from procedures.steps.calibration.recipe import (
     arm_looks,
     frame_looks,
     head_calibration,
     head_check,
     head_look,
-    look_where_it_stands,
+    look_in_place,
     tip_readings,
 )
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
-from procedures.steps.calibration.tip_readings import ObservedStand, ReadTip
+from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
 from procedures.steps.catalogue import clinical_steps
 from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.positioning import PositionedGuide
@@ -62,14 +62,14 @@ PROCEDURES: dict[str, Steps] = {
     "calibration at a stated place": head_calibration(60, 3, (700.0, 0.0, 300.0)),
     "check": head_check(BASELINE, 3),
     "look": head_look(None),
-    "look where it stands": look_where_it_stands(),
+    "look where it stands": look_in_place(),
     "spheres": arm_looks(60, 10),
     "reference frame": frame_looks(20, 4),
     "tip": tip_readings(20, 4, None),
     "tip at a stated place": tip_readings(20, 4, (700.0, 0.0, 300.0)),
 }
 STEPS = {step.result: step for steps in PROCEDURES.values() for step in steps}
-RESULTS = step_results()
+RESULTS = list_step_results()
 
 
 @pytest.mark.parametrize("procedure", PROCEDURES)
@@ -167,14 +167,14 @@ def examples(cell: ClinicalCell) -> list[StepResult]:
         BallPlace(ball_mm=(1.0, 2.0, 1 / 3), others_mm=((0.0, 0.0, 0.0),)),
         ObservedBall(observed=observed, remarks=("a remark",)),
         VisitedBaseline(calibration=SERIES, looks=(look,)),
-        LookedAtBall(position_mm=None, left=outline, right=None, reason="no sphere"),
+        BallMeasurement(position_mm=None, left=outline, right=None, reason="no sphere"),
         ObservedSpheres(observed=ArmLooks(**measured, serials=("1", "2"), looks=(sphere,)), remarks=()),
         ObservedFrame(
             observed=FrameLooks(**measured, start=cell.calibrations.tracker_frame, looks=(turned,)),
             remarks=("a remark",),
         ),
         ObservedStand(looks=(ball,), remarks=()),
-        ReadTip(
+        TipReadings(
             observed=TipLooks(
                 **measured,
                 start=cell.calibrations.tool_tip,
@@ -193,6 +193,6 @@ def test_every_result_is_read_back_unchanged_and_is_immutable(cell: ClinicalCell
     for result in results:
         stored = cell.case.store(StepKey(result.kind), result, ())
         record = read_record(cell.folder / "records" / f"{stored.record.identifier}.json")
-        assert typed(record, type(result)) == result
+        assert parse_record(record, type(result)) == result
         with pytest.raises(ValidationError, match="frozen"):
             setattr(result, next(iter(type(result).model_fields)), None)

@@ -43,11 +43,11 @@ from procedures.steps.clinical.set_up import CheckedSetUp
 from ronna_hw.clock import Clock
 from ronna_hw.config import DeviceConfig, TheatreFile, parse_theatre
 from ronna_hw.devices.lifecycle import Device
-from ronna_hw.evidence.inspection import inspected
-from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, taped
+from ronna_hw.evidence.inspection import inspect_run
+from ronna_hw.recording.reading_tape import READINGS_FILE, READINGS_FOLDER, ReadingTape, tape_device
 from ronna_hw.registry import make_device
 from sim.theatre.theatre_file import theatre_content
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 ROLE = "device.force"
 SCALE = 0.2
@@ -56,9 +56,7 @@ FRAME = "robot_frame"
 
 def with_sensor() -> TheatreFile:
     """The mini theatre with the table of the sensor."""
-    content = theatre_content(
-        named_scene("mini", seed=3), ENDPOINTS, "host:", {FRAME: "robot_frame.rom"}, 1.0
-    )
+    content = theatre_content(draw_scene("mini", seed=3), ENDPOINTS, "host:", {FRAME: "robot_frame.rom"}, 1.0)
     del content["tools"]["guide"]["frame"]  # a replay makes the tracker, and no definition of it is at hand
     return parse_theatre({**content, **tomllib.loads(DECLARED.replace("2.0", str(SCALE)))})
 
@@ -85,15 +83,15 @@ class CaseWithSensor:
         self.engine = Engine(self.order, cell.case, setting, cell.journal, recorders=(self.tape,))
 
     def on_tape(self, device: Any) -> Any:
-        return taped(device, self.tape)
+        return tape_device(device, self.tape)
 
     def make(self, name: str, config: DeviceConfig, clock: Clock) -> Device:
-        return taped(make_device(name, config, clock), self.tape)
+        return tape_device(make_device(name, config, clock), self.tape)
 
     def replayed(self) -> list[ReplayedRecord]:
         cell = self.cell
         given = ReplayInput(self.order, ClinicalInput(cell.series, cell.plan, cell.strategy), cell.theatre)
-        return list(replay(run_of(inspected(cell.folder)), given, read_answers(cell.folder)))
+        return list(replay(run_of(inspect_run(cell.folder)), given, read_answers(cell.folder)))
 
 
 @pytest.fixture

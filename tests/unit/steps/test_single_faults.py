@@ -26,7 +26,7 @@ from procedures.steps import branches
 from procedures.steps.branches import Branch
 from procedures.steps.catalogue import CLINICAL_STEPS
 from sim.world.faults import FAULT_KINDS, check_faults, parse_faults
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 ORDER = [step.name for step in CLINICAL_STEPS]
 BRANCHES = {name: row for name, row in vars(branches).items() if isinstance(row, Branch)}
@@ -57,7 +57,7 @@ def test_every_row_can_be_run() -> None:
         assert bool(row.fault) != bool(row.scene or row.answers), row
         assert not row.scene or row.scene in SCENES, row
         if row.fault:
-            check_faults(parse_faults(f"now: {row.fault}"), named_scene("mini", seed=3, markers=row.markers))
+            check_faults(parse_faults(f"now: {row.fault}"), draw_scene("mini", seed=3, markers=row.markers))
 
 
 def test_every_stop_has_a_code_and_a_promised_time() -> None:

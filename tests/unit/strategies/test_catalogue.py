@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from strategy_arms import ARM
 
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.errors import UnknownStrategy
 from procedures.strategies.strategy import arrival_signs
 from procedures.strategies.trajectory import back_along_axis
@@ -27,7 +27,7 @@ from ronna_hw.errors import EXIT_USAGE
 def test_a_strategy_declares_how_often_it_localizes_and_whether_it_controls_the_approach(
     name, per_trajectory, approach
 ):
-    strategy = strategy_named(name)
+    strategy = find_strategy(name)
     assert strategy.name == name
     assert strategy.localizes_per_trajectory is per_trajectory
     assert strategy.controls_approach is approach
@@ -35,13 +35,13 @@ def test_a_strategy_declares_how_often_it_localizes_and_whether_it_controls_the_
 
 def test_an_unknown_strategy_is_refused_and_named():
     with pytest.raises(UnknownStrategy, match=r"STR-002.*'fastest'") as caught:
-        strategy_named("fastest")
+        find_strategy("fastest")
     assert caught.value.exit_code == EXIT_USAGE
 
 
 def test_the_arrival_direction_is_that_of_the_last_stretch_along_the_axis():
     at = (0.3, -1.2, 1.9, 0.4, 0.9, 2.8)
     pose = ARM.stereo_pose(at)
-    before = np.array(ARM.guide_at(back_along_axis(pose, 1.0)))
+    before = np.array(ARM.guide_joints(back_along_axis(pose, 1.0)))
     signs = arrival_signs(ARM.kinematics, pose, at, ARM.flange_from_stereo)
     assert signs == tuple(np.where(np.array(at) >= before, 1, -1))

@@ -15,7 +15,7 @@ from procedures.strategies.trajectory import (
     Trajectory,
     back_along_axis,
     reference_direction,
-    refined_target_pose,
+    refine_target_pose,
     target_pose,
     turn_onto,
 )
@@ -73,7 +73,7 @@ def test_a_refined_registration_adds_no_turn_about_the_axis():
     small = RigidTransform.from_components([0.4, -0.2, 0.3], Rotation.from_rotvec([0.004, -0.003, 0.006]))
     fine = Transform(Frame.ROBOT, Frame.CT, small * coarse.rigid)
     localized = OCS.localization_poses(trajectory(0.3), FIDUCIALS, coarse, ARM)[0]
-    pose = refined_target_pose(localized, trajectory(0.3), fine)
+    pose = refine_target_pose(localized, trajectory(0.3), fine)
     axis = fine.rotation_matrix @ trajectory().axis_ct
     assert np.allclose(pose.rotation_matrix[:, 2], axis)
     change = (pose.rigid.rotation * localized.rigid.rotation.inv()).as_rotvec()
@@ -111,7 +111,7 @@ def test_wrong_frames_are_refused():
     with pytest.raises(FrameMismatch, match="FRM-001"):
         target_pose(trajectory(), room().inverse())
     with pytest.raises(FrameMismatch, match="FRM-001"):
-        refined_target_pose(room(), trajectory(), room())
+        refine_target_pose(room(), trajectory(), room())
 
 
 @pytest.mark.parametrize(

@@ -14,7 +14,7 @@ from ur5 import Ur5
 
 from procedures.calibration.arm_sources import ArmPoses, arm_sources
 from procedures.registration.target_prediction import predict_target_error
-from procedures.strategies.catalogue import BestOfEach, strategy_named
+from procedures.strategies.catalogue import BestOfEach, find_strategy
 from procedures.strategies.errors import NoNearbyJoints
 from procedures.strategies.joint_displacement import JointDisplacementMinimization, least_displacement
 from procedures.strategies.strategy import OUTWARDS_RAD, ArmInBranch, Joints
@@ -37,7 +37,7 @@ def from_target_rad(arm: ArmInBranch, pose: Transform, at_target: Joints) -> flo
 
 
 def displacements_rad(trajectory: Trajectory, arm: ArmInBranch = ARM) -> list[float]:
-    at_target = arm.guide_at(target_pose(trajectory, ROOM))
+    at_target = arm.guide_joints(target_pose(trajectory, ROOM))
     poses = JDMS.localization_poses(trajectory, FIDUCIALS, ROOM, arm)
     return [from_target_rad(arm, pose, at_target) for pose in poses]
 
@@ -50,7 +50,7 @@ def test_the_tool_is_at_every_fiducial(arm):
 
 def test_no_other_orientation_needs_less_joint_motion():
     """A general optimizer over the three angles of the tool finds the same."""
-    at_target = ARM.guide_at(target_pose(LEANING, ROOM))
+    at_target = ARM.guide_joints(target_pose(LEANING, ROOM))
     for pose, found in zip(
         JDMS.localization_poses(LEANING, FIDUCIALS, ROOM, ARM), displacements_rad(LEANING), strict=True
     ):
@@ -92,13 +92,13 @@ def predicted_mm(name: str, sizes: ErrorSizes, along: Trajectory = LEANING) -> f
     """Rms of what the arm's errors leave at the target; joints rest on the same side everywhere."""
     arm = replace(ARM, sizes=sizes)
     at_target = target_pose(along, ROOM)
-    poses = strategy_named(name).localization_poses(along, FIDUCIALS, ROOM, arm)
+    poses = find_strategy(name).localization_poses(along, FIDUCIALS, ROOM, arm)
     spheres, tip = ROOM.apply(FIDUCIALS), ROOM.apply(along.target_mm)
-    looks = np.array([arm.stereo_at(pose) for pose in poses])
+    looks = np.array([arm.stereo_joints(pose) for pose in poses])
     sources = arm_sources(
         arm.kinematics.chain,
         ArmPoses(looks, spheres, np.ones((len(looks), 6))),
-        ArmPoses(np.array([arm.guide_at(at_target)]), tip[None], np.ones((1, 6))),
+        ArmPoses(np.array([arm.guide_joints(at_target)]), tip[None], np.ones((1, 6))),
         sizes,
     )
     return predict_target_error(spheres, tip, sources).rms_mm
@@ -113,14 +113,14 @@ def test_improved_jdms_predicts_less_error_than_jdms_and_ocs(sizes: ErrorSizes) 
 def test_with_the_guide_held_elsewhere_on_the_axis_the_error_at_the_target_is_optimized(
     beyond_mm: float,
 ) -> None:
-    held, sizes = LEANING.held(beyond_mm), ErrorSizes(tool_mm=0.0)
+    with_rest, sizes = LEANING.with_rest(beyond_mm), ErrorSizes(tool_mm=0.0)
     arm = replace(ARM, sizes=sizes)
-    at_target = np.array([arm.guide_at(target_pose(held, ROOM))])
-    wanted = displacements(KR6.chain, at_target, ROOM.apply([held.target_mm]), sizes)
+    at_target = np.array([arm.guide_joints(target_pose(with_rest, ROOM))])
+    wanted = displacements(KR6.chain, at_target, ROOM.apply([with_rest.target_mm]), sizes)
 
     def unlike_mm(name: str) -> float:
-        poses = strategy_named(name).localization_poses(held, FIDUCIALS, ROOM, arm)
-        looks = np.array([arm.stereo_at(pose) for pose in poses])
+        poses = find_strategy(name).localization_poses(with_rest, FIDUCIALS, ROOM, arm)
+        looks = np.array([arm.stereo_joints(pose) for pose in poses])
         there = displacements(KR6.chain, looks, ROOM.apply(FIDUCIALS), sizes)
         links, joints = there.links_mm - wanted.links_mm, there.joints_mm - wanted.joints_mm
         return float(np.sqrt(np.sum(links**2) + np.sum(joints**2)))
@@ -132,16 +132,16 @@ def test_with_only_a_tool_frame_error_the_orientation_is_that_of_the_target() ->
     arm = replace(ARM, sizes=ErrorSizes(tool_mm=2.0, links=0.0, joints=0.0, backlash=0.0))
     wanted = target_pose(LEANING, ROOM).rotation_matrix
     for pose, fiducial in zip(
-        strategy_named("improved").localization_poses(LEANING, FIDUCIALS, ROOM, arm), FIDUCIALS, strict=True
+        find_strategy("improved").localization_poses(LEANING, FIDUCIALS, ROOM, arm), FIDUCIALS, strict=True
     ):
         np.testing.assert_allclose(pose.rotation_matrix, wanted, atol=1e-4)
         np.testing.assert_allclose(pose.translation_mm, ROOM.apply(fiducial), atol=1e-6)
 
 
 def test_best_localizes_with_the_strategy_chosen_for_each_trajectory() -> None:
-    best = BestOfEach(others={LEANING.identifier: strategy_named("ocs")})
+    best = BestOfEach(others={LEANING.identifier: find_strategy("ocs")})
     other = replace(LEANING, identifier="T2")
     for along, name in ((LEANING, "ocs"), (other, "improved")):
-        expected = strategy_named(name).localization_poses(along, FIDUCIALS, ROOM, ARM)
+        expected = find_strategy(name).localization_poses(along, FIDUCIALS, ROOM, ARM)
         for pose, wanted in zip(best.localization_poses(along, FIDUCIALS, ROOM, ARM), expected, strict=True):
             np.testing.assert_array_equal(pose.rotation_matrix, wanted.rotation_matrix)

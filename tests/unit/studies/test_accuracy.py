@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from procedures.planning.head_in_ct import HeadEllipsoid
-from procedures.planning.marker_sites import allowed, clear_of, propose_markers, sites_on
-from procedures.strategies.catalogue import CANDIDATES, strategy_named
+from procedures.planning.marker_sites import is_clear_of, list_sites, mark_allowed, propose_markers
+from procedures.strategies.catalogue import CANDIDATES, find_strategy
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.frames import Frame, Transform
 from sim.world.scene.as_built import draw_arm
@@ -28,12 +28,12 @@ from studies.strategies.identified import (
     GOAL_MM,
     BelievedArm,
     IdentifiedStudy,
-    identified_arm_errors,
+    compute_identified_errors_mm,
     identify_arm,
 )
 from studies.strategies.study import OF_ARM, PLACES, PREDICTION, SCENARIO, TARGETS, StrategiesStudy
 from studies.strategies.tables import PAIRED_SCENARIOS as PAIRED
-from studies.strategies.tables import paired_comparison, plots, tables
+from studies.strategies.tables import compare_pairs, plots, tables
 
 HERE = phantom_pose(1)
 SMALL = draw_phantom(Markers.FREE, (30.0, 120.0), 2)
@@ -83,9 +83,9 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
     for strategy in ("nos", "ocs"):
         found = errors_mm(strategy, arms, Sizes(), numbers)
         inside = [
-            one.holds(found[:, target, place_of_count]).mean()
-            for place_of_count, predicted in enumerate(SCENE.predicted(SCENE.planned(strategy)))
-            for target, one in enumerate(predicted)
+            one.mark_contained(found[:, target, place_of_count]).mean()
+            for place_of_count, predictions in enumerate(SCENE.predictions(SCENE.planned(strategy)))
+            for target, one in enumerate(predictions)
         ]
         assert np.mean(inside) == pytest.approx(0.95, abs=0.02)
 
@@ -94,8 +94,8 @@ def test_the_predicted_region_contains_95_percent_of_the_errors_of_random_arms()
 def test_harmonics_and_sag_alone_have_the_size_that_is_predicted(strategy: str) -> None:
     numbers = range(400)
     found = errors_mm(strategy, RandomArms.draw(0, numbers).only(Source.JOINTS), Sizes(0.0, 0.0), numbers)
-    for place_of_count, predicted in enumerate(SCENE.predicted(SCENE.planned(strategy))):
-        square_mm2 = np.mean([one.budget_mm[Source.JOINTS] ** 2 for one in predicted])
+    for place_of_count, predictions in enumerate(SCENE.predictions(SCENE.planned(strategy))):
+        square_mm2 = np.mean([one.budget_mm[Source.JOINTS] ** 2 for one in predictions])
         actual_mm2 = np.square(found[:, :, place_of_count]).sum(axis=-1).mean()
         assert np.sqrt(square_mm2 / actual_mm2) == pytest.approx(1.0, abs=0.05)
 
@@ -134,7 +134,7 @@ def test_two_strategies_are_compared_on_each_arm_and_scatter_between_arms_does_n
         for strategy, mean in mean_mm.items()
         for arm in arms
     }
-    rows = {(row[0], row[1]): row[2:] for row in paired_comparison({f"{SCENARIO}|free|1": sums}).rows}
+    rows = {(row[0], row[1]): row[2:] for row in compare_pairs({f"{SCENARIO}|free|1": sums}).rows}
     for scenario in PAIRED:
         count, apart_mm, low_mm, high_mm, less, p = rows[scenario, "improved - ocs"]
         assert (count, less) == (5, 100.0)
@@ -152,8 +152,8 @@ def test_best_has_the_errors_of_the_strategy_with_the_least_predicted_error_at_e
     found = scene.outcomes([*names, "best"], RandomArms.draw(1, numbers), scene.chance(numbers))
     for count in range(len(scene.counts)):
         for target in range(len(SMALL.trajectories)):
-            least = min(names, key=lambda name: found[name].predicted[count][target].rms_mm)
-            assert found["best"].predicted[count][target] is found[least].predicted[count][target]
+            least = min(names, key=lambda name: found[name].predictions[count][target].rms_mm)
+            assert found["best"].predictions[count][target] is found[least].predictions[count][target]
             np.testing.assert_array_equal(
                 found["best"].errors_mm[:, target, count], found[least].errors_mm[:, target, count]
             )
@@ -182,7 +182,7 @@ def test_an_arm_whose_pose_does_not_converge_is_refused() -> None:
 def test_a_phantom_out_of_reach_is_refused() -> None:
     away = Transform.of(Frame.ROBOT, Frame.CT, translation_mm=(1500.0, 0.0, 0.0))
     with pytest.raises(PhantomOutOfReach, match="STU-010: ocs does not reach all spheres for T1"):
-        plan_postures(strategy_named("ocs"), SMALL, away)
+        plan_postures(find_strategy("ocs"), SMALL, away)
 
 
 @pytest.mark.slow
@@ -204,7 +204,7 @@ def test_an_identified_arm_meets_the_goal_with_nos_and_improved() -> None:
     believed = BelievedArm(fit.deviations, fit.flange_from_tool)
     arm, scene = RandomArms.draw(1, [0]), Scene.of(1, SMALL, Markers.FREE, 1)
     for strategy in ("nos", "improved"):
-        errors = identified_arm_errors(
+        errors = compute_identified_errors_mm(
             arm, believed, scene.planned(strategy, EXPECTED), scene, [0], Sizes(FINE_CT_MM)
         )
         assert np.linalg.norm(errors, axis=-1).mean() < GOAL_MM
@@ -231,10 +231,10 @@ def test_with_random_arms_the_proposed_places_leave_less_error_than_random_place
     drawn = draw_phantom(Markers.FREE, (30.0, 120.0), 5)
     head = HeadEllipsoid(centre_mm=(0.0, 0.0, 0.0), semi_axes_mm=tuple(HALF_AXES_MM[PATIENT]))
     proposed = propose_markers(head, drawn.trajectories, SPHERES, CT_FLE_MM)
-    sites, _ = sites_on(head, None, np.random.default_rng(0))
-    sites = sites[[clear_of(drawn.trajectories, one) for one in sites]]
+    sites, _ = list_sites(head, None, np.random.default_rng(0))
+    sites = sites[[is_clear_of(drawn.trajectories, one) for one in sites]]
     sets = np.random.default_rng(1).integers(len(sites), size=(2000, SPHERES))
-    sets = sets[allowed(sites[sets])][:BY_CHANCE]
+    sets = sets[mark_allowed(sites[sets])][:BY_CHANCE]
     arms = RandomArms.draw(0, ARMS)
 
     def rms_mm(spheres_mm: np.ndarray) -> float:

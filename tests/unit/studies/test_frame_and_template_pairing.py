@@ -64,7 +64,7 @@ def test_a_reading_with_two_spheres_swapped_counts_as_a_false_pairing(found_by_a
 
 def test_a_unit_that_never_sees_the_whole_frame_is_refused() -> None:
     with pytest.raises(TrackerNotSimulated, match="STU-008"):
-        clinical._whole_reading(lambda _: np.zeros((0, 3)), clinical.FRAME_MM, np.random.default_rng(1))
+        clinical._take_whole_reading(lambda _: np.zeros((0, 3)), clinical.FRAME_MM, np.random.default_rng(1))
 
 
 def test_readings_are_cached_in_the_folder_and_those_of_another_study_are_refused(

@@ -44,7 +44,7 @@ def test_missed_false_cut_and_large_errors_are_counted_separately(monkeypatch: p
     monkeypatch.setattr(
         study_module, "localize", lambda volume: found_at(points, 0.01, ("estimators_disagree",))
     )
-    sums = study_module._localization_sums(Method.OURS, scan_of(CENTRES, [True, True, True, False]))
+    sums = study_module._count_localization(Method.OURS, scan_of(CENTRES, [True, True, True, False]))
     counted = {key.partition("|")[2]: value for key, value in sums.items()}
     expected = {"spheres": 3, "found": 2, "missed": 1, "false": 2, "cut": 1, "cut found": 1}
     expected |= {"large": 1, "large flagged": 1, "tail": 1}
@@ -62,7 +62,7 @@ def test_tables_and_plots_show_the_counts(monkeypatch: pytest.MonkeyPatch) -> No
         for method in AUTOMATIC:
             points = CENTRES + random.normal(size=(4, 3)) * 0.01
             monkeypatch.setattr(study_module, "localize_by", lambda *_, p=points: found_at(p, 0.01))
-            one |= study_module._localization_sums(method, scan_of(CENTRES, [True] * 4))
+            one |= study_module._count_localization(method, scan_of(CENTRES, [True] * 4))
         sums[f"{family}|good"] = one
     together, single = tables(sums)
     assert [row[:2] for row in together.rows[::3]] == [

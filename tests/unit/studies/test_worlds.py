@@ -11,12 +11,12 @@ from typing import Any
 import pytest
 
 from sim.world.faults import check_faults, parse_faults
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from studies.errors import WorldNotRun
 from studies.worlds import study as worlds_study
 from studies.worlds.study import WorldsStudy
 from studies.worlds.verdict import RANKS, Verdict, judge, limits_used_mm
-from studies.worlds.world import MOST_BENT_MM, MOST_DEG, MOST_MM, STEPS_S, What, draw_world
+from studies.worlds.world import MOST_BENT_MM, MOST_DEG, MOST_MM, STEPS_S, ChangedObject, draw_world
 
 LIMITS_MM = {"T1": 0.3, "T2": 0.4}
 CHANGE = ("positioning:T1", 1.0)  # begins at 11 s
@@ -60,11 +60,11 @@ def test_every_drawn_script_is_valid_in_its_scene(scene: str) -> None:
     drawn = [draw_world(1, number, scene) for number in range(200)]
     for world in drawn:
         assert world.change is not None
-        truth = named_scene(scene, seed=0, markers=world.markers, targets=world.targets)
+        truth = draw_scene(scene, seed=0, markers=world.markers, targets=world.targets)
         faults = parse_faults(world.change.script)
         check_faults(faults, truth)
         assert all(one.lasts and one.after_s == pytest.approx(world.change.after_s) for one in faults)
-    assert {one.change.what for one in drawn if one.change} == set(What)
+    assert {one.change.what for one in drawn if one.change} == set(ChangedObject)
     assert {one.change.step.partition(":")[0] for one in drawn if one.change} == set(STEPS_S)
     hidden = sum(bool(one.change and one.change.hidden) for one in drawn)
     assert 0.35 * len(drawn) < hidden < 0.65 * len(drawn)
@@ -162,18 +162,18 @@ def test_the_goals_are_missed_by_one_gross_error_or_one_false_finding(tmp_path: 
         }
 
     study = WorldsStudy(20, 0, tmp_path)
-    assert study.missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT)) == []
-    assert "2 of 20" in study.missed_goals(sums(*[Verdict.OK] * 18, *[Verdict.SILENT] * 2))[0]
-    assert "twice" in study.missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT2))[0]
+    assert study.list_missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT)) == []
+    assert "2 of 20" in study.list_missed_goals(sums(*[Verdict.OK] * 18, *[Verdict.SILENT] * 2))[0]
+    assert "twice" in study.list_missed_goals(sums(*[Verdict.OK] * 19, Verdict.SILENT2))[0]
     quiet = WorldsStudy(20, 0, tmp_path, quiet=True)
-    assert quiet.missed_goals(sums(Verdict.OK)) == []
-    assert len(quiet.missed_goals(sums(Verdict.OK, Verdict.FALSE_FINDING))) == 1
+    assert quiet.list_missed_goals(sums(Verdict.OK)) == []
+    assert len(quiet.list_missed_goals(sums(Verdict.OK, Verdict.FALSE_FINDING))) == 1
 
 
 def test_a_case_that_never_began_is_an_error_with_its_last_words(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     ended = subprocess.CompletedProcess([], 2, stdout="", stderr="CLI-001: no such scene")
-    monkeypatch.setattr(worlds_study, "finished_command", lambda *_arguments: ended)
+    monkeypatch.setattr(worlds_study, "run_command", lambda *_arguments: ended)
     with pytest.raises(WorldNotRun, match=r"STU-015.*no such scene"):
         worlds_study.run_world(draw_world(0, 0), tmp_path / "world")

@@ -10,7 +10,7 @@ from user_commands import in_this_process, one_error
 from ronna_hw.errors import EXIT_USAGE
 from sim.cli import app as ronna_sim
 from sim.theatre.launch import Theatre, parameters_by_device
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import SCENE_FILE
 
 REFUSED_LATER = ("--set", "robot.tea=1")  # so that no theatre is started
@@ -19,7 +19,7 @@ REFUSED_LATER = ("--set", "robot.tea=1")  # so that no theatre is started
 @pytest.fixture
 def left(tmp_path: Path) -> Path:
     """The folder of a theatre that was left."""
-    (tmp_path / SCENE_FILE).write_text(named_scene("mini", seed=4).model_dump_json(by_alias=True))
+    (tmp_path / SCENE_FILE).write_text(draw_scene("mini", seed=4).model_dump_json(by_alias=True))
     return tmp_path
 
 
@@ -79,7 +79,7 @@ def test_each_device_is_started_with_its_own_parameters(
     monkeypatch.setattr("sim.theatre.launch.ChildProcess", started_without_waiting)
     with pytest.raises(Enough):
         Theatre(
-            named_scene("mini", seed=1),
+            draw_scene("mini", seed=1),
             tmp_path,
             paced=False,
             cycle_ms=12,

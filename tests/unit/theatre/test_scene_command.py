@@ -15,7 +15,7 @@ from sim.phantom.scan import plain_scan
 from sim.theatre.command import scene
 from sim.world.scene.head import JIG_MM
 from sim.world.scene.model import read_scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 @pytest.mark.parametrize("name", ["default", "mini", "bench"])
@@ -25,7 +25,7 @@ def test_a_printed_scene_is_read_back_unchanged(
     scene(scene=name, seed=4)
     file = tmp_path / "scene.toml"
     file.write_text(capsys.readouterr().out, encoding="utf-8")
-    assert read_scene(file) == named_scene(name, seed=4)
+    assert read_scene(file) == draw_scene(name, seed=4)
 
 
 TEMPLATE = """

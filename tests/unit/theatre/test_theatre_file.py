@@ -18,7 +18,7 @@ from sim.theatre.theatre_file import theatre_content, write_theatre_file
 from sim.world.process import load_scene
 from sim.world.rigid import inverse, matrix_of
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 ENDPOINTS = {
     "polaris": "serial:///dev/pts/9",
@@ -46,7 +46,7 @@ def _records(scene: Scene, folder: Path) -> Calibrations:
 
 
 def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:
-    theatre = read_theatre_file(_written(named_scene("mini", seed=4), tmp_path))
+    theatre = read_theatre_file(_written(draw_scene("mini", seed=4), tmp_path))
     assert theatre.banner
     assert theatre.calibration is not None
 
@@ -54,7 +54,7 @@ def test_the_written_theatre_file_is_valid(tmp_path: Path) -> None:
 def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path: Path) -> None:
     found, angles_rad = [], []
     for seed in range(30):
-        scene = named_scene("mini", seed=seed)
+        scene = draw_scene("mini", seed=seed)
         record = _records(scene, tmp_path)
         tip = np.subtract(
             record.tool_tip.flange_from_tool.translation_mm,
@@ -68,14 +68,14 @@ def test_calibration_records_are_truth_plus_an_error_of_the_stated_size(tmp_path
 
 
 def test_the_record_of_the_head_holds_the_nominal_mount_not_the_true_one(tmp_path: Path) -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     record = _records(scene, tmp_path)
     assert record.stereo_head.flange_from_tool == scene.mount.flange_from_tool_nominal
     assert record.stereo_head.flange_from_tool != scene.mount.flange_from_tool_true
 
 
 def test_a_camera_record_is_within_a_tenth_of_a_millimetre_of_the_truth(tmp_path: Path) -> None:
-    scene = named_scene("mini", seed=4)
+    scene = draw_scene("mini", seed=4)
     record = _records(scene, tmp_path)
     true = matrix_of(scene.left.camera_from_tool)
     stated = matrix_of(record.stereo_head.left.camera_from_tool)
@@ -100,9 +100,7 @@ def test_a_calibrated_arm_has_a_record_with_a_small_residual_error(tmp_path: Pat
 
 @pytest.mark.parametrize("value", [float("nan"), float("inf")])
 def test_a_calibration_with_a_non_finite_number_is_refused(value: float) -> None:
-    content = theatre_content(
-        named_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0
-    )
+    content = theatre_content(draw_scene("mini"), ENDPOINTS, "host:", {"robot_frame": "robot_frame.rom"}, 2.0)
     head = content["calibration"]["stereo_head"]
     head["flange_from_tool"]["translation_mm"] = [value, 0.0, 0.0]
     with pytest.raises(ConfigurationError, match=r"CFG-001: .*flange_from_tool.translation_mm 1"):
@@ -110,7 +108,7 @@ def test_a_calibration_with_a_non_finite_number_is_refused(value: float) -> None
 
 
 def test_another_cycle_time_is_passed_to_the_robot_driver() -> None:
-    scene = named_scene("mini")
+    scene = draw_scene("mini")
     for cycle_ms, said in ((12, 12), (None, None)):
         theatre = parse_theatre(theatre_content(scene, ENDPOINTS, "host:", {}, 2.0, cycle_ms))
         assert read_options("robot.master", theatre.robot["master"].options).cycle_ms == said

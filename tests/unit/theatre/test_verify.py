@@ -12,21 +12,21 @@ from user_commands import in_this_process, one_error
 
 from procedures.engine.run_folder import close_run
 from procedures.journal.journal import JOURNAL_FILE, Entry, Journal
-from procedures.runs.simulated_theatre import truth_of
+from procedures.runs.simulated_theatre import ask_verifier
 from ronna_hw.errors import EXIT_FAILED
-from ronna_hw.evidence.inspection import Inspection, inspected
+from ronna_hw.evidence.inspection import Inspection, inspect_run
 from ronna_hw.evidence.journal_reading import RunChanged, read_chain
-from ronna_hw.evidence.manifest import RECORDS_FOLDER, truth_so_far
+from ronna_hw.evidence.manifest import RECORDS_FOLDER, hash_truth_files
 from ronna_hw.records import Record, write_record
 from sim.cli import app as ronna_sim
 from sim.errors import NothingToVerify
 from sim.theatre import verify
 from sim.theatre.verify import verify_run
 from sim.world.rigid import apply, inverse, matrix_of
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import SCENE_FILE, THEATRE_FOLDER, TRUTH_FILE, TipSample, append_sample
 
-SCENE = named_scene("mini")
+SCENE = draw_scene("mini")
 TRAJECTORY = "left-STN"  # by the plan; no trajectory of the scene has this name
 FIDUCIALS_MM = [fiducial.centre_ct_mm for fiducial in SCENE.head.fiducials]
 ENTRY_MM, TARGET_MM = (10.0, 20.0, 80.0), (10.0, 20.0, 30.0)  # straight down, 50 mm deep
@@ -168,7 +168,7 @@ def test_a_case_may_ask_for_the_truth_of_a_run_that_reached_no_target(
     run: Path, localize: Callable[..., None]
 ) -> None:
     localize(FIDUCIALS_MM)
-    truth = truth_of(run)
+    truth = ask_verifier(run)
     assert truth.ct is not None
     assert truth.ct.found == len(FIDUCIALS_MM)
     assert truth.targets == ()
@@ -206,20 +206,20 @@ def test_truth_that_changes_after_the_check_is_not_compared(
 ) -> None:
     at_target(TARGET_MM)
     journal = Journal.reopen_run(run, read_chain(run / JOURNAL_FILE))
-    journal.write(Entry.FOUND, 1.0, **truth_so_far(run))
+    journal.write(Entry.FOUND, 1.0, **hash_truth_files(run))
     if closed:
         close_run(run, journal, 2.0, "done", None)
     else:
         journal.close()
 
     def then_exchanged(folder: Path) -> Inspection:
-        found = inspected(folder)
+        found = inspect_run(folder)
         path = run / THEATRE_FOLDER / name
         path.write_bytes(path.read_bytes().replace(b"0", b"1"))
         return found
 
     assert verify_run(run)["targets"]
-    monkeypatch.setattr(verify, "inspected", then_exchanged)
+    monkeypatch.setattr(verify, "inspect_run", then_exchanged)
     with pytest.raises(RunChanged, match=f"PRO-033: .*{name}: changed"):
         verify_run(run)
 

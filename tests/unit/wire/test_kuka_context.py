@@ -30,9 +30,11 @@ def test_our_context_freezes_the_arm_when_packets_are_lost() -> None:
 
 def test_every_axis_and_the_stop_are_wired() -> None:
     context = load_context()
-    assert [context.wired_tag("AXISCORR", f"A{n}") for n in range(1, 7)] == [f"AK.A{n}" for n in range(1, 7)]
-    assert context.wired_tag("STOP", "In1") == "Stop"
-    assert context.wired_tag("POSCORR", "X") is None
+    assert [context.find_wired_tag("AXISCORR", f"A{n}") for n in range(1, 7)] == [
+        f"AK.A{n}" for n in range(1, 7)
+    ]
+    assert context.find_wired_tag("STOP", "In1") == "Stop"
+    assert context.find_wired_tag("POSCORR", "X") is None
 
 
 def test_the_hash_covers_the_meaning_but_not_the_address_of_the_pc(tmp_path: Path) -> None:

@@ -13,7 +13,7 @@ from procedures.operator.errors import NotConfirmed, OperatorAborted
 from procedures.operator.question import Topic
 from procedures.strategies.trajectory import back_along_axis
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import TRAIL, ArmHistory, Where, arm_history
+from procedures.workcell.arm_history import TRAIL, ArmHistory, PlaceKind, arm_history
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.devices.lifecycle import Lifecycle
 from ronna_hw.errors import LinkTimeout
@@ -159,11 +159,11 @@ def test_an_arm_that_stands_at_home_is_not_away_however_it_came_there(cell: Reco
 
 def test_an_approach_that_the_operator_declines_leaves_the_guide_free_to_go_home(cell: RecordingCell) -> None:
     cell.workcell.go(AWAY)
-    cell.workcell.supervised.begin_anew()
+    cell.workcell.supervised.reset_confirmation()
     cell.have_asked(RecordingOperator(Topic.FIRST_MOTION).word)
     with pytest.raises(NotConfirmed, match="PRO-002"):
         cell.workcell.insert(ahead(cell))
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
 
 
 @pytest.mark.hazard(2)
@@ -174,7 +174,7 @@ def test_a_torn_journal_leaves_it_open_whether_an_instrument_is_inside_also_at_a
     cell.workcell.instrument.record_removal()
     assert cell.workcell.history.instrument_out
     restarted = {"entry": Entry.RESTARTED, "torn_bytes": 120}
-    assert not cell.workcell.history.after(restarted).instrument_out
+    assert not cell.workcell.history.with_line(restarted).instrument_out
 
 
 def test_an_instrument_that_is_assumed_to_be_inside_is_not_out(cell: RecordingCell) -> None:
@@ -192,17 +192,17 @@ MOTION_FROM_HOME = [
 
 def test_a_motion_without_an_end_leaves_the_place_unknown_once_its_program_is_gone() -> None:
     history = arm_history(MOTION_FROM_HOME)
-    assert history.place.where is Where.MOVING
-    assert history.after({"entry": Entry.RESTARTED}).place.where is Where.UNKNOWN
-    assert history.after_restart(torn=False) == history.after({"entry": Entry.RESTARTED})
+    assert history.place.place_kind is PlaceKind.MOVING
+    assert history.with_line({"entry": Entry.RESTARTED}).place.place_kind is PlaceKind.UNKNOWN
+    assert history.with_restart(torn=False) == history.with_line({"entry": Entry.RESTARTED})
 
 
 def test_lost_lines_leave_the_place_unknown_until_the_arm_is_measured() -> None:
-    torn = arm_history(MOTION_FROM_HOME[:1]).after_restart(torn=True)
-    assert torn.place.where is Where.UNKNOWN
+    torn = arm_history(MOTION_FROM_HOME[:1]).with_restart(torn=True)
+    assert torn.place.place_kind is PlaceKind.UNKNOWN
     assert torn.place.is_out
-    assert torn.after({"entry": Entry.PLACED, "at_home": True}).place.is_home
-    assert torn.after({"entry": Entry.PLACED, "at_home": False}).place.where is Where.AWAY
+    assert torn.with_line({"entry": Entry.PLACED, "at_home": True}).place.is_home
+    assert torn.with_line({"entry": Entry.PLACED, "at_home": False}).place.place_kind is PlaceKind.AWAY
 
 
 @pytest.mark.hazard(44)
@@ -222,7 +222,7 @@ def test_after_a_kill_an_instrument_counts_as_inside_unless_it_was_confirmed_out
 ) -> None:
     made(cell)
     assert cell.workcell.place.assumed is False
-    place = cell.workcell.history.after_restart(torn=torn).place
+    place = cell.workcell.history.with_restart(torn=torn).place
     assert (place.instrument_may_be_inside, place.assumed) == (inside, assumed)
 
 
@@ -233,7 +233,7 @@ def test_an_arm_that_was_jogged_is_where_its_joints_say(cell: RecordingCell) -> 
     assert len(list(read_journal(cell.folder / JOURNAL_FILE))) == lines  # as the journal has it
     cell.arm.joints_rad = AWAY
     cell.workcell.compare_place()
-    assert cell.workcell.place.where is Where.AWAY
+    assert cell.workcell.place.place_kind is PlaceKind.AWAY
     assert list(read_journal(cell.folder / JOURNAL_FILE))[-1]["entry"] == Entry.PLACED
     cell.arm.joints_rad = HOME
     cell.workcell.compare_place()
@@ -245,7 +245,7 @@ def test_a_guide_that_was_jogged_home_is_on_no_axis(cell: RecordingCell) -> None
     cell.arm.joints_rad = HOME
     cell.workcell.compare_place()
     assert cell.workcell.place.is_home
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
     assert cell.workcell.instrument.inside == "T1"  # until it is confirmed to be out
 
 

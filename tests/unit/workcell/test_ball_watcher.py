@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 from recording_cell import RecordingCell
 
-from procedures.calibration.pose_set import calibration_looks
+from procedures.calibration.pose_set import plan_calibration_looks
 from procedures.relocalization.errors import NoSphere, SphereNotInView
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.strategies.strategy import APPROACH_RAD, ONE_SIDE, approach_joints
 from procedures.workcell import MountedTool
-from procedures.workcell.ball_watcher import BallWatcher, around_ball
+from procedures.workcell.ball_watcher import BallWatcher, build_ball_surroundings
 from procedures.workcell.stereo_look import Look
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.pose import radians6
@@ -55,7 +55,7 @@ def targets(cell: RecordingCell) -> list[tuple[float, ...]]:
 def test_every_pose_is_approached_from_the_same_side_in_every_joint(
     cell: RecordingCell, watcher: BallWatcher
 ) -> None:
-    for planned in calibration_looks(PLACE.reference, BALL_MM, 10):
+    for planned in plan_calibration_looks(PLACE.reference, BALL_MM, 10):
         assert watcher.observe(planned) is None
     before, at = np.array(targets(cell)[0::2]), np.array(targets(cell)[1::2])
     assert len(at) == 10
@@ -116,6 +116,6 @@ def test_the_surroundings_include_the_ball_its_stand_other_balls_and_the_stereo_
     cell: RecordingCell,
 ) -> None:
     tool = cell.workcell.flange_from(MountedTool.STEREO_HEAD)
-    around = around_ball(cell.theatre.cell, tool, BALL_MM, [[700.0, 60.0, 300.0]])
+    around = build_ball_surroundings(cell.theatre.cell, tool, BALL_MM, [[700.0, 60.0, 300.0]])
     assert [obstacle.name for obstacle in around.obstacles] == ["ball's stand", "ball", "other ball 1"]
     assert {"left camera", "right camera"} <= {part.name for part in around.tool}

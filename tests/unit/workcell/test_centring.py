@@ -13,7 +13,7 @@ from procedures.cli.stereo.display import show_look
 from procedures.relocalization.errors import NotTrusted, PairNotUsable, Saturated
 from procedures.workcell.errors import SphereNotFound
 from ronna_hw.devices.readings import StereoReading, Validity
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 END_MM, STEPS = 0.03, 8
 SEARCH_LOOKS = 6 + 12 + 18
@@ -23,7 +23,7 @@ SMALL_SENSOR_PX = (704, 672)
 @pytest.fixture
 def cell(tmp_path: Path) -> StereoCell:
     """Small sensors, so that a whole search costs little."""
-    scene = named_scene("mini", seed=3)
+    scene = draw_scene("mini", seed=3)
     small = {
         side: camera.model_copy(
             update={
@@ -255,7 +255,7 @@ def test_a_sphere_that_stays_lost_during_the_servo_is_refused(cell: StereoCell) 
 
 
 def test_blood_glare_and_a_fifth_of_the_rim_hidden_do_not_bias_the_servo(tmp_path: Path) -> None:
-    cell = calibrated_cell(without_arm_errors(named_scene("default", seed=4)), tmp_path)
+    cell = calibrated_cell(without_arm_errors(draw_scene("default", seed=4)), tmp_path)
     start = start_of(cell, 3.0)
     cell.world.set_fault_script(
         f"now: camera stain marker {start.fiducial + 1} 3 %\n"
@@ -269,7 +269,7 @@ def test_blood_glare_and_a_fifth_of_the_rim_hidden_do_not_bias_the_servo(tmp_pat
 @pytest.mark.hazard(26)
 def test_a_hundredth_of_a_degree_of_twist_moves_the_point_by_fifty_micrometres(tmp_path: Path) -> None:
     """Nothing but the twisted camera moves the point: inside the head the lines of sight still meet."""
-    cell = calibrated_cell(without_arm_errors(named_scene("default", seed=4)), tmp_path)
+    cell = calibrated_cell(without_arm_errors(draw_scene("default", seed=4)), tmp_path)
     start = start_of(cell, 3.0)
     cell.world.set_fault_script("now: camera twist right 0.01 deg")
     found = cell.centre(start)

@@ -16,7 +16,7 @@ from recording_cell import GUIDE, HOME, RecordingCell, RecordingOperator, tool_p
 
 from procedures.operator.question import Question, Topic
 from procedures.workcell import Insertion, MountedTool
-from procedures.workcell.arm_history import ArmHistory, ArmPlace, Where
+from procedures.workcell.arm_history import ArmHistory, ArmPlace, PlaceKind
 from procedures.workcell.errors import TipOffAxis
 from procedures.workcell.motions import MotionFacts
 from ronna_hw.arm.clearance.bodies import Bodies, Capsule, Obstacle, Surroundings
@@ -71,7 +71,7 @@ def tool_at(cell: RecordingCell, ahead_mm: float, turned_rad: float = 0.0) -> Tr
 def withdraw(cell: RecordingCell) -> None:
     """The guide is on its axis already, as in a run that is resumed."""
     on = Insertion("T1", tool_pose(cell.arm.joints_rad, cell), WAY_MM)
-    cell.workcell.restore_history(ArmHistory(place=ArmPlace(Where.ON_AXIS, on)), cell.workcell.home_rad)
+    cell.workcell.restore_history(ArmHistory(place=ArmPlace(PlaceKind.ON_AXIS, on)), cell.workcell.home_rad)
     cell.workcell.withdraw("T1")
 
 
@@ -100,7 +100,7 @@ def points(cell: RecordingCell, plan: MotionPlan) -> list[JointVector]:
     path = plan.path(cell.arm.kinematics)
     motion = PathMotion(path, plan.start_rad, plan.limits, CYCLE_S, plan.speed_steps)
     found = [plan.start_rad]
-    while not motion.finished:
+    while not motion.is_finished:
         go_rad, _ = motion.prepare()
         motion.take_go()
         found.append(go_rad)

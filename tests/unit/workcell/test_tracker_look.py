@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from procedures.workcell.tracker_look import add_frame_spheres, name_of_frame
+from procedures.workcell.tracker_look import add_frame_spheres, find_frame_name
 from ronna_hw.devices.readings import Stamp, StrayReading, ToolReading, TrackerFrame, Validity
 from ronna_hw.x_frame import SPHERE_CENTRES_MM
 
@@ -31,9 +31,9 @@ def reading(validity: Validity = Validity.OK) -> TrackerFrame:
 
 
 def test_the_frame_is_recognised_by_its_markers_and_not_by_its_name() -> None:
-    assert name_of_frame(Tracker().markers_mm) == "cross"
-    assert name_of_frame({"M": OTHER}) is None
-    assert name_of_frame({"mirrored": [(x, -y, z) for x, y, z in SPHERE_CENTRES_MM]}) is None
+    assert find_frame_name(Tracker().markers_mm) == "cross"
+    assert find_frame_name({"M": OTHER}) is None
+    assert find_frame_name({"mirrored": [(x, -y, z) for x, y, z in SPHERE_CENTRES_MM]}) is None
 
 
 def test_the_spheres_of_the_tracked_frame_are_added_to_the_strays() -> None:

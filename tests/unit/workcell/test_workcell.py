@@ -176,17 +176,17 @@ def test_insertion_and_withdrawal_end_where_they_began(cell: RecordingCell) -> N
     reached = tool_pose(cell.arm.joints_rad, cell)
     assert math.dist(reached.translation_mm, made.held.translation_mm) < 1e-6
     cell.workcell.withdraw("T1")
-    assert not cell.workcell.place.on_axis
+    assert not cell.workcell.place.is_on_axis
     assert math.dist(cell.arm.joints_rad, HOME) < 1e-9
 
 
 VIEWS: dict[str, Callable[[RecordingCell], PlannedMotion]] = {
-    "going": lambda cell: cell.workcell.going(turned(0.1)),
-    "returning home": lambda cell: cell.workcell.returning_home(),
-    "settling": lambda cell: cell.workcell.settling(turned(0.1), (1,) * 6),
-    "straight": lambda cell: cell.workcell.straight(tool_pose(HOME, cell)),
-    "inserting": lambda cell: cell.workcell.inserting(insertion(cell, "T2")),
-    "withdrawing": lambda cell: cell.workcell.withdrawing(insertion(cell, "T2")),
+    "going": lambda cell: cell.workcell.go_motion(turned(0.1)),
+    "returning home": lambda cell: cell.workcell.return_motion(),
+    "settling": lambda cell: cell.workcell.settle_motion(turned(0.1), (1,) * 6),
+    "straight": lambda cell: cell.workcell.line_to_motion(tool_pose(HOME, cell)),
+    "inserting": lambda cell: cell.workcell.insert_motion(insertion(cell, "T2")),
+    "withdrawing": lambda cell: cell.workcell.withdraw_motion(insertion(cell, "T2")),
 }
 Anything = Callable[[RecordingCell], object]
 OTHER_MOTIONS: dict[str, Anything] = {
@@ -224,7 +224,7 @@ def test_a_retreat_to_another_axis_of_the_same_name_is_refused(cell: RecordingCe
     inserted(cell)
     aside = tool_pose(turned(0.1), cell)
     with nothing_moves(cell, TipOffAxis, "PRO-015"):
-        cell.workcell.supervised.carry_out(cell.workcell.withdrawing(Insertion("T1", aside, WAY_MM)))
+        cell.workcell.supervised.carry_out(cell.workcell.withdraw_motion(Insertion("T1", aside, WAY_MM)))
 
 
 @pytest.mark.hazard(24)
@@ -241,7 +241,7 @@ def test_a_retreat_with_the_tip_off_its_axis_is_refused(cell: RecordingCell) -> 
     cell.arm.joints_rad = (A1 + 0.002, A2, A3, A4, A5, A6)  # pushed aside by about a millimetre
     with nothing_moves(cell, TipOffAxis, "PRO-015: the guide is not on the axis of T1"):
         cell.workcell.withdraw("T1")
-    assert cell.workcell.place.on_axis
+    assert cell.workcell.place.is_on_axis
 
 
 @pytest.mark.hazard(24)

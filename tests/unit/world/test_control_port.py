@@ -22,18 +22,18 @@ from ronna_hw.endpoints import BadEndpoint
 from sim.cli import app as ronna_sim
 from sim.world.control_port import MOST_CONNECTIONS, ControlPort, Room
 from sim.world.faults import parse_faults
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 RESET = struct.pack("ii", 1, 0)  # linger for 0 s: closing sends a reset
-GUIDE = named_scene("mini").mount.tool_number_guide
+GUIDE = draw_scene("mini").mount.tool_number_guide
 SOON_S = 0.1
 MOUNT = b'{"do": "mount", "number": %d}\n' % GUIDE
 
 
 @pytest.fixture
 def world() -> World:
-    return World.create(named_scene("mini"), paced=False)
+    return World.create(draw_scene("mini"), paced=False)
 
 
 @pytest.fixture

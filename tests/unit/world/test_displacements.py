@@ -10,13 +10,13 @@ import pytest
 from sim.world.displacements import NOTHING_MOVED, RoomShift, ShiftedRoom, rigid_move, spheres_in_theatre
 from sim.world.rigid import apply, inverse, matrix_of, rotation_from_vector, vector_from_rotation
 from sim.world.scene.model import SEATING_ERROR_MM, Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import TrueGuide, sample_instrument
 from sim.world.world import World
 
 
 def room(script: str) -> tuple[World, RoomShift]:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     world.set_fault_script(script)
     return world, ShiftedRoom(world).now()
 
@@ -33,7 +33,7 @@ def test_a_head_turns_about_its_centre() -> None:
     head = world.scene.head
     centre_mm = apply(matrix_of(head.robot_from_ct), head.centre_ct_mm)
     aside_mm = np.add(centre_mm, (100.0, 0.0, 0.0))
-    moved = now.moved_spheres_mm(np.array([centre_mm, aside_mm]), (1, 2))
+    moved = now.displace_spheres_mm(np.array([centre_mm, aside_mm]), (1, 2))
     assert moved[0] == pytest.approx(centre_mm)
     turned = 100.0 * np.array([math.cos(math.radians(1.0)), math.sin(math.radians(1.0)), 0.0])
     assert moved[1] - centre_mm == pytest.approx(turned)
@@ -48,9 +48,9 @@ def test_a_cart_that_turns_leaves_head_and_tracker_to_each_other() -> None:
     )
     before = apply(inverse(robot_from_tracker), spheres_mm)
     moved = rigid_move(now.tracker_rad, now.tracker_mm) @ robot_from_tracker
-    after = apply(inverse(moved), now.moved_spheres_mm(spheres_mm, (1, 2, 3)))
+    after = apply(inverse(moved), now.displace_spheres_mm(spheres_mm, (1, 2, 3)))
     assert after == pytest.approx(before, abs=1e-9)
-    assert np.linalg.norm(np.subtract(now.moved_spheres_mm(spheres_mm, (1, 2, 3)), spheres_mm)) > 5.0
+    assert np.linalg.norm(np.subtract(now.displace_spheres_mm(spheres_mm, (1, 2, 3)), spheres_mm)) > 5.0
 
 
 def test_the_truth_follows_a_turned_head() -> None:
@@ -79,24 +79,24 @@ def with_head(scene: Scene, **changes: object) -> Scene:
 
 
 def test_a_reseated_sphere_is_off_its_place_by_the_seating_error() -> None:
-    scene = named_scene("mini", markers=8)
+    scene = draw_scene("mini", markers=8)
     drawn = np.concatenate([beside_mm(scene.model_copy(update={"seed": seed})) for seed in range(SEEDS)])
     assert drawn.std(axis=0) == pytest.approx(3 * [SEATING_ERROR_MM], rel=0.15)
     assert np.abs(drawn.mean(axis=0)).max() < 4.0 * SEATING_ERROR_MM / len(drawn) ** 0.5
 
 
 def test_without_seating_error_every_sphere_is_where_the_ct_shows_it() -> None:
-    assert not beside_mm(with_head(named_scene("mini"), seating_error_mm=0.0)).any()
+    assert not beside_mm(with_head(draw_scene("mini"), seating_error_mm=0.0)).any()
 
 
 def test_the_seating_of_a_sphere_does_not_depend_on_the_others() -> None:
-    scene = named_scene("mini", markers=5)
+    scene = draw_scene("mini", markers=5)
     fewer = with_head(scene, fiducials=scene.head.fiducials[2:])
     assert beside_mm(fewer).tolist() == beside_mm(scene)[2:].tolist()
 
 
 def test_a_sphere_may_be_missing_displaced_or_on_the_base_of_another() -> None:
-    scene = with_head(named_scene("mini", markers=5), seating_error_mm=0.0)
+    scene = with_head(draw_scene("mini", markers=5), seating_error_mm=0.0)
     first, second, third, *others = scene.head.fiducials
     changed = (
         first.model_copy(update={"missing": True}),

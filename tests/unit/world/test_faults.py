@@ -13,13 +13,13 @@ from sim.world.faults import (
     parse_request,
     read_faults,
 )
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 
 @pytest.fixture
 def world() -> World:
-    return World.create(named_scene("mini"), paced=False)
+    return World.create(draw_scene("mini"), paced=False)
 
 
 def arguments(board: FaultBoard, kind: str) -> tuple[str, ...]:
@@ -129,7 +129,7 @@ def test_every_wrong_line_is_reported() -> None:
 )
 def test_a_fault_outside_the_scene_is_refused(line: str, said: str) -> None:
     with pytest.raises(BadFaultScript, match=f"SIM-003: line 2: {said}"):
-        check_faults(parse_faults("\n" + line), named_scene("mini"))
+        check_faults(parse_faults("\n" + line), draw_scene("mini"))
 
 
 @pytest.mark.parametrize(
@@ -149,7 +149,7 @@ def test_a_single_simulator_accepts_only_faults_of_what_it_simulates(
     line: str, devices: tuple[str, ...], said: str
 ) -> None:
     with pytest.raises(BadFaultScript, match=said):
-        check_faults([parse_request(line)], named_scene("bench"), devices, loaded=["fork"])
+        check_faults([parse_request(line)], draw_scene("bench"), devices, loaded=["fork"])
 
 
 def test_the_effect_of_a_fault_is_described_with_its_time_and_meaning() -> None:
@@ -167,7 +167,7 @@ def test_the_effect_of_a_fault_is_described_with_its_time_and_meaning() -> None:
 
 @pytest.mark.parametrize("step", ["tea", "relocalization:left-STN"])
 def test_a_step_of_any_name_is_accepted(step: str) -> None:
-    check_faults(parse_faults(f"when step == {step}: robot drop 5 % for 1 s"), named_scene("mini"))
+    check_faults(parse_faults(f"when step == {step}: robot drop 5 % for 1 s"), draw_scene("mini"))
 
 
 def test_a_script_that_fits_the_scene_is_accepted_unchanged(tmp_path: Path) -> None:
@@ -176,16 +176,16 @@ def test_a_script_that_fits_the_scene_is_accepted_unchanged(tmp_path: Path) -> N
         "at 0 s: tracker occlude marker 3 for 1 s\nat 1 s: tracker occlude tool robot_frame for 1 s\n"
         "when step == at_target:T1: camera drop 100 % for 1 s\n"
     )
-    assert read_faults(path, named_scene("mini")) == path.read_text()
+    assert read_faults(path, draw_scene("mini")) == path.read_text()
 
 
 def test_a_script_that_is_not_text_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "faults.txt"
     path.write_bytes(b"at 0 s: \xff\xfe")
     with pytest.raises(BadFaultScript, match=r"SIM-003: faults.txt is not UTF-8 text"):
-        read_faults(path, named_scene("mini"))
+        read_faults(path, draw_scene("mini"))
     with pytest.raises(BadFaultScript, match="cannot read"):
-        read_faults(tmp_path, named_scene("mini"))
+        read_faults(tmp_path, draw_scene("mini"))
 
 
 def test_a_fault_without_a_duration_lasts_to_the_end(world: World) -> None:
@@ -219,7 +219,7 @@ def test_a_fault_requested_again_after_clearing_happens_again_with_a_stopped_clo
 def test_the_example_of_every_fault_kind_is_valid() -> None:
     for kind in FAULT_KINDS:
         (fault,) = parse_faults(kind.example)
-        check_faults((fault,), named_scene("mini"))
+        check_faults((fault,), draw_scene("mini"))
         assert fault.kind is kind
         assert kind.meaning.endswith(".")
     assert len({kind.name for kind in FAULT_KINDS}) == len(FAULT_KINDS)

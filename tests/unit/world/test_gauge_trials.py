@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 
 from procedures.guards.stability import GUIDE_NOTICEABLE_MM
-from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, compared
+from procedures.steps.clinical.tool_check import APPROACHES, TILT_LIMIT_DEG, compare_with_record
 from ronna_hw.tool_record import Gauge
 from ronna_hw.wire.room_tasks import GAUGE
 from sim.theatre.records import gauge_readings
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.staff import Staff
 from sim.world.true_arm import TrueArm
 from sim.world.world import ArmState, World
@@ -30,7 +30,7 @@ ALL_FROM_BELOW = (1.0,) * 6
 
 @cache
 def base() -> Scene:
-    return named_scene("mini", seed=3)
+    return draw_scene("mini", seed=3)
 
 
 def refused(seed: int, **of_the_guide: object) -> bool:
@@ -51,7 +51,7 @@ def refused(seed: int, **of_the_guide: object) -> bool:
             flange = arm.at_rest(JOINTS_RAD, ALL_FROM_BELOW, motion)
             world.publish_arm(ArmState(JOINTS_RAD, flange, motion, True, ALL_FROM_BELOW))
             read.append(staff.work(GAUGE, "", (*GAUGE_AT.joints_deg, GAUGE_AT.base_mm)))
-            offset_mm, tilt_deg = compared(recorded, read)
+            offset_mm, tilt_deg = compare_with_record(recorded, read)
             as_recorded = np.linalg.norm(offset_mm) <= GUIDE_NOTICEABLE_MM and tilt_deg <= TILT_LIMIT_DEG
             if len(read) >= APPROACHES and as_recorded:
                 return False

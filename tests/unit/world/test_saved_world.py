@@ -16,13 +16,13 @@ from sim.world.displacements import RoomShift, ShiftedRoom
 from sim.world.faults import FaultBoard
 from sim.world.saved_world import WORLD_FILE, lock_folder, read_saved_world, save_world
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 
 @pytest.fixture
 def scene() -> Scene:
-    return named_scene("mini", seed=3)
+    return draw_scene("mini", seed=3)
 
 
 def moved(scene: Scene, world: World) -> Manipulator:
@@ -30,7 +30,7 @@ def moved(scene: Scene, world: World) -> Manipulator:
     arm = Manipulator(scene.arm, scene.seed, world.publish_arm, ControllerParameters())
     goal_deg = [angle + 3.0 for angle in arm.axes_deg]
     for _ in range(2000):
-        arm.follow(goal_deg, heard=True)
+        arm.follow(goal_deg, has_reply=True)
     return arm
 
 

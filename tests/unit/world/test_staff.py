@@ -16,13 +16,13 @@ from sim.world.displacements import ShiftedRoom
 from sim.world.faults import check_faults, parse_faults
 from sim.world.options import OnStand
 from sim.world.rigid import inverse, matrix_from, matrix_of, rotation_from_vector
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
 from sim.world.staff import Staff, read_dials
-from sim.world.truth import TrueGuide, calibrated_tip, read_samples
+from sim.world.truth import TrueGuide, read_samples, tip_at_calibration
 from sim.world.world import ArmState, World
 
-SCENE = named_scene("mini", seed=3)
+SCENE = draw_scene("mini", seed=3)
 EXACT = SCENE.mount.guide.model_copy(update={"play_mm": 0.0, "depth_stop_mm": 0.0, "seat_mm": 0.0})
 FLANGE = np.diag([1.0, -1.0, -1.0, 1.0])  # pointing down, at the robot's origin
 STOP_MM = 165.0
@@ -192,7 +192,7 @@ JOINTS = (0.0,) * 6
 @pytest.fixture
 def world() -> World:
     """A world with the tip of a tilted guide on the stand."""
-    world = World.create(named_scene("mini", seed=3), paced=False)
+    world = World.create(draw_scene("mini", seed=3), paced=False)
     world.mount_tool(world.scene.mount.tool_number_guide)
     world.put_on_stand(OnStand.DIVOT)
     bring_tip(world, (0.0, 0.0, 0.0))
@@ -239,14 +239,14 @@ def test_the_dials_show_how_far_a_fault_displaces_the_end_of_the_mandrel(
 
 
 def test_the_dials_show_a_guide_that_the_scene_says_is_bent() -> None:
-    scene = named_scene("mini", seed=3)
+    scene = draw_scene("mini", seed=3)
     bent = scene.mount.guide.model_copy(update={"bent_mm": (1.0, 0.0, 0.0)})
     read = []
     for mount in (scene.mount, scene.mount.model_copy(update={"guide": bent})):
         world = World.create(scene.model_copy(update={"mount": mount}), paced=False)
         world.mount_tool(mount.tool_number_guide)
         world.put_on_stand(OnStand.DIVOT)
-        flange = matrix_from(scene.stand.ball_mm, np.eye(3)) @ inverse(calibrated_tip(world))
+        flange = matrix_from(scene.stand.ball_mm, np.eye(3)) @ inverse(tip_at_calibration(world))
         world.publish_arm(ArmState(JOINTS, flange, 1, True))
         read.append(read_dials(world))
     assert np.linalg.norm(np.subtract(*read)) == pytest.approx(1.0, abs=0.02)

@@ -11,13 +11,13 @@ from ronna_hw.clock import CLOCK, open_clock
 from sim.errors import BadTruth, WorldUnavailable
 from sim.world.noise import noise
 from sim.world.rigid import matrix_from, rotation_from_vector
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.truth import TRUTH_FILE, TipSample, TrueGuide, append_sample, read_samples, sample_instrument
 from sim.world.world import ArmState, World
 
 
 def test_another_process_sees_scene_arm_tool_step_and_faults() -> None:
-    world = World.create(named_scene("mini", seed=5), paced=False)
+    world = World.create(draw_scene("mini", seed=5), paced=False)
     seen = World.open(world.endpoint)
     pose = matrix_from((1.0, 2.0, 3.0), rotation_from_vector((0.1, 0.2, 0.3)))
     world.publish_arm(ArmState((0.1, 0.2, 0.3, 0.4, 0.5, 0.6), pose, 7, True))
@@ -40,7 +40,7 @@ def test_a_world_that_no_longer_exists_is_refused() -> None:
 
 
 def test_the_clock_is_in_its_own_memory_block_without_the_scene() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     assert world.clock_endpoint != world.endpoint
     assert Path(world.clock_endpoint.removeprefix("shm://")).stat().st_size == CLOCK.size_bytes
     world.clock.sleep(2.0)
@@ -48,7 +48,7 @@ def test_the_clock_is_in_its_own_memory_block_without_the_scene() -> None:
 
 
 def sampled() -> TipSample:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     return sample_instrument(world, TrueGuide(world), "T1", 165.0, 0)
 
 

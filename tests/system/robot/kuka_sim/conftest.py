@@ -9,7 +9,7 @@ import pytest
 from kuka_clients import Cell
 from shared_controller import SharedController
 
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 
@@ -21,7 +21,7 @@ def cell() -> Iterator[Callable[..., Cell]]:
 
 @pytest.fixture
 def lock_step_world() -> Iterator[World]:
-    world = World.create(named_scene("mini", seed=5), paced=False)
+    world = World.create(draw_scene("mini", seed=5), paced=False)
     yield world
     world.clock.close()
 

@@ -173,7 +173,7 @@ def test_a_motion_by_eki_is_answered_twice_and_takes_theatre_time(
     assert float(moved.get("A1", "")) == pytest.approx(here["A1"] + 20.0, abs=1e-4)
     assert lock_step_world.clock.now_s() - before_s > 20.0 / 36.0
     assert lock_step_world.arm().at_rest
-    assert not lock_step_world.clock.streaming()
+    assert not lock_step_world.clock.is_streaming()
 
 
 def _ptp(identifier: int, axes_deg: dict[str, float], speed_percent: int) -> bytes:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from kuka_clients import LIMIT_S, Cell
 
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.world import World
 
 
@@ -54,19 +54,19 @@ def test_an_idle_world_paces_itself_until_a_client_waits(
     began_s = time.monotonic()
     rsi.cycles(50)
     assert time.monotonic() - began_s >= 49 * 0.004
-    assert lock_step_world.clock.streaming()
+    assert lock_step_world.clock.is_streaming()
     assert eki.command("RSI_STOP") == 0
     deadline = time.monotonic() + LIMIT_S
-    while lock_step_world.clock.streaming() and time.monotonic() < deadline:
+    while lock_step_world.clock.is_streaming() and time.monotonic() < deadline:
         eki.state(RSI="0", Moving="0")
-    assert not lock_step_world.clock.streaming()
+    assert not lock_step_world.clock.is_streaming()
 
 
 def test_the_true_pose_after_a_motion_is_identical_bit_for_bit(cell: Callable[..., Cell]) -> None:
     goal = (5.0, -4.0, 3.0, 2.0, 1.0, 8.0)
     found = []
     for idle in (3, 90):
-        world = World.create(named_scene("mini", seed=5), paced=False)
+        world = World.create(draw_scene("mini", seed=5), paced=False)
         here = cell(world=world)
         eki, rsi = here.project(), here.rsi
         here.start(eki)

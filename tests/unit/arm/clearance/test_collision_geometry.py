@@ -31,7 +31,7 @@ CELL = CollisionConfig()
 TOOL = Pose((220.0, 0.0, 60.0))
 HEAD = Pose.from_kuka(760.0, 10.0, 200.0, 90.0, 0.0, 30.0)
 SEMI_AXES_MM = (75.0, 95.0, 90.0)
-AROUND = CELL.around_head(CELL.guide, TOOL, HEAD, SEMI_AXES_MM, ((700.0, 30.0, 290.0),))
+AROUND = CELL.build_surroundings(CELL.guide, TOOL, HEAD, SEMI_AXES_MM, ((700.0, 30.0, 290.0),))
 BODIES = Bodies(MODEL, AROUND)
 HOME = MODEL.home_rad
 
@@ -129,9 +129,9 @@ def test_planning_and_live_watch_see_the_same_bodies(arm: Kinematics) -> None:
         joints.append((A1, A2, A3, A4, A5, A6))
     swept = sweep(bodies, joints)
     for row, vector in enumerate(joints):
-        assert np.allclose(swept.ends_mm[row], PlacedBodies(bodies, vector), atol=1e-8)
+        assert np.allclose(swept.ends_mm[row], list(PlacedBodies(bodies, vector)), atol=1e-8)
         watch = LiveWatch(bodies, CYCLE_S, vector)
-        live = [watch._gap(number, watch._segments) for number in range(len(bodies.pairs))]
+        live = [watch._gap(number, watch._placed) for number in range(len(bodies.pairs))]
         assert np.allclose(swept.gaps_mm[row], live, atol=1e-8)
 
 
@@ -174,5 +174,5 @@ def test_a_corridor_is_straight_and_narrow_and_ends_behind_the_target() -> None:
 
 def test_the_arm_at_home_is_clear_of_itself_and_of_the_patient() -> None:
     for tool in (CELL.guide, CELL.stereo_head):
-        swept = sweep(Bodies(MODEL, CELL.around_head(tool, TOOL, HEAD, SEMI_AXES_MM)), [HOME])
+        swept = sweep(Bodies(MODEL, CELL.build_surroundings(tool, TOOL, HEAD, SEMI_AXES_MM)), [HOME])
         assert swept.gaps_mm.min() > CELL.margin_mm

@@ -156,7 +156,7 @@ def test_without_a_zone_there_are_no_speed_steps() -> None:
 
 
 def test_at_reduced_speed_nothing_moves_faster_than_250_mm_per_second() -> None:
-    limits = LIMITS.at_reduced_speed(MODEL)
+    limits = LIMITS.with_reduced_speed(MODEL)
     for speed, full in zip(limits.speed_rad_s, MODEL.full_speed_rad_s, strict=True):
         assert speed <= 0.1 * full
     plan = plan_joint_move(MODEL, START, ASIDE, limits)
@@ -178,7 +178,7 @@ def test_a_preview_predicts_duration_ranges_singularity_speed_and_clearance() ->
     assert seen.clear
     motion = PathMotion(_move().path(MODEL), START, _move().limits, CYCLE_S)
     cycles = 0
-    while not motion.finished:
+    while not motion.is_finished:
         motion.prepare()
         motion.take_go()
         cycles += 1

@@ -75,7 +75,7 @@ def _without_steps(driven: Driven) -> str:
     monitor = Monitor(monitor_limits(MODEL, limits, CYCLE_S, start), start)
     monitor.watch(LiveWatch(Bodies(MODEL, surroundings), CYCLE_S, start))
     motion = PathMotion(plan.path(MODEL), start, plan.limits, CYCLE_S)
-    while not motion.finished:
+    while not motion.is_finished:
         point = motion.prepare().go_rad
         violation = monitor.check(point)
         if violation is not None:

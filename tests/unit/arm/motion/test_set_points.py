@@ -17,7 +17,7 @@ from ronna_hw.arm.monitor import Monitor, monitor_limits
 from ronna_hw.arm.motion.limits import working_limits
 from ronna_hw.arm.motion.planning import LinePath, MotionPlan, plan_joint_move, plan_line
 from ronna_hw.arm.motion.progress import Bounds, MotionProfiler, State
-from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, halt, state_from_history
+from ronna_hw.arm.motion.set_points import PathMotion, StopMotion, plan_halt, state_from_history
 from ronna_hw.arm.pose import Pose, radians6
 from ronna_hw.vectors import JointVector
 
@@ -41,7 +41,7 @@ def _run(motion: PathMotion, start: JointVector, stop_at: int | None = None) -> 
     """All set-points sent; every one, and every stop that was ready beside it, passes the monitor."""
     monitor = Monitor(monitor_limits(MODEL, TO_THE_ENDS, CYCLE_S, start), start)
     sent = [start]
-    while not motion.finished:
+    while not motion.is_finished:
         prepared = motion.prepare()
         assert monitor.check(prepared.go_rad) is None
         assert monitor.check(prepared.stop_rad) is None
@@ -138,7 +138,7 @@ def test_after_an_interruption_the_motion_continues_from_rest(stopping: bool, on
         monitor.sent(here)
     assert isinstance(drive_monitored(motion, monitor), int)
     assert monitor.last_rad == (here if stopping else target)
-    assert motion.stopped_early is stopping
+    assert motion.was_stopped_early is stopping
 
 
 @settings(max_examples=40, deadline=None)
@@ -151,7 +151,7 @@ def test_a_joint_stop_comes_to_rest_from_any_state(
 ) -> None:
     motion = StopMotion(State(list(START), list(velocity), list(acceleration)), LIMITS, CYCLE_S)
     points = [motion.prepare().go_rad]
-    while not motion.finished:
+    while not motion.is_finished:
         motion.take_go()
         points.append(motion.prepare().go_rad)
     assert len(points) * CYCLE_S < 20.0
@@ -161,8 +161,8 @@ def test_a_joint_stop_comes_to_rest_from_any_state(
 def test_a_profile_holds_its_end_positions() -> None:
     bounds = Bounds([1.0], [2.0], [10.0])
     profile = MotionProfiler(1).move(State([0.0], [0.5], [0.0]), [0.05], bounds)
-    assert profile.at(-5.0).position == [0.0]
-    assert profile.at(1e6).position[0] == pytest.approx(0.05)
+    assert profile.sample(-5.0).position == [0.0]
+    assert profile.sample(1e6).position[0] == pytest.approx(0.05)
 
 
 @pytest.mark.parametrize(
@@ -199,7 +199,7 @@ def _interrupted(plan: MotionPlan, cycles: int) -> tuple[list[JointVector], list
     stop = StopMotion(state_from_history((sent[-1], sent[-2], sent[-3], sent[-4]), CYCLE_S), LIMITS, CYCLE_S)
     assert stop._halt is not None
     stopped = sent[-2:]
-    while not stop.finished:
+    while not stop.is_finished:
         stopped.append(stop.prepare().stop_rad)
         stop.take_stop()
     return sent, stopped
@@ -243,15 +243,15 @@ def test_a_stop_takes_little_longer_than_joints_braking_independently(plan: Moti
 
 
 def test_at_rest_there_is_nothing_to_stop() -> None:
-    assert halt(State.resting(list(START)), LIMITS) is None
-    assert StopMotion(State.resting(list(START)), LIMITS, CYCLE_S).finished
+    assert plan_halt(State.resting(list(START)), LIMITS) is None
+    assert StopMotion(State.resting(list(START)), LIMITS, CYCLE_S).is_finished
 
 
 def test_joints_that_cannot_brake_together_brake_independently() -> None:
     turning_hard = State(list(START), [0.5, 0.0, 0.0, 0.0, 0.0, 0.0], [0.0, 20.0, 0.0, 0.0, 0.0, 0.0])
-    assert halt(turning_hard, LIMITS) is None
+    assert plan_halt(turning_hard, LIMITS) is None
     stop = StopMotion(turning_hard, LIMITS, CYCLE_S)
     assert stop._halt is None
-    while not stop.finished:
+    while not stop.is_finished:
         stop.take_stop()
-    assert stop.prepare().go_rad == pytest.approx(stop.predicted_stop()[1])
+    assert stop.prepare().go_rad == pytest.approx(stop.predict_stop()[1])

@@ -56,7 +56,7 @@ def test_packets_in_order_make_the_image(assembler):
     assert (frame.block_id, frame.missing_packets) == (1, 0)
     assert frame.leader.ticks == 1001
     assert frame.leader.area == AreaOfInterest(16, 8, WIDTH, HEIGHT)
-    assert not assembler.waiting
+    assert not assembler.is_waiting
 
 
 @given(st.permutations(range(14)), st.lists(st.integers(0, 13), max_size=6))
@@ -71,8 +71,8 @@ def test_reordering_and_duplicates_do_not_matter(order, doubled):
 def test_missing_packets_are_requested_after_a_pause(assembler):
     all_packets = packets()
     assert feed(assembler, [p for i, p in enumerate(all_packets) if i not in (0, 4, 5, 13)], now_s=1.0) == []
-    assert assembler.overdue(1.0 + 0.5 * RESEND_INTERVALS_S[0]) == ([], None)
-    ranges, frame = assembler.overdue(1.0 + 1.01 * RESEND_INTERVALS_S[0])
+    assert assembler.find_overdue(1.0 + 0.5 * RESEND_INTERVALS_S[0]) == ([], None)
+    ranges, frame = assembler.find_overdue(1.0 + 1.01 * RESEND_INTERVALS_S[0])
     assert (ranges, frame) == ([(1, 0, 0), (1, 4, 5), (1, 13, 13)], None)
     again = packets(status=0x0100)
     (frame,) = feed(assembler, [again[0], again[4], again[5], again[13]], now_s=1.1)
@@ -84,7 +84,7 @@ def test_the_pauses_grow_until_the_frame_is_given_up(assembler):
     now_s, asked = 0.0, 0
     while True:
         now_s += 0.005
-        ranges, frame = assembler.overdue(now_s)
+        ranges, frame = assembler.find_overdue(now_s)
         asked += bool(ranges)
         if frame is not None:
             break
@@ -97,10 +97,10 @@ def test_the_pauses_grow_until_the_frame_is_given_up(assembler):
 def test_packets_that_the_camera_no_longer_has_end_the_wait(assembler):
     all_packets = packets()
     feed(assembler, [p for i, p in enumerate(all_packets) if i != 4])
-    ranges, _ = assembler.overdue(0.03)
+    ranges, _ = assembler.find_overdue(0.03)
     assert ranges == [(1, 4, 4)]
     feed(assembler, [unavailable(1, 4)], now_s=0.03)
-    _, frame = assembler.overdue(0.2)
+    _, frame = assembler.find_overdue(0.2)
     assert frame.missing_packets == 1
 
 
@@ -117,7 +117,7 @@ def test_a_frame_without_a_leader_is_delivered_without_one(assembler):
     frame = None
     while frame is None:
         now_s += 0.05
-        _, frame = assembler.overdue(now_s)
+        _, frame = assembler.find_overdue(now_s)
     assert frame.leader is None
 
 
@@ -133,13 +133,13 @@ def test_a_few_blocks_may_be_open_and_one_more_pushes_out_the_oldest(assembler):
 
 def test_missing_packets_are_requested_almost_at_once_after_the_trailer(assembler):
     feed(assembler, [packet for number, packet in enumerate(packets()) if number != 4])
-    assert assembler.overdue(0.5 * AFTER_TRAILER_S) == ([], None)
-    assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 4)], None)
+    assert assembler.find_overdue(0.5 * AFTER_TRAILER_S) == ([], None)
+    assert assembler.find_overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 4)], None)
 
 
 def test_missing_packets_are_requested_almost_at_once_when_the_next_block_has_begun(assembler):
     feed(assembler, [*packets()[:4], packets(2)[0]])
-    assert assembler.overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 13)], None)
+    assert assembler.find_overdue(1.5 * AFTER_TRAILER_S) == ([(1, 4, 13)], None)
 
 
 @pytest.mark.parametrize(
@@ -172,11 +172,11 @@ def test_block_ids_wrap_without_zero():
 
 def test_a_triggered_block_is_requested_when_nothing_of_it_arrived(assembler):
     assembler.expect(1, from_s=5.0)
-    assert assembler.overdue(5.0) == ([], None)
-    assert assembler.overdue(5.0 + 1.01 * RESEND_INTERVALS_S[0]) == ([(1, 0, 13)], None)
+    assert assembler.find_overdue(5.0) == ([], None)
+    assert assembler.find_overdue(5.0 + 1.01 * RESEND_INTERVALS_S[0]) == ([(1, 0, 13)], None)
     (frame,) = feed(assembler, packets(status=0x0100), now_s=5.1)
     assert bytes(frame.data) == IMAGE
-    assert not assembler.waiting
+    assert not assembler.is_waiting
 
 
 def test_a_triggered_block_is_not_given_up_before_a_newer_one_arrives(assembler):
@@ -185,7 +185,7 @@ def test_a_triggered_block_is_not_given_up_before_a_newer_one_arrives(assembler)
     for _ in range(3 * len(RESEND_INTERVALS_S)):
         now_s += 1.01 * RESEND_INTERVALS_S[-1]
         feed(assembler, [unavailable(1, 0)], now_s)
-        assert assembler.overdue(now_s + 1.01 * RESEND_INTERVALS_S[-1])[1] is None
+        assert assembler.find_overdue(now_s + 1.01 * RESEND_INTERVALS_S[-1])[1] is None
     newer = [packet for block_id in range(2, OPEN_BLOCKS + 3) for packet in packets(block_id)]
     assert [frame.block_id for frame in feed(assembler, newer)] == list(range(2, OPEN_BLOCKS + 3))
 
@@ -195,7 +195,7 @@ def test_missing_packets_leave_no_pixels_of_an_earlier_frame():
     assembler = FrameAssembler(PAYLOAD, PACKET, lambda: (0, memory))
     feed(assembler, [packet for number, packet in enumerate(packets()) if number not in (4, 13)])
     for number in range(3 * len(RESEND_INTERVALS_S)):
-        _, frame = assembler.overdue(1.0 + number)
+        _, frame = assembler.find_overdue(1.0 + number)
         if frame is not None:
             break
     assert frame.missing_packets == 1
@@ -209,9 +209,9 @@ def test_an_answered_request_is_followed_by_the_next_almost_at_once():
     again = packets(image=payload, status=0x0100)
     feed(assembler, [sent[0], sent[1], sent[-1]])
     now_s, first = 0.0, 2
-    while assembler.waiting:
+    while assembler.is_waiting:
         now_s += 1.5 * AFTER_TRAILER_S
-        ranges, given_up = assembler.overdue(now_s)
+        ranges, given_up = assembler.find_overdue(now_s)
         last = min(first + PACKETS_PER_ROUND, 3 * PACKETS_PER_ROUND + 1) - 1
         assert (ranges, given_up) == ([(1, first, last)], None)
         feed(assembler, again[first : last + 1], now_s)
@@ -221,7 +221,7 @@ def test_an_answered_request_is_followed_by_the_next_almost_at_once():
 
 def test_a_block_lost_entirely_between_two_others_is_requested(assembler):
     assert [frame.block_id for frame in feed(assembler, [*packets(1), *packets(3)])] == [1, 3]
-    assert assembler.overdue(1.01 * RESEND_INTERVALS_S[0]) == ([(2, 0, 13)], None)
+    assert assembler.find_overdue(1.01 * RESEND_INTERVALS_S[0]) == ([(2, 0, 13)], None)
     (frame,) = feed(assembler, packets(2, status=0x0100))
     assert frame.block_id == 2
 
@@ -229,4 +229,4 @@ def test_a_block_lost_entirely_between_two_others_is_requested(assembler):
 def test_a_distant_or_wrapped_block_id_triggers_no_request(assembler):
     for before, after in ((1, 5000), (5000, 2), (65535, 1)):
         feed(assembler, [*packets(before), *packets(after)])
-        assert not assembler.waiting
+        assert not assembler.is_waiting

@@ -9,7 +9,7 @@ import socket
 import pytest
 
 from drivers.basler_stereo.stream.frame_assembler import Frame, Leader, StreamCounters
-from drivers.basler_stereo.stream.receiver import open_stream_socket, packet_arrives
+from drivers.basler_stereo.stream.receiver import await_packet, open_stream_socket
 from drivers.basler_stereo.stream.receiver_interface import SLOTS, FrameSlots, OpenStream
 from drivers.basler_stereo.stream.receiver_process import _Stream
 from ronna_hw.wire import gige_vision as gev
@@ -99,6 +99,6 @@ def test_packets_from_another_address_than_the_cameras_are_dropped_and_counted()
 def test_a_test_packet_from_another_address_than_the_cameras_is_none() -> None:
     with open_stream_socket(HOST, 1 << 20) as images, sender(STRANGER) as stranger:
         stranger.sendto(bytes(PACKET_BYTES - gev.IP_UDP_HEADER_BYTES), images.getsockname())
-        assert not packet_arrives(images, CAMERA, PACKET_BYTES, 0.0)
+        assert not await_packet(images, CAMERA, PACKET_BYTES, 0.0)
         stranger.sendto(bytes(PACKET_BYTES - gev.IP_UDP_HEADER_BYTES), images.getsockname())
-        assert packet_arrives(images, STRANGER, PACKET_BYTES, 0.0)
+        assert await_packet(images, STRANGER, PACKET_BYTES, 0.0)

@@ -22,13 +22,13 @@ from procedures.cli.calibrating.options import CalibrationOptions
 from procedures.cli.stereo.command import app as stereo
 from procedures.engine.case import Case
 from procedures.reporting.calibration_figures import Figure, RecordFigures
-from procedures.runs.calibrations import ARM, computed, conclude
+from procedures.runs.calibrations import ARM, compute_calibration, conclude
 from procedures.runs.request import CalibrationProcedure, RunRequest
 from procedures.steps.calibration.recipe import Calibrated, Recipe
 from procedures.steps.calibration.sphere_looks import ObservedSpheres
 from ronna_hw.config import parse_theatre
 from sim.theatre.theatre_file import theatre_content, write_theatre_file
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 class NoFigures(RecordFigures):
@@ -75,13 +75,13 @@ def test_measurements_of_another_theatre_are_refused_before_anything_is_computed
     tmp_path: Path, seed: int, expected: type[Exception]
 ) -> None:
     theatre = tmp_path / "theatre.toml"
-    write_theatre_file(theatre_content(named_scene("mini", seed=seed), ENDPOINTS, "host:", {}, 1.0), theatre)
+    write_theatre_file(theatre_content(draw_scene("mini", seed=seed), ENDPOINTS, "host:", {}, 1.0), theatre)
     content = parse_theatre(tomllib.loads(theatre.read_text())).calibration
     assert content is not None
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM).model_copy(update={"tool_tip": content.tool_tip})
     run = RunRequest(procedure=CalibrationProcedure(recipe={}, days=30), config=theatre)
     with pytest.raises(expected):
-        computed(replace(ARM, compute=begun), run, looks)
+        compute_calibration(replace(ARM, compute=begun), run, looks)
 
 
 @pytest.mark.hazard(3)
@@ -89,7 +89,7 @@ def test_measurements_of_another_theatre_are_refused_before_anything_is_computed
 def test_records_computed_without_a_theatre_file_are_said_to_be_compared_with_none(
     monkeypatch: pytest.MonkeyPatch, tmp_path: Path, capsys: pytest.CaptureFixture[str], config: bool
 ) -> None:
-    for name in ("computed", "leave_files", "show", "finished_figures"):
+    for name in ("compute_calibration", "write_calibration_files", "show", "read_finished_figures"):
         monkeypatch.setattr(f"procedures.cli.calibrating.calibration.{name}", lambda *_, **__: None)
     looks = LookingArm.of(3).looks(1, 0, SPHERES_MM)
     ARM.write_looks(looks, tmp_path)

@@ -12,8 +12,8 @@ from plain_steps import Image, leaves, plain_order
 from recording_cell import RecordingCell
 from rich.console import Console
 
-from procedures.cli.case.case_view import CaseView, done_or_note, entry_of
-from procedures.cli.case.display import following
+from procedures.cli.case.case_view import CaseView, entry_of, plain_line_of
+from procedures.cli.case.display import observe_run
 from procedures.cli.case.live_display import LiveDisplay
 from procedures.cli.runs.showing import line_of
 from procedures.engine.context import StepContext
@@ -99,7 +99,7 @@ def test_a_result_that_no_longer_holds_is_told_with_the_reason_and_not_as_repeat
     reader = engine.events.subscribe()
     engine.void(engine.order.find("localization:T1"), GateFailed("the head has moved"))
     voided = [one for one in reader.read(0.0).events if "superseded" in str(one.what)]
-    lines = [(entry.text, done_or_note(one)) for one in voided if (entry := entry_of(one)) is not None]
+    lines = [(entry.text, plain_line_of(one)) for one in voided if (entry := entry_of(one)) is not None]
     text = "02-localization-T1 no longer holds: the head has moved"
     assert lines == [(text, f"note: {text}")]
 
@@ -149,7 +149,7 @@ def test_without_a_terminal_each_step_and_finding_gets_a_line_unless_quiet(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], quiet: bool
 ) -> None:
     engine = RecordingCell(tmp_path).engine(plain_order("T1"))
-    with following(quiet=quiet) as watcher:
+    with observe_run(quiet=quiet) as watcher:
         watcher.opened(engine)
         engine.run_to(engine.order.find("image"))
         engine.find("the tracker is silent")

@@ -107,9 +107,9 @@ def test_the_last_line_needs_no_end_and_the_end_is_read_as_often_as_asked(tmp_pa
     pipe.write("list\nquit")
     lines.attach(RecordingCell(tmp_path).engine(plain_order()))
     assert lines.readline() == "list\n"
-    assert not lines.ready(0.0)
+    assert not lines.wait_for_line(0.0)
     pipe.file.close()
-    eventually(lambda: lines.ready(0.0), LIMIT_S)
+    eventually(lambda: lines.wait_for_line(0.0), LIMIT_S)
     assert [lines.readline(), lines.readline(), lines.readline()] == ["quit", "", ""]
 
 

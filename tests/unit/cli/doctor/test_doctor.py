@@ -36,7 +36,7 @@ class LineProbe:
         progress(0.5)
         return (WELL, Diagnostic(f"device {name}", True, config.driver))
 
-    def look_at(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
+    def probe_endpoints(self, endpoints: Sequence[Endpoint], progress: Progress) -> Sequence[Diagnostic]:
         return [Diagnostic(f"line {endpoint}", True, "answered") for endpoint in endpoints]
 
 

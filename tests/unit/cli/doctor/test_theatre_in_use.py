@@ -20,7 +20,7 @@ from procedures.cli.procedure import app as ronna_procedure
 from procedures.journal.journal import Entry, Journal
 from procedures.runs.request_file import RequestFile
 from procedures.runs.theatre_lock import hold_theatre
-from procedures.runs.theatre_note import TheatreNote, note_file
+from procedures.runs.theatre_note import TheatreNote, note_path
 from ronna_hw.devices.probing import Diagnostic
 from ronna_hw.errors import EXIT_REFUSED
 
@@ -152,7 +152,7 @@ def test_the_doctor_says_first_that_an_unfinished_run_left_an_instrument_and_not
     journal.close()
     with hold_theatre(theatre, None):  # as a program leaves it that is killed
         note = TheatreNote(run=run, moved_before=run)
-    note_file(theatre).write_text(note.model_dump_json())
+    note_path(theatre).write_text(note.model_dump_json())
     monkeypatch.setattr(theatre_checks, "resumable_run", lambda _theatre: run)
     first, *_ = examine(theatre).diagnostics
     assert (first.subject, first.well) == ("instrument", False)

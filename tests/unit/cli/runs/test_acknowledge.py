@@ -86,7 +86,7 @@ def test_a_finished_run_whose_arm_is_still_out_is_not_parked(tmp_path: Path) -> 
     left = read_interrupted_run(cell.folder)
     assert left.finished
     assert not left.parked
-    assert left.nothing_to_bring_home is None
+    assert left.why_home_needs_no_device is None
 
 
 def test_acknowledge_prints_what_was_acknowledged_and_by_whom(

@@ -24,16 +24,16 @@ from procedures.reporting.files import load_truth, store_truth
 from procedures.reporting.outcome import TargetTruth, Truth
 from procedures.runs import finishing
 from procedures.runs.case import clinical_input
-from procedures.runs.finishing import make_report, seal_run
+from procedures.runs.finishing import rebuild_report, seal_run
 from procedures.runs.interrupted_run import read_interrupted_run
-from procedures.runs.reopening import close_complete, make_ready
+from procedures.runs.reopening import close_completed_run, prepare_folder
 from procedures.runs.request import CaseProcedure
 from procedures.runs.request_file import REQUEST_FILE
 from ronna_hw.devices.capabilities import Direction
 from ronna_hw.errors import (
     EXIT_REFUSED,
 )
-from ronna_hw.evidence.inspection import inspected
+from ronna_hw.evidence.inspection import inspect_run
 from ronna_hw.evidence.manifest import RECORDS_FOLDER, SEAL_FILE
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder
 from studies.cli import app as campaign
@@ -117,12 +117,12 @@ def test_a_full_disk_while_sealing_a_run_loses_nothing(
         full.setattr(os, "fsync", lambda _file: (_ for _ in ()).throw(OSError(errno.ENOSPC, "disk full")))
         seal_run(run)
     assert "the run could not be sealed" in capsys.readouterr().err
-    assert [problem.file for problem in inspected(run).problems] == [SEAL_FILE]
+    assert [problem.file for problem in inspect_run(run).problems] == [SEAL_FILE]
     refused = in_this_process(app, "export", run)
     assert refused.returncode == EXIT_REFUSED
     assert "is not finished: seal.json: missing" in refused.stderr
     seal_run(run)
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.hazard(39)
@@ -141,15 +141,15 @@ def test_an_interrupted_report_does_not_leave_the_run_changed(
     with monkeypatch.context() as patched:
         patched.setattr(where, moment, interrupted)
         with pytest.raises(KeyboardInterrupt):
-            make_report(run)
-    assert inspected(run).changes == ()
-    assert make_report(run) == run / "report.html"
-    assert inspected(run).problems == ()
+            rebuild_report(run)
+    assert inspect_run(run).changes == ()
+    assert rebuild_report(run) == run / "report.html"
+    assert inspect_run(run).problems == ()
 
 
 @pytest.mark.hazard(39)
 def test_missing_files_of_the_report_alone_are_made_anew(run: Path) -> None:
-    picture = make_report(run).parent / "report" / "timeline.csv"
+    picture = rebuild_report(run).parent / "report" / "timeline.csv"
     (run / "report.html").unlink()
     picture.unlink()
     named = json.loads(in_this_process(app, "verify", run, "--json").stdout)["problems"]
@@ -160,7 +160,7 @@ def test_missing_files_of_the_report_alone_are_made_anew(run: Path) -> None:
     assert (made.returncode, made.stdout) == (0, f"{run / 'report.html'}\n")
     assert "not as the run left it" not in (run / "report.html").read_text()
     assert picture.exists()
-    assert inspected(run).problems == ()
+    assert inspect_run(run).problems == ()
     (run / "report.html").unlink()
     spoil(run, "another's record")
     assert in_this_process(app, "report", run).returncode == EXIT_REFUSED
@@ -185,10 +185,10 @@ def test_an_end_written_later_records_ct_and_plan_outside_the_run(tmp_path: Path
     cell = RecordingCell(folder)
     cell.engine(plain_order()).run_to()
     cell.journal.close()  # killed before its end
-    close_complete(read_interrupted_run(folder), clinical_input(CaseProcedure(case=case), folder))
-    assert inspected(folder).changes == ()
+    close_completed_run(read_interrupted_run(folder), clinical_input(CaseProcedure(case=case), folder))
+    assert inspect_run(folder).changes == ()
     (case / "plan.toml").write_text("another")
-    assert [str(one) for one in inspected(folder).changes] == [f"{case / 'plan.toml'}: changed"]
+    assert [str(one) for one in inspect_run(folder).changes] == [f"{case / 'plan.toml'}: changed"]
 
 
 @pytest.mark.parametrize("seal", [True, False], ids=["sealed", "seal removed"])
@@ -208,14 +208,14 @@ def test_list_omits_an_error_from_a_changed_file_and_names_the_file(run: Path, s
     assert f"{run.name} is not reliable: report/truth.json: {what}" in table
 
 
-@pytest.mark.parametrize("restore", [lambda run: make_ready(read_interrupted_run(run)), make_report])
+@pytest.mark.parametrize("restore", [lambda run: prepare_folder(read_interrupted_run(run)), rebuild_report])
 def test_no_session_vouches_for_an_error_that_no_seal_confirms(
     run: Path, restore: Callable[[Path], object]
 ) -> None:
     truth = Truth(targets=(TargetTruth(id="T1", application_error_mm=1.25),))
     kept = store_truth(run, truth)
     seal_run(run)
-    make_ready(read_interrupted_run(run))
+    prepare_folder(read_interrupted_run(run))
     assert load_truth(run) == truth
     store_truth(run, Truth(targets=(TargetTruth(id="T1", application_error_mm=0.125),)))
     (run / SEAL_FILE).unlink()
@@ -225,7 +225,7 @@ def test_no_session_vouches_for_an_error_that_no_seal_confirms(
 
 def test_bytes_of_a_changed_run_are_printed_after_what_has_changed(run: Path) -> None:
     recorder = FlightRecorder(run / BYTES_FOLDER, lambda: 1.0)
-    recorder.passed("tracker", Direction.SENT, b"sent after the end")
+    recorder.on_bytes("tracker", Direction.SENT, b"sent after the end")
     recorder.close()
     printed = in_this_process(app, "bytes", run)
     assert printed.stderr.startswith("NOT AS THE RUN LEFT IT: bytes/tracker.a.jsonl: added")

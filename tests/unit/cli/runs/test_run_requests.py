@@ -50,10 +50,12 @@ def test_a_resumed_run_is_answered_by_the_file_of_its_start_unless_given_another
     )
     folder = new_run_folder(asked, tmp_path)
     assert read_request(folder) == asked
-    assert read_reopened_request(folder, as_before=True).answers == asked.answers
+    assert read_reopened_request(folder, reuse_answers=True).answers == asked.answers
     other = tmp_path / "other.toml"
     other.write_text('default = "silence"')
-    assert read_reopened_request(folder, answers=other, as_before=True).answers == Answers(default="silence")
+    assert read_reopened_request(folder, answers=other, reuse_answers=True).answers == Answers(
+        default="silence"
+    )
 
 
 def test_the_answers_of_a_case_do_not_answer_for_the_way_home(tmp_path: Path) -> None:

@@ -41,7 +41,9 @@ def test_resume_reports_that_a_run_is_finished_and_keeps_its_recorded_truth_if_i
         seal_run(folder)
     given: list[Truth | None] = []
     monkeypatch.setattr(case_outcome, "order_of_case", lambda *_: plain_order())
-    monkeypatch.setattr(case_outcome, "finished", lambda *arguments: given.append(arguments[-1]))
+    monkeypatch.setattr(
+        case_outcome, "build_finished_outcome", lambda *arguments: given.append(arguments[-1])
+    )
     monkeypatch.setattr(case_outcome, "with_report", lambda outcome, _folder: outcome)
     monkeypatch.setattr(runs_resume, "with_report", lambda outcome, _folder: outcome)
     monkeypatch.setattr(runs_resume, "show_outcome", lambda *_, **__: None)

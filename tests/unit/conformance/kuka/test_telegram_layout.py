@@ -6,8 +6,8 @@ import pytest
 
 from conformance.case import Nonconformity, NotShown
 from conformance.kuka.client import Telegram
-from conformance.kuka.controller_cases import layout_is_that_of_a_kr_c4
-from conformance.kuka.driver_cases import corrections
+from conformance.kuka.controller_cases import has_kr_c4_layout
+from conformance.kuka.driver_cases import read_corrections
 
 RIGHT = b'<Rob Type="KUKA"><AIPos A1="0.0000" A2="1.5000"/><Delay D="0"/><IPOC>4208163634</IPOC></Rob>'
 
@@ -17,7 +17,7 @@ def telegram(raw: bytes) -> Telegram:
 
 
 def test_the_layout_of_a_kr_c4_passes() -> None:
-    assert layout_is_that_of_a_kr_c4(RIGHT)
+    assert has_kr_c4_layout(RIGHT)
 
 
 @pytest.mark.parametrize(
@@ -33,7 +33,7 @@ def test_the_layout_of_a_kr_c4_passes() -> None:
 )
 def test_a_layout_that_would_break_a_positional_parser_fails(wrong: bytes, right: bytes) -> None:
     assert right in RIGHT
-    assert not layout_is_that_of_a_kr_c4(RIGHT.replace(right, wrong))
+    assert not has_kr_c4_layout(RIGHT.replace(right, wrong))
 
 
 def test_a_delay_that_is_not_an_integer_fails_and_a_missing_one_is_inconclusive() -> None:
@@ -45,4 +45,4 @@ def test_a_delay_that_is_not_an_integer_fails_and_a_missing_one_is_inconclusive(
 
 def test_a_reply_without_a_correction_fails() -> None:
     with pytest.raises(Nonconformity):
-        corrections(b'<Sen Type="KROSHU"><Stop>0</Stop><IPOC>1</IPOC></Sen>')
+        read_corrections(b'<Sen Type="KROSHU"><Stop>0</Stop><IPOC>1</IPOC></Sen>')

@@ -12,8 +12,8 @@ from conformance.polaris.client import PolarisLink, place_markers, read_body, wi
 from conformance.polaris.fixtures import (
     SPECTRA_VOLUMES,
     MeasuringVolume,
-    markers_of,
-    published_definition,
+    build_published_definition,
+    read_markers,
     reverse_normals,
     shift_origin,
 )
@@ -89,18 +89,18 @@ def test_the_clearance_of_a_point_is_negative_outside() -> None:
 
 
 def test_the_simulators_parser_reads_the_published_definition() -> None:
-    tool = parse_definition(published_definition())
+    tool = parse_definition(build_published_definition())
     assert (tool.part_number, tool.manufacturer, tool.minimum_markers) == ("8700339", "NDI", 4)
     assert tool.markers_mm[1] == pytest.approx((28.59, 41.02, 0.0), abs=1e-5)
 
 
 def test_variants_of_a_definition_are_valid() -> None:
-    block = published_definition()
+    block = build_published_definition()
     away = parse_definition(reverse_normals(block))
     assert (away.normals[:, 2] == -1.0).all()
     moved = parse_definition(shift_origin(block, (10.0, 0.0, -5.0)))
     assert moved.part_number != "8700339"
-    assert markers_of(shift_origin(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
+    assert read_markers(shift_origin(block, (10.0, 0.0, -5.0)))[0] == (10.0, 0.0, -5.0)
 
 
 class Flooded:
@@ -116,7 +116,7 @@ class Flooded:
         return bytes(size)
 
 
-@pytest.mark.parametrize("hear", [PolarisLink.rest, PolarisLink.text])
+@pytest.mark.parametrize("hear", [PolarisLink.read_rest, PolarisLink.text])
 def test_a_line_that_never_falls_silent_fails_before_it_fills_the_memory(
     hear: Callable[[PolarisLink], object],
 ) -> None:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from procedures.imaging.examination import combine
+from procedures.imaging.examination import combine_estimates
 from procedures.imaging.sphere_centre.ball_model import (
     BALL,
     IN,
@@ -90,20 +90,20 @@ def voxels() -> BallVoxels:
 
 
 def noisy(voxels: BallVoxels, seed: int) -> BallVoxels:
-    values = voxels.values + noise_hu(seed)[tuple(voxels.where.T)]
+    values = voxels.values + noise_hu(seed)[tuple(voxels.voxel_index.T)]
     return replace(voxels, values=values)
 
 
 @pytest.fixture(scope="module")
 def equations(voxels: BallVoxels) -> Equations:
     """Those of the ball in noise whose spectrum is known, its derivatives, and the grid."""
-    derivatives, *_ = voxels.at(truth(BENT.start + 16))
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
+    derivatives, *_ = voxels.evaluate(truth(BENT.start + 16))
+    grid = VoxelGrid.from_indices(voxels.voxel_index, WINDOW_MM, SPACING_MM)
     power = true_power(grid)
     noise = CorrelatedNoise(grid, np.maximum(power, 0.1 * NOISE_HU**2))
     smooth = np.ones(derivatives.shape[1], dtype=bool)
     smooth[EDGE] = False
-    step = WhitenedStep.of_fit(noise, derivatives, grid.spectra(derivatives), 1.0, smooth)
+    step = WhitenedStep.from_fit(noise, derivatives, grid.spectra(derivatives), 1.0, smooth)
     return step, derivatives, grid
 
 
@@ -127,30 +127,30 @@ def test_whitening_beats_weighting_all_voxels_equally(equations: Equations) -> N
 
 def test_the_noise_estimate_compensates_for_what_the_fit_absorbed(voxels: BallVoxels) -> None:
     true_slow = (NOISE_HU * (1.0 + 2.0 * SIDE) ** 2 / (1.0 + 2.0 * SIDE**2)) ** 2
-    derivatives, *_ = voxels.at(truth(BENT.start + 16))
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
+    derivatives, *_ = voxels.evaluate(truth(BENT.start + 16))
+    grid = VoxelGrid.from_indices(voxels.voxel_index, WINDOW_MM, SPACING_MM)
     orthogonal, _ = np.linalg.qr(derivatives)
     given, kept = [], []
     for seed in range(6):
-        values = noise_hu(seed)[tuple(voxels.where.T)]
+        values = noise_hu(seed)[tuple(voxels.voxel_index.T)]
         left = values - orthogonal @ (orthogonal.T @ values)
-        given.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives), 0.1).slow_power)
-        kept.append(CorrelatedNoise.of_fit(grid, left, grid.spectra(derivatives[:, :1]), 0.1).slow_power)
+        given.append(CorrelatedNoise.from_fit(grid, left, grid.spectra(derivatives), 0.1).slow_power)
+        kept.append(CorrelatedNoise.from_fit(grid, left, grid.spectra(derivatives[:, :1]), 0.1).slow_power)
     assert np.mean(given) == pytest.approx(true_slow, rel=0.15)
     assert np.mean(kept) < 0.93 * np.mean(given)
 
 
 def test_the_power_of_a_projection_equals_its_dimension(voxels: BallVoxels) -> None:
-    derivatives, *_ = voxels.at(truth(BENT.start + 16))
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
+    derivatives, *_ = voxels.evaluate(truth(BENT.start + 16))
+    grid = VoxelGrid.from_indices(voxels.voxel_index, WINDOW_MM, SPACING_MM)
     doubled = np.column_stack([derivatives, derivatives[:, 3]])  # adds nothing new
-    power = grid.projected(grid.spectra(doubled))
+    power = grid.measure_absorbed_power(grid.spectra(doubled))
     assert float(np.sum(power * grid.share)) == pytest.approx(derivatives.shape[1], rel=1e-6)
 
 
 def test_values_are_recovered_from_their_spectra(voxels: BallVoxels) -> None:
-    grid = VoxelGrid.around(voxels.where, WINDOW_MM, SPACING_MM)
-    columns = np.random.default_rng(1).normal(size=(len(voxels.where), 3))
+    grid = VoxelGrid.from_indices(voxels.voxel_index, WINDOW_MM, SPACING_MM)
+    columns = np.random.default_rng(1).normal(size=(len(voxels.voxel_index), 3))
     spectra = grid.spectra(columns)
     np.testing.assert_allclose(grid.values(spectra), columns, atol=1e-9)
     np.testing.assert_allclose(grid.products(spectra, spectra), columns.T @ columns, rtol=1e-9, atol=1e-6)
@@ -173,7 +173,7 @@ def test_voxels_that_do_not_belong_to_the_ball_are_excluded_with_their_blur(voxe
     clear = spoiled.without_outliers(truth(BENT.start + 16))
     left = np.linalg.norm(clear.points_mm - CENTRE_MM - np.array([0.0, RADIUS_MM, 0.0]), axis=1)
     assert left.min() > 1.5 + 0.5
-    assert len(voxels.where) - len(clear.where) < 1.2 * np.sum(at_post < 1.5 + 1.2)
+    assert len(voxels.voxel_index) - len(clear.voxel_index) < 1.2 * np.sum(at_post < 1.5 + 1.2)
 
 
 def test_a_half_covered_ball_is_fitted_better_when_flagged_as_covered(voxels: BallVoxels) -> None:
@@ -194,10 +194,10 @@ def test_a_half_covered_ball_is_fitted_better_when_flagged_as_covered(voxels: Ba
 
 def test_bends_are_detected_above_the_noise_and_slopes_are_assumed_larger() -> None:
     covariance = np.diag(np.full(16, 4.0))
-    none = StreakPrior.of_bends(np.full(16, 1.9), covariance)
+    none = StreakPrior.from_bends(np.full(16, 1.9), covariance)
     assert (none.bent_hu2, none.streak_hu) == (0.0, 0.0)
-    assert none.unsure_hu2 == pytest.approx(4.0 * np.sqrt(2.0 / 16.0))
-    seen = StreakPrior.of_bends(np.full(16, 10.0), covariance)
+    assert none.uncertainty_hu2 == pytest.approx(4.0 * np.sqrt(2.0 / 16.0))
+    seen = StreakPrior.from_bends(np.full(16, 10.0), covariance)
     assert seen.bent_hu2 == pytest.approx(100.0 - 4.0)
     sloping = seen.with_slopes(np.zeros(3), np.eye(3))
     assert sloping.slope_hu2 == pytest.approx(4.0 * seen.bent_hu2)
@@ -213,7 +213,7 @@ def test_an_estimate_that_adds_no_information_gets_no_weight() -> None:
     edge = RadialEdge(
         CENTRE_MM + 0.02, RADIUS_MM, 1e-4 * np.eye(3), 1.0, 0.0, 0.0, 130.0, -1000.0, 1.0, 0.0, nowhere
     )
-    combined = combine(edge, ball, SPACING_MM)
+    combined = combine_estimates(edge, ball, SPACING_MM)
     towards_edge_mm = (combined.centre_mm - CENTRE_MM) @ np.ones(3) / np.sqrt(3.0)
     assert -1e-6 < towards_edge_mm < 1e-4  # nor is the ball's moved away from it
     assert combined.agreement_mm == pytest.approx(0.02 * np.sqrt(3.0))

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from responder_stand import FAR, LIMITS, MODEL, NUMBERS, SETTINGS, START, START_DEG
 
 from drivers.kuka_rsi.errors import LinkUnusable
-from drivers.kuka_rsi.fault_errors import error_of_fault
+from drivers.kuka_rsi.fault_errors import fault_error
 from drivers.kuka_rsi.options import KukaOptions
 from drivers.kuka_rsi.realtime.link_health import WINDOW_CYCLES, Losses
 from drivers.kuka_rsi.realtime.link_state import (
@@ -59,7 +59,7 @@ class HoldingController:
         self.late = [0, 0]  # the count as of each cycle's begin
         self.taken: list[JointVector] = [(0.0,) * 6]  # the corrections that act, one per cycle
         self.sent: list[JointVector] = []
-        self.responder.take(self._new(CommandKind.OPEN))
+        self.responder.execute_command(self._new(CommandKind.OPEN))
         for _ in range(3):
             self.cycle()
 
@@ -89,7 +89,7 @@ class HoldingController:
             assert head is not None
             A1, A2, A3, A4, A5, A6 = (float(v) for v in NUMBERS.findall(head))
             self.sent.append((A1, A2, A3, A4, A5, A6))
-            self.responder.after_reply(self._command)
+            self.responder.finish_cycle(self._command)
         if not loss:
             held = self.sent[-1]
         self.taken.append(held)
@@ -330,7 +330,7 @@ def test_losing_half_of_the_replies_for_seconds_stops_the_arm_and_names_the_caus
     controller.lose(["reply", ""] * 100)
     assert not controller.responder.moving
     assert controller.largest_share <= WORKING_SHARE * ROUNDING
-    error = error_of_fault("robot.master", controller.state, KukaOptions(), OperationMode.EXT)
+    error = fault_error("robot.master", controller.state, KukaOptions(), OperationMode.EXT)
     assert isinstance(error, LinkUnusable)
     assert "late or lost by the controller's count" in str(error)
 
@@ -349,7 +349,7 @@ def test_a_single_stall_of_half_a_second_does_not_make_the_link_unusable() -> No
     assert losses.count(CYCLE_MS * 126, 125) == 125
     for k in range(127, 1000):
         losses.count(CYCLE_MS * k, 125)
-        assert not losses.unusable
+        assert not losses.is_unusable
 
 
 def test_lost_cycles_at_rest_are_counted_and_stop_nothing() -> None:

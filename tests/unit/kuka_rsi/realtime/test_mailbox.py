@@ -8,7 +8,7 @@ from dataclasses import replace
 
 import pytest
 
-from drivers.kuka_rsi.realtime.link_health import EDGES_US, bin_of, percentile_us
+from drivers.kuka_rsi.realtime.link_health import EDGES_US, histogram_bin, percentile_us
 from drivers.kuka_rsi.realtime.link_state import (
     NO_STATE,
     Command,
@@ -69,7 +69,7 @@ def test_surroundings_too_large_for_the_mailbox_are_refused(mailbox: Mailbox) ->
 @pytest.mark.parametrize("reduced", [False, True])
 def test_the_limits_of_the_operating_mode_arrive_unchanged(mailbox: Mailbox, reduced: bool) -> None:
     arm = kr6_r900("kr6_r900_sixx")
-    limits = working_limits(arm, 0.08).at_reduced_speed(arm) if reduced else working_limits(arm, 0.08)
+    limits = working_limits(arm, 0.08).with_reduced_speed(arm) if reduced else working_limits(arm, 0.08)
     mailbox.write_command(Command(5, CommandKind.OPEN, axes_rad=SIX, limits=limits))
     command = mailbox.read_command()
     assert command is not None
@@ -99,7 +99,7 @@ def test_a_state_arrives_unchanged(mailbox: Mailbox) -> None:
 
 
 def test_stop_and_heartbeat_are_read_back_as_orders(mailbox: Mailbox) -> None:
-    mailbox.beat(9)
+    mailbox.write_heartbeat(9)
     mailbox.order_stop(2, StopOrder.LINK)
     assert mailbox.orders() == Orders(9, 2 * 8 + 3, 0)
 
@@ -115,7 +115,7 @@ def test_a_torn_block_is_never_read_as_a_state(memory: int, mailbox: Mailbox) ->
 def test_the_recorder_keeps_the_last_cycles_in_order(mailbox: Mailbox) -> None:
     for cycle in range(1, 301):
         mailbox.record(RecordedCycle(cycle, 4 * cycle, cycle, 10.0, SIX, SIX, cycle % 3))
-    kept = mailbox.records()
+    kept = mailbox.read_records()
     assert [r.cycle for r in kept] == list(range(45, 301))
     assert kept[-1] == RecordedCycle(300, 1200, 300, 10.0, SIX, SIX, 0)
 
@@ -129,16 +129,16 @@ def test_link_settings_survive_a_json_round_trip() -> None:
 
 def test_each_turnaround_falls_between_the_edges_of_its_bin() -> None:
     for value in (0.1, 1.99, 2.0, 2.6, 10.0, 55.5, 4000.0, 1e6):
-        k = bin_of(value)
+        k = histogram_bin(value)
         assert EDGES_US[k] <= value * 1.000001
         assert value < EDGES_US[k + 1] * 1.000001
-    assert bin_of(1e12) == len(EDGES_US) - 2
+    assert histogram_bin(1e12) == len(EDGES_US) - 2
 
 
 def test_percentiles_lie_in_the_right_bin() -> None:
     counts = [0] * (len(EDGES_US) - 1)
     assert percentile_us(counts, 0.5) == 0.0
-    counts[bin_of(10.0)] = 99
-    counts[bin_of(1000.0)] = 1
+    counts[histogram_bin(10.0)] = 99
+    counts[histogram_bin(1000.0)] = 1
     assert 8.0 < percentile_us(counts, 0.5) < 13.0
     assert 700.0 < percentile_us(counts, 0.999) < 1300.0

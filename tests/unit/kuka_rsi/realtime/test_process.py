@@ -36,7 +36,7 @@ def test_a_controller_delayed_by_less_than_its_timeout_is_still_sent_the_stop(
         monkeypatch.setattr(
             link_loop, "time", SimpleNamespace(monotonic_ns=lambda: now_ns, sleep=lambda _: 0)
         )
-        return link.loop._done()
+        return link.loop._is_done()
 
     def reply(cycle: int) -> bytes:
         data = link.receive(telegram(FIRST_IPOC + cycle * CYCLE_MS))
@@ -45,7 +45,7 @@ def test_a_controller_delayed_by_less_than_its_timeout_is_still_sent_the_stop(
 
     assert b"<Stop>0</Stop>" in reply(0)
     assert not done_after(10_000)  # its parent is there
-    link.loop.responder.parent_gone = True
+    link.loop.responder.is_parent_gone = True
     assert not done_after(390)
     assert done_after(410)
     cycle = 1

@@ -53,7 +53,7 @@ def test_the_monitor_stops_a_generator_that_exceeds_a_limit(limits: PathLimits, 
 def test_at_reduced_speed_the_process_holds_an_axis_to_a_tenth_of_its_full_speed() -> None:
     """A motion planned at full working speed, as if planning had missed that the controller is in T1."""
     wrist_turned = radians6(0, -90, 90, 40, 60, 60)
-    stand = ResponderStand(limits=LIMITS.at_reduced_speed(MODEL))
+    stand = ResponderStand(limits=LIMITS.with_reduced_speed(MODEL))
     stand.cycles(3)
     stand.give(CommandKind.MOVE, plan_joint_move(MODEL, START, wrist_turned, LIMITS))
     stand.cycles(400)
@@ -141,9 +141,9 @@ def test_silence_beyond_the_limit_latches_a_fault_and_discards_the_motion(
     orders = Orders(stand.beat, 0, stand.commands)
     if foreign:  # a controller that restarts its program sends from another port
         stand.responder.senders.count_foreign("10.0.0.3")
-    stand.responder.idle(orders, stand.now_ns + 240_000_000)
+    stand.responder.monitor_silence(orders, stand.now_ns + 240_000_000)
     assert stand.responder.fault is Fault.NONE
-    stand.responder.idle(orders, stand.now_ns + 260_000_000)
+    stand.responder.monitor_silence(orders, stand.now_ns + 260_000_000)
     assert stand.responder.fault is fault
     assert not stand.responder.moving
     before = stand.sent[-1][0]
@@ -172,7 +172,7 @@ def test_an_irregular_heartbeat_within_the_limit_keeps_the_session() -> None:
 @pytest.mark.hazard(30)
 def test_losing_the_parent_process_stops_the_arm_and_ends_the_program() -> None:
     stand = moving()
-    stand.responder.parent_gone = True
+    stand.responder.is_parent_gone = True
     assert _ends_smoothly(stand)
 
 

@@ -62,9 +62,9 @@ def test_the_controllers_telegram_is_received_next_despite_a_flood_from_a_strang
     sockets.connect_to(peer)
     for _ in range(FLOOD):
         stranger.sendto(b"mine", listening.getsockname())
-    assert not sockets.datagram_waiting()
+    assert not sockets.has_datagram()
     controller.send(b"telegram")
-    assert sockets.datagram_waiting()
+    assert sockets.has_datagram()
     assert sockets.receive() == (b"telegram", peer)
     assert [sockets.foreign_sender() for _ in range(FLOOD)] == [stranger.getsockname()] * FLOOD
     assert sockets.foreign_sender() is None
@@ -171,7 +171,7 @@ class FakeTime:
         self.now_ns = max(self.now_ns, self.arrivals_ns[0]) if came else end_ns
         return came
 
-    def datagram_waiting(self) -> bool:
+    def has_datagram(self) -> bool:
         return self._is_there(self.now_ns)
 
     def rehearse(self) -> None:
@@ -293,11 +293,11 @@ def test_telegrams_queued_during_a_stall_are_distinguished_from_awaited_ones() -
     for _ in due_ns:
         assert reception.next() is not None
         reception.note_paced()
-        assert not reception.queued
+        assert not reception.was_queued
     world.now_ns += 6 * CYCLE_NS  # the host stalls
     for _ in range(5):
         assert reception.next() is not None
-        assert reception.queued
+        assert reception.was_queued
 
 
 def slowly(_limit_s: float) -> bool:
@@ -318,7 +318,7 @@ def test_only_the_newest_of_several_queued_telegrams_is_taken(rehearses: bool, l
         own.loop._serve(*first)  # before a session each telegram is looked at: the newest may be a stranger's
         now_ns = time.monotonic_ns()
         for place in reversed(range(40)):  # the pace is known, and the next one due in a moment
-            own.loop._receiver._pace.arrived(now_ns - place * CYCLE_NS)
+            own.loop._receiver._pace.note_arrival(now_ns - place * CYCLE_NS)
         own.loop._sockets.sleep = slowly  # type: ignore[method-assign]
         own.loop._answered_ns = 0 if late else now_ns + CYCLE_NS
         held = [telegram(FIRST_IPOC + CYCLE_MS * k) for k in range(5)]
@@ -337,7 +337,7 @@ def test_the_schedule_tolerates_missing_and_late_telegrams() -> None:
     for number, due in enumerate(due_ns):
         if number % 5 == 3:
             continue
-        pace.arrived(due + 300_000 * (number % 7 == 2))
+        pace.note_arrival(due + 300_000 * (number % 7 == 2))
     assert pace.due_ns - (due_ns[-1] + CYCLE_NS) == pytest.approx(0, abs=75_000)
 
 
@@ -345,7 +345,7 @@ def test_the_schedule_follows_clock_drift() -> None:
     pace = Pace()
     drifted_ns = arrivals_ns(2000, CYCLE_NS * 1.0002)
     for moment in drifted_ns:
-        pace.arrived(moment)
+        pace.note_arrival(moment)
     assert pace.due_ns - (drifted_ns[-1] + CYCLE_NS * 1.0002) == pytest.approx(0, abs=2_000)
 
 
@@ -353,9 +353,9 @@ def test_the_schedule_follows_clock_drift() -> None:
 def test_a_jump_in_the_schedule_discards_the_learnt_one(jump_ns: int) -> None:
     pace = Pace()
     for moment in arrivals_ns(20):
-        pace.arrived(moment)
+        pace.note_arrival(moment)
     assert pace.due_ns
-    pace.arrived(arrivals_ns(20)[-1] + jump_ns)
+    pace.note_arrival(arrivals_ns(20)[-1] + jump_ns)
     assert pace.due_ns == 0
 
 

@@ -12,7 +12,7 @@ from drivers.kuka_rsi.realtime.telegram import (
     Element,
     ReplyWriter,
     TelegramReader,
-    elements_of,
+    group_elements,
     read_strictly,
 )
 from ronna_hw.wire.kuka_context import load_context
@@ -90,14 +90,14 @@ def test_a_malformed_telegram_is_rejected_with_its_last_bytes(data: bytes) -> No
 
 
 def test_tags_become_elements_as_the_ethernet_file_defines() -> None:
-    assert elements_of(("DEF_RIst", "DEF_Delay", "FREE", "DiO", "AK.A1", "AK.A2", "RK.A1")) == (
+    assert group_elements(("DEF_RIst", "DEF_Delay", "FREE", "DiO", "AK.A1", "AK.A2", "RK.A1")) == (
         Element("RIst", ("X", "Y", "Z", "A", "B", "C")),
         Element("Delay", ("D",)),
         Element("DiO", ()),
         Element("AK", ("A1", "A2")),
         Element("RK", ("A1",)),
     )
-    (tech,) = elements_of(("DEF_Tech.C1", "DEF_Tech.C2"))
+    (tech,) = group_elements(("DEF_Tech.C1", "DEF_Tech.C2"))
     assert tech.attributes[:2] == ("C11", "C12")
     assert tech.attributes[9:11] == ("C110", "C21")
 

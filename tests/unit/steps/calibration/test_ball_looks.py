@@ -16,7 +16,7 @@ from scipy.spatial.transform import Rotation
 from procedures.calibration import Baseline
 from procedures.calibration.bundle import LEAST_POSES
 from procedures.calibration.errors import NotTheBaseline, PosesOutOfReach, TooFewPoses
-from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, check_variants
+from procedures.calibration.pose_set import CHECK_ORIENTATIONS, PlannedLook, self_check_variants
 from procedures.engine.order import StepSpec
 from procedures.journal.errors import StepRefused
 from procedures.journal.results import StepResult
@@ -25,13 +25,13 @@ from procedures.operator.question import Topic
 from procedures.relocalization.errors import NoSphere, SphereNotInView, WrongCamera
 from procedures.steps.calibration.ball_place import BallPlace
 from procedures.steps.calibration.head_looks import (
-    LookedAtBall,
+    BallMeasurement,
     ObservedBall,
     VisitedBaseline,
     check_look,
     look_step,
     observation_step,
-    refuse_too_few,
+    raise_too_few,
     visit_step,
 )
 from procedures.workcell import MountedTool
@@ -156,7 +156,7 @@ def test_one_acquisition_over_the_ball_measures_it_and_returns_home(cell: Clinic
 
 def test_an_acquisition_in_place_moves_nothing_and_connects_only_the_cameras(cell: ClinicalCell) -> None:
     seen = cell.run(look_step(over_ball=False)).result
-    assert seen == LookedAtBall(position_mm=None, left=None, right=None, reason="no sphere in view")
+    assert seen == BallMeasurement(position_mm=None, left=None, right=None, reason="no sphere in view")
     assert cell.stereo.state is Lifecycle.ACTIVE
     assert cell.arm.state is cell.tracker.state is Lifecycle.DISCONNECTED
     assert cell.arm.motions == []
@@ -262,7 +262,7 @@ def test_too_few_acquisitions_are_explained_by_the_most_frequent_reason(
     watcher = BallWatcher(cell.workcell, np.array(BALL_MM))
     watcher.rejected[reason] = 40
     with pytest.raises(error, match=f"40 x {reason}"):
-        refuse_too_few(watcher, 30)
+        raise_too_few(watcher, 30)
 
 
 class Watcher:
@@ -286,7 +286,7 @@ class Watcher:
 
 def test_an_unusable_check_orientation_is_replaced_by_another() -> None:
     watcher: Any = Watcher()
-    variants = check_variants(Rotation.identity(), np.array(BALL_MM), 0)
+    variants = self_check_variants(Rotation.identity(), np.array(BALL_MM), 0)
     assert watcher.observe(variants[0]) is None
     seen = [check_look(watcher, variants, [])]
     assert seen[0] is not None

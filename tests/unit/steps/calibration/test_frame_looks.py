@@ -15,7 +15,7 @@ from procedures.journal.errors import GateFailed, StepRefused
 from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from procedures.steps.calibration import frame_looks
-from procedures.steps.calibration.frame_looks import turning_step
+from procedures.steps.calibration.frame_looks import rotation_step
 from procedures.workcell import MountedTool, tracker_look
 from ronna_hw.devices.readings import TrackerFrame
 from ronna_hw.frames import Transform
@@ -25,7 +25,7 @@ COUNT, VALIDATION = 15, 5
 
 def turned(cell: ClinicalCell) -> FrameLooks:
     cell.carrying(MountedTool.STEREO_HEAD)
-    return cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION)).result.observed
+    return cell.run(checked_set_up(cell), rotation_step(COUNT, VALIDATION)).result.observed
 
 
 def test_the_measurements_recover_the_reference_frame_of_the_cell(cell: ClinicalCell) -> None:
@@ -65,7 +65,7 @@ def test_poses_without_a_view_of_the_frame_are_told_from_outliers(
 
     monkeypatch.setattr(frame_looks, "average_pose", hidden_twice)
     cell.carrying(MountedTool.STEREO_HEAD)
-    done = cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION)).result
+    done = cell.run(checked_set_up(cell), rotation_step(COUNT, VALIDATION)).result
     tool = cell.calibrations.tracker_frame.tool
     assert done.remarks == (f"2 of 22 poses not measured: 2 x the reference frame {tool} not in view",)
 
@@ -83,4 +83,4 @@ def test_an_arm_that_cannot_turn_from_its_pose_is_refused_before_the_operator_is
 def test_the_frame_is_not_calibrated_with_the_guide_mounted(cell: ClinicalCell) -> None:
     cell.carrying(MountedTool.GUIDE)
     with pytest.raises(StepRefused, match="the arm carries the guide"):
-        cell.run(checked_set_up(cell), turning_step(COUNT, VALIDATION))
+        cell.run(checked_set_up(cell), rotation_step(COUNT, VALIDATION))

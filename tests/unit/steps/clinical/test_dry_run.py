@@ -18,7 +18,7 @@ from procedures.steps.clinical.relocalization import STEP
 from procedures.steps.clinical.results import ConfirmedTarget
 from procedures.steps.clinical.retreat import Retreated
 from procedures.steps.clinical.tool_check import CheckedTool
-from procedures.steps.dry_run import planned_motions
+from procedures.steps.dry_run import describe_planned_motions
 from procedures.workcell import MountedTool
 
 PLACES = (HOME, *(f"T1/fiducial {number}" for number in range(4)))
@@ -42,7 +42,7 @@ def said(cell: ClinicalCell, paths: CheckedPaths) -> tuple[str, ...]:
     engine = cell.begin(paths, *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     key = next(key for key in engine.order.sequence if key.name == STEP.name)
-    lines = planned_motions(engine.case, StepKey(key.name, "T1"), cell.setting())
+    lines = describe_planned_motions(engine.case, StepKey(key.name, "T1"), cell.setting())
     assert lines is not None
     return lines
 
@@ -73,9 +73,9 @@ def test_a_way_by_home_from_one_sphere_to_the_next_is_listed(cell: ClinicalCell,
     cell.arm.joints_rad = HOME_RAD
     _, second, *_ = PLACES[1:]
     direct = next(one for one in paths.motions if one.end == second)
-    by_home = (motion(direct.start, HOME), motion(HOME, second))
-    before, after = paths.motions[: paths.motions.index(direct)], paths.motions[len(by_home) + 2 :]
-    lines = said(cell, paths.model_copy(update={"motions": (*before, *by_home, *after)}))
+    via_home = (motion(direct.start, HOME), motion(HOME, second))
+    before, after = paths.motions[: paths.motions.index(direct)], paths.motions[len(via_home) + 2 :]
+    lines = said(cell, paths.model_copy(update={"motions": (*before, *via_home, *after)}))
     assert len(lines) == 3 * len(PLACES[1:]) + 1
     assert lines[3].startswith("move T1/sphere 1 to home, ")
 
@@ -90,7 +90,7 @@ def test_the_line_onto_a_target_is_of_its_approach_and_the_line_back_of_its_retr
     engine = cell.begin(paths.model_copy(update={"motions": ways}), *coarse(), STEP)
     engine.run_to(engine.order.sequence[0])
     there, back = (
-        [line.partition(",")[0] for line in planned_motions(engine.case, key, cell.setting()) or ()]
+        [line.partition(",")[0] for line in describe_planned_motions(engine.case, key, cell.setting()) or ()]
         for key in (StepKey(PositionedGuide.kind, "T1"), StepKey(Retreated.kind, "T1"))
     )
     assert there == ["move home to T1/target", "line onto T1/target"]
@@ -111,7 +111,7 @@ def test_the_motions_over_the_gauge_are_told_with_distance_speed_and_clearance(
     cell.arm.joints_rad = HOME_RAD
     engine = cell.begin(checked_plan(), localized_fiducials(), paths, *coarse(), tool_check.STEP)
     engine.run_to(engine.order.sequence[-2])
-    there, again, _, back = planned_motions(engine.case, key, cell.setting()) or ()
+    there, again, _, back = describe_planned_motions(engine.case, key, cell.setting()) or ()
     facts = r"the guide moves (\d+) mm, joints turn up to [\d.]+ deg, in .+ s at up to \d+ mm/s; .* clears .*"
     far = re.fullmatch(f"move home to the gauge, {facts}", there)
     home = re.fullmatch(f"move the gauge to home, {facts}", back)

@@ -10,8 +10,8 @@ from procedures.planning.guide import (
     SET_BY_HAND_MM,
     depth_stop_mm,
     direction_covariance_mm2,
-    held_trajectory,
     instrument_covariance_mm2,
+    place_guide,
 )
 from procedures.planning.plan_model import FiducialKind, Plan, PlannedTrajectory
 from procedures.registration import register
@@ -23,7 +23,7 @@ from procedures.steps.clinical.error_budget import (
 )
 from ronna_hw.tool_record import GuideBore
 from sim.world.rigid import inverse, matrix_from, rotation_from_vector
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.parts import Guide
 from sim.world.truth import TrueGuide
 from sim.world.world import ArmState, World
@@ -105,7 +105,7 @@ def bore_of(guide: Guide) -> GuideBore:
 
 
 def test_the_spread_of_an_instrument_in_the_bore_matches_the_prediction() -> None:
-    world = World.create(named_scene("mini"), paced=False)
+    world = World.create(draw_scene("mini"), paced=False)
     world.publish_arm(ArmState((0.0,) * 6, matrix_from((640.0, 0.0, 300.0), HELD), 0, True))
     guide = TrueGuide(world)
     bore = bore_of(world.scene.mount.guide)
@@ -126,7 +126,7 @@ def test_the_error_of_a_tilted_bore_matches_the_prediction(
     bore = bore_of(Guide(play_mm=0.0))
     planned = DEEP.model_copy(update={"entry_mm": (0.0, 0.0, entry_z_mm)})
     stated_rad, generator = 3e-3, np.random.default_rng(1)
-    beyond_mm = held_trajectory(PLAN, planned, bore).beyond_mm
+    beyond_mm = place_guide(PLAN, planned, bore).beyond_mm
     tip_in_bore = np.array(
         [0.0, 0.0, depth_stop_mm(PLAN, planned, bore) - bore.length_mm - bore.reach_mm, 1.0]
     )

@@ -17,7 +17,7 @@ def imported(cell: ClinicalCell) -> ImportedCt:
     scan = Scan()
     scan.marker(np.array([20.0, 20.0, 20.0]), np.array([0.0, 1.0, 0.3]), skin=False)
     write_series(cell.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
-    return ImportedCt.of(read_series(cell.series))
+    return ImportedCt.from_volume(read_series(cell.series))
 
 
 @pytest.mark.hazard(1)
@@ -50,7 +50,7 @@ def test_a_doubtful_sphere_is_stored_with_its_reason_and_odds(cell: ClinicalCell
     scan.ball(hollow)
     scan.ball(hollow, 2.8, -1000.0)
     write_series(cell.series, scan.voxels(), origin_mm=(-20.0, -30.0, 40.0))
-    localized = cell.run(ImportedCt.of(read_series(cell.series)), STEP).result
+    localized = cell.run(ImportedCt.from_volume(read_series(cell.series)), STEP).result
     assert len(localized.markers) == 1
     (doubtful,) = localized.doubtful
     assert doubtful.centre_mm == pytest.approx((25.0, -10.0, 60.0), abs=0.2)
@@ -63,5 +63,5 @@ def test_what_the_spheres_together_say_of_the_scan_is_stored(cell: ClinicalCell)
     for row_mm, column_mm in ((14.0, 14.0), (14.0, 36.0), (36.0, 14.0), (36.0, 36.0)):
         scan.ball(np.array([20.0, row_mm, column_mm]))
     write_series(cell.series, scan.voxels(), (1.0, 0.5, 0.5))
-    (warning,) = cell.run(ImportedCt.of(read_series(cell.series)), STEP).result.warnings
+    (warning,) = cell.run(ImportedCt.from_volume(read_series(cell.series)), STEP).result.warnings
     assert "the table seems to feed 1." in warning

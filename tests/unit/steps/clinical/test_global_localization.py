@@ -14,7 +14,7 @@ from prepared_results import checked_set_up, clamped_head, locked_cart
 from procedures.journal.errors import GateFailed
 from procedures.steps.clinical.global_localization import IN_CASE, STEP
 from procedures.workcell import MountedTool
-from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, fresh_frames
+from procedures.workcell.tracker_look import FRAMES, MOST_LOST_READINGS, average_pose, read_fresh_frames
 from ronna_hw.devices.errors import WrongState
 from ronna_hw.devices.lifecycle import LastKnown, Lifecycle
 from ronna_hw.devices.readings import Stamp, ToolReading, TrackerFrame, Validity
@@ -90,7 +90,7 @@ class LineThatLoses:
 
 def read_from(tracker: object) -> tuple[list[TrackerFrame], int]:
     clock: Any = SimpleNamespace(now_s=lambda: 0.0)
-    return fresh_frames(cast("Any", tracker), clock, lambda _share: None)
+    return read_fresh_frames(cast("Any", tracker), clock, lambda _share: None)
 
 
 def test_a_lost_reply_costs_a_reading_but_does_not_end_the_step(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -26,7 +26,7 @@ from procedures.operator.errors import NotConfirmed
 from procedures.operator.question import Topic
 from procedures.steps.clinical.registration import STEP
 from procedures.steps.clinical.results import RegisteredRobot
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.workcell import MountedTool
 from ronna_hw.config import ProcedureSettings
@@ -136,7 +136,7 @@ def test_the_gate_of_a_calibrated_arm_counts_backlash_where_the_strategy_does_no
     tmp_path: Path, strategy: str, passes: bool
 ) -> None:
     scene = load_scene("mini", seed=3, markers=4, targets=2, calibrated=True)
-    cell = ClinicalCell(tmp_path, theatre=theatre_of(scene), strategy=strategy_named(strategy))
+    cell = ClinicalCell(tmp_path, theatre=theatre_of(scene), strategy=find_strategy(strategy))
     points_mm = SPHERES_MM.copy()
     points_mm[::2, 1] += SIDEWAYS_MM  # some on one side of the first joint's, some on the other
     with nullcontext() if passes else pytest.raises(GateFailed, match="disagrees with its own error budget"):

@@ -24,13 +24,13 @@ from procedures.engine.order import StepSpec
 from procedures.journal.journal import JOURNAL_FILE, read_journal
 from procedures.journal.results import StepResult
 from procedures.operator.question import Topic
-from procedures.planning.guide import held_trajectory
+from procedures.planning.guide import place_guide
 from procedures.planning.motions import GAUGE, HOME
 from procedures.steps.catalogue import CLINICAL_STEPS
 from procedures.steps.clinical.path_check import CheckedPaths
 from procedures.steps.clinical.positioning import PositionedGuide
 from procedures.steps.clinical.results import RegisteredRobot
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.fixed_orientation import NeutralOrientation
 from procedures.strategies.strategy import Strategy
 from procedures.strategies.trajectory import back_along_axis
@@ -143,7 +143,7 @@ def test_the_one_registration_is_the_parent_of_every_positioning(once: ClinicalC
     for name in TRAJECTORIES:
         positioned = once.case.get(PositionedGuide, name)
         assert positioned.record.parents[registered.record.identifier] == registered.record.sha256
-        held = held_trajectory(PLAN, PLAN.trajectory(name), once.workcell.tools.guide.bore)
+        held = place_guide(PLAN, PLAN.trajectory(name), once.workcell.tools.guide.bore)
         held_mm = ROBOT_FROM_CT.apply(held.rest_mm)
         assert positioned.result.tool_pose.translation_mm == pytest.approx(held_mm, abs=1e-3)
 
@@ -155,7 +155,7 @@ def test_at_the_end_the_arm_is_parked_with_its_stream_ended(once: ClinicalCell) 
 
 @pytest.mark.hazard(23)
 @pytest.mark.branch("UNREACHABLE")
-@pytest.mark.parametrize("strategy", [strategy_named("nos"), strategy_named("jdms")], ids=["nos", "jdms"])
+@pytest.mark.parametrize("strategy", [find_strategy("nos"), find_strategy("jdms")], ids=["nos", "jdms"])
 def test_the_other_trajectories_are_completed_when_one_is_out_of_reach(
     tmp_path: Path, strategy: Strategy, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -411,7 +411,9 @@ def test_a_guide_that_stays_pushed_ends_the_step_and_leaves_the_instrument_in_pl
     with ends:
         work(engine)
     assert engine.instrument_in == FIRST
-    assert list(cell.workcell.instrument.stages.at(FIRST).values()) == [True]  # what was confirmed is done
+    assert list(cell.workcell.instrument.stages.tasks_at(FIRST).values()) == [
+        True
+    ]  # what was confirmed is done
 
 
 @pytest.mark.hazard(44)

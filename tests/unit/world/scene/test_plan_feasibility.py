@@ -11,7 +11,7 @@ from procedures.planning.free_angle import choose_free_angles
 from procedures.planning.line_of_sight import StereoSight
 from procedures.planning.paths import check_paths
 from procedures.planning.visits import ArmSetting
-from procedures.strategies.catalogue import strategy_named
+from procedures.strategies.catalogue import find_strategy
 from procedures.strategies.trajectory import Trajectory
 from ronna_hw.arm.kr6_r900 import kr6_r900
 from ronna_hw.arm.motion.limits import working_limits
@@ -19,7 +19,7 @@ from ronna_hw.arm.pose import radians6
 from ronna_hw.frames import Frame
 from sim.world.rigid import apply, inverse, matrix_of
 from sim.world.scene.model import Scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 from sim.world.scene.plan_feasibility import PlanFeasibility
 
 LEAST_BEND_RAD = math.radians(4.0)
@@ -31,7 +31,7 @@ def setting_of(scene: Scene) -> ArmSetting:
         arm,
         scene.head.robot_from_ct.transform(Frame.ROBOT, Frame.CT),
         scene.mount.flange_from_tool_nominal.transform(Frame.FLANGE, Frame.TOOL),
-        strategy_named("ocs"),
+        find_strategy("ocs"),
         start_rad=radians6(*scene.arm.home_deg),
         limits=working_limits(arm),
     )
@@ -48,7 +48,7 @@ def trajectories_of(scene: Scene) -> list[Trajectory]:
 def test_every_pose_of_a_built_in_scene_is_within_reach_and_away_from_singularities(
     name: str, markers: int, targets: int, seed: int
 ) -> None:
-    scene = named_scene(name, seed=seed, markers=markers, targets=targets)
+    scene = draw_scene(name, seed=seed, markers=markers, targets=targets)
     setting, trajectories = setting_of(scene), trajectories_of(scene)
     check = check_paths(setting, trajectories, [f.centre_ct_mm for f in scene.head.fiducials])
     assert check.passed, check.unmet
@@ -74,12 +74,12 @@ def reach_of(scene: Scene) -> tuple[PlanFeasibility, list[tuple[np.ndarray, np.n
 @pytest.mark.parametrize("markers", [3, 5, 8])
 def test_every_seed_draws_a_plan_within_reach(markers: int) -> None:
     for seed in range(100, 112):
-        reach, ends = reach_of(named_scene("default", seed=seed, markers=markers))
+        reach, ends = reach_of(draw_scene("default", seed=seed, markers=markers))
         assert reach.is_feasible(ends)
 
 
 def test_a_trajectory_from_below_is_out_of_reach() -> None:
-    reach, ends = reach_of(named_scene("default", seed=0))
+    reach, ends = reach_of(draw_scene("default", seed=0))
     (entry, target), *_ = ends
     assert reach.is_feasible([(entry, target)])
     assert not reach.is_feasible([(target, entry)])  # the same line from the other side of the head
@@ -97,14 +97,14 @@ def test_a_trajectory_is_infeasible_if_one_sphere_hides_another_in_every_turn() 
 
 @pytest.mark.parametrize("seed", [0, ONCE_OUT_OF_REACH])
 def test_the_planner_accepts_the_drawn_plans(seed: int) -> None:
-    accept(named_scene("default", seed=seed, markers=5, targets=3))
+    accept(draw_scene("default", seed=seed, markers=5, targets=3))
 
 
 @pytest.mark.slow  # 43 s of CPU
 @pytest.mark.timeout(300)
 def test_the_planner_accepts_eight_markers_and_ten_targets_of_a_hundred_seeds() -> None:
     for seed in range(100):
-        scene = named_scene("default", seed=seed, markers=8, targets=10)
+        scene = draw_scene("default", seed=seed, markers=8, targets=10)
         assert (len(scene.head.fiducials), len(scene.head.targets)) == (8, 10)
         accept(scene)
 

@@ -10,23 +10,23 @@ from ronna_hw.x_frame import SPHERE_CENTRES_MM, bodies
 from sim.errors import BadScene
 from sim.world.scene.head import SMALLEST_DISTANCE_MM
 from sim.world.scene.model import parse_scene, read_scene
-from sim.world.scene.named_scenes import named_scene
+from sim.world.scene.named_scenes import draw_scene
 
 
 def test_the_same_seed_draws_the_same_scene_and_another_seed_a_different_one() -> None:
-    assert named_scene("default", seed=3) == named_scene("default", seed=3)
-    assert named_scene("default", seed=3) != named_scene("default", seed=4)
+    assert draw_scene("default", seed=3) == draw_scene("default", seed=3)
+    assert draw_scene("default", seed=3) != draw_scene("default", seed=4)
 
 
 @pytest.mark.parametrize(("name", "markers", "targets"), [("default", 5, 3), ("mini", 3, 1)])
 def test_the_built_in_scenes_have_their_promised_size(name: str, markers: int, targets: int) -> None:
-    scene = named_scene(name)
+    scene = draw_scene(name)
     assert (len(scene.head.fiducials), len(scene.head.targets)) == (markers, targets)
 
 
 @pytest.mark.parametrize("seed", range(10))
 def test_three_spheres_can_be_told_apart_by_their_distances(seed: int) -> None:
-    head = named_scene("mini", seed=seed).head
+    head = draw_scene("mini", seed=seed).head
     centres = np.array([fiducial.centre_ct_mm for fiducial in head.fiducials])
     sides = sorted(np.linalg.norm(centres - np.roll(centres, 1, axis=0), axis=1))
     assert sides[0] >= SMALLEST_DISTANCE_MM
@@ -35,7 +35,7 @@ def test_three_spheres_can_be_told_apart_by_their_distances(seed: int) -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
-    head = named_scene("default", seed=seed).head
+    head = draw_scene("default", seed=seed).head
     for target in head.targets:
         relative = [np.subtract(p, head.centre_ct_mm) for p in (target.entry_ct_mm, target.target_ct_mm)]
         entry, inside = (float(np.linalg.norm(p / np.array(head.semi_axes_mm))) for p in relative)
@@ -45,17 +45,17 @@ def test_targets_lie_inside_the_head_and_entries_on_its_skin(seed: int) -> None:
 
 def test_an_unknown_scene_is_refused_with_the_names_of_existing_ones() -> None:
     with pytest.raises(BadScene, match="default, mini, bench"):
-        named_scene("theatre royal")
+        draw_scene("theatre royal")
 
 
 @pytest.mark.parametrize(("markers", "targets"), [(2, 1), (9, 1), (4, 0), (4, 11)])
 def test_impossible_numbers_of_markers_or_targets_are_refused(markers: int, targets: int) -> None:
     with pytest.raises(BadScene):
-        named_scene("default", markers=markers, targets=targets)
+        draw_scene("default", markers=markers, targets=targets)
 
 
 def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
-    content = named_scene("mini").model_dump(by_alias=True)
+    content = draw_scene("mini").model_dump(by_alias=True)
     content["colour"] = "green"
     content["seed"] = "x"
     with pytest.raises(BadScene, match=r"2 mistakes"):
@@ -91,17 +91,17 @@ def test_all_mistakes_of_a_scene_are_reported_at_once() -> None:
         (("head", "targets", 0, "margin_mm"), 0.0, "head.targets 1.margin_mm"),
         (
             ("head", "targets", 0, "entry_ct_mm"),
-            named_scene("mini").head.targets[0].target_ct_mm,
+            draw_scene("mini").head.targets[0].target_ct_mm,
             "head.targets 1: entry_ct_mm and target_ct_mm are 0 mm apart",
         ),
-        (("left", "serial"), named_scene("mini").right.serial, "left.serial and right.serial are both"),
+        (("left", "serial"), draw_scene("mini").right.serial, "left.serial and right.serial are both"),
         (("left", "serial"), "", "left.serial"),
     ],
 )
 def test_an_impossible_scene_is_refused_and_the_field_named(
     path: tuple[str | int, ...], value: Any, said: str, tmp_path: Path
 ) -> None:
-    content = json.loads(named_scene("mini").model_dump_json(by_alias=True))
+    content = json.loads(draw_scene("mini").model_dump_json(by_alias=True))
     place = content
     for part in path[:-1]:
         place = place[part]
@@ -122,12 +122,12 @@ def test_a_scene_file_out_of_bounds_is_refused_by_its_name(tmp_path: Path) -> No
 def test_every_built_in_scene_is_read_back_unchanged_from_its_file(tmp_path: Path) -> None:
     for name in ("default", "mini", "bench"):
         file = tmp_path / "scene.json"
-        file.write_text(named_scene(name).model_dump_json(by_alias=True))
-        assert read_scene(file) == named_scene(name)
+        file.write_text(draw_scene(name).model_dump_json(by_alias=True))
+        assert read_scene(file) == draw_scene(name)
 
 
 def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
-    content = json.loads(named_scene("mini", x_frame=True).model_dump_json(by_alias=True))
+    content = json.loads(draw_scene("mini", x_frame=True).model_dump_json(by_alias=True))
     content["head"]["fiducials"][1]["centre_ct_mm"][0] += 0.1
     with pytest.raises(BadScene, match="do not match the x-shaped frame"):
         parse_scene(content, "scene.json")
@@ -135,7 +135,7 @@ def test_a_frame_whose_spheres_do_not_match_its_layout_is_refused() -> None:
 
 @pytest.mark.parametrize("seed", range(10))
 def test_the_guide_has_clearance_from_the_frame(seed: int) -> None:
-    head = named_scene("default", seed=seed, x_frame=True).head
+    head = draw_scene("default", seed=seed, x_frame=True).head
     place, _ = Rotation.align_vectors(
         np.diff([one.centre_ct_mm for one in head.fiducials], axis=0), np.diff(SPHERE_CENTRES_MM, axis=0)
     )
