@@ -187,12 +187,10 @@ def _measure_frame(
 
 def _mean_of_seen_mm(readings_mm: Array) -> Array:
     """Mean of each point (3, 3) over the readings (n, 3, 3) that show it; NaN unless at least half do."""
-    is_seen = np.isfinite(readings_mm).all(axis=2)
-    counts = is_seen.sum(axis=0)
-    sums_mm = np.where(is_seen[:, :, None], readings_mm, 0.0).sum(axis=0)
-    means_mm: Array = np.where(
-        (2 * counts >= len(readings_mm))[:, None], sums_mm / np.maximum(counts, 1)[:, None], np.nan
-    )
+    is_seen: NDArray[np.bool_] = np.asarray(np.isfinite(readings_mm).all(axis=2))
+    counts = is_seen.sum(axis=0)[:, np.newaxis]
+    sums_mm = np.where(is_seen[..., np.newaxis], readings_mm, 0.0).sum(axis=0)
+    means_mm: Array = np.where(2 * counts >= len(readings_mm), sums_mm / np.maximum(counts, 1), np.nan)
     return means_mm
 
 
