@@ -6,18 +6,20 @@ use is bounded, and the latest part is always there. Each piece of traffic is a 
 
     {"host_time":"2026-11-20T23:58:31.000123+00:00","theatre_time_s":1.250000,"direction":"sent","hex":"4150"}
 
-Instead of direction and bytes a line may have a `note`. A torn last line, left by a crash, is skipped.
+Instead of direction and bytes a line may have a `note`. What is written at once is one gzip member, so `zcat`
+shows a whole file. A torn member, left by a crash or a full disk, is read as far as it goes.
 """
 
 from __future__ import annotations
 
 import contextlib
 import errno
-import io
+import gzip
 import json
 import os
 import threading
 import time
+import zlib
 from collections import defaultdict, deque
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
@@ -32,10 +34,12 @@ from ronna_hw.host.files import open_regular
 from ronna_hw.logs import logger
 
 BYTES_FOLDER = "bytes"
-FILE_NAMES = ("{link}.a.jsonl", "{link}.b.jsonl")  # written alternately
-# Each of a link's two files: one contains at least the last minute of a robot link's 4 ms telegrams.
-FILE_BYTES = 32_000_000
-LARGEST_FILE_BYTES = 64_000_000  # twice what the flight recorder writes into one
+FILE_NAMES = ("{link}.a.jsonl.gz", "{link}.b.jsonl.gz")  # written alternately
+# Each of a link's two files: one contains at least the last five minutes of a robot link's 4 ms telegrams.
+FILE_BYTES = 8_000_000
+LARGEST_FILE_BYTES = 16_000_000  # twice what the flight recorder writes into one
+LARGEST_CONTENT_BYTES = 500_000_000  # telegrams shrink to a tenth, and may be more alike than they are
+MEMBER_START = b"\x1f\x8b\x08\0\0\0\0\0"  # gzip, deflated, without name and time
 QUEUE_LENGTH = 20_000  # entries that wait for the disk: seconds of traffic on all links
 WRITE_PERIOD_S = 0.05  # host time; lost if the process is killed
 CLOSE_LIMIT_S = 2.0  # for what is still queued
@@ -179,23 +183,18 @@ class AlternatingFiles:
         self._which = self._paths.index(newest)
         self._file = self._open(os.O_APPEND)
         self._size = os.fstat(self._file).st_size
-        if self._size:
-            try:
-                self.write(b"\n")  # terminates a torn line
-            except OSError:
-                self.close()
-                raise
 
     def write(self, lines: bytes) -> None:
         """Append complete lines. Raises OSError."""
-        if self._size and self._size + len(lines) > self._limit_bytes:
+        packed = gzip.compress(lines, compresslevel=1, mtime=0)
+        if self._size and self._size + len(packed) > self._limit_bytes:
             os.close(self._file)
             self._which = 1 - self._which
             self._file = self._open(os.O_TRUNC)
             self._size = 0
-        written = os.write(self._file, lines)
+        written = os.write(self._file, packed)
         self._size += written
-        if written != len(lines):
+        if written != len(packed):
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
     def close(self) -> None:
@@ -241,14 +240,14 @@ class LinkLine:
 
 def list_links(folder: Path) -> tuple[str, ...]:
     """Names of the links with bytes in a folder."""
-    names = {path.name.rsplit(".", 2)[0] for path in folder.glob("*.jsonl")}
+    names = {path.name.rsplit(".", 3)[0] for path in folder.glob("*.jsonl.gz")}
     return tuple(sorted(names))
 
 
 def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
     """Read everything stored of a link, oldest first.
 
-    Raises INP-001 for a file that is too large, OSError.
+    Raises INP-001 for a file that is too large, packed or unpacked, and OSError.
     """
     files = [folder / name.format(link=link) for name in FILE_NAMES]
     parts = [_read_file(link, path) for path in files if path.exists()]
@@ -259,24 +258,39 @@ def read_link(folder: Path, link: str) -> Iterator[LinkLine]:
 
 
 def _read_file(link: str, path: Path) -> Iterator[LinkLine]:
-    with io.TextIOWrapper(open_regular(path), encoding="ascii", errors="replace") as file:
-        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
-            raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
-        for text in file:
-            if not text.startswith(_BEGINNING):
-                continue  # torn
-            try:
-                content = parse_json(text)
-                host_time = datetime.fromisoformat(content["host_time"])
-                if host_time.tzinfo is None:
-                    continue  # not ours
-                yield LinkLine(
-                    link,
-                    host_time.astimezone(UTC),
-                    float(content["theatre_time_s"]),
-                    Direction(content["direction"]) if "direction" in content else None,
-                    bytes.fromhex(content.get("hex", "")),
-                    dict(content.get("note", {})),
-                )
-            except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
-                continue  # torn
+    for text in _unpack_lines(path):
+        if not text.startswith(_BEGINNING):
+            continue  # torn
+        try:
+            content = parse_json(text)
+            host_time = datetime.fromisoformat(content["host_time"])
+            if host_time.tzinfo is None:
+                continue  # not ours
+            yield LinkLine(
+                link,
+                host_time.astimezone(UTC),
+                float(content["theatre_time_s"]),
+                Direction(content["direction"]) if "direction" in content else None,
+                bytes.fromhex(content.get("hex", "")),
+                dict(content.get("note", {})),
+            )
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError):
+            continue  # torn
+
+
+def _unpack_lines(path: Path) -> Iterator[str]:
+    with open_regular(path) as file:
+        packed = file.read(LARGEST_FILE_BYTES + 1)
+    if len(packed) > LARGEST_FILE_BYTES:
+        raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
+    remaining_bytes = LARGEST_CONTENT_BYTES
+    for member in packed.split(MEMBER_START)[1:]:
+        unpacker = zlib.decompressobj(zlib.MAX_WBITS | 16)  # 16: gzip
+        pieces = []
+        with contextlib.suppress(zlib.error):
+            pieces.append(unpacker.decompress(MEMBER_START + member, remaining_bytes + 1))
+        content = b"".join(pieces)
+        remaining_bytes -= len(content)
+        if remaining_bytes < 0:
+            raise InputRefused(f"{path.name} expands too far", limit=f"{LARGEST_CONTENT_BYTES} bytes")
+        yield from content.decode("ascii", errors="replace").splitlines()

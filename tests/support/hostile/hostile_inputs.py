@@ -6,6 +6,7 @@ A parser reads or raises an error of ours; nothing else, and at bounded cost.
 from __future__ import annotations
 
 import contextlib
+import gzip
 import json
 import tempfile
 import time
@@ -167,7 +168,10 @@ def parsers(folder: Path) -> dict[str, Parser]:
         ),
         "seal": Parser((seal,), of_run("seal.json", read_seal)),
         "request": Parser((request.encode(),), of_run("request.json", read_request)),
-        "recorded bytes": Parser((lines.encode(),), of_run("link.a.jsonl", link)),
+        "recorded bytes": Parser(
+            (lines.encode(),), lambda data: of_run("link.a.jsonl.gz", link)(gzip.compress(data, mtime=0))
+        ),
+        "packed bytes": Parser((gzip.compress(lines.encode(), mtime=0),), of_run("link.a.jsonl.gz", link)),
         "recorded pixels": Parser((pack_pixels(np.zeros((30, 40), np.uint16)),), _pixels),
         "control line": Parser((b'{"do": "fault", "line": "now: x"}',), _control),
         "fault script": Parser((FAULTS,), lambda data: parse_faults(data.decode("utf-8", "replace"))),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gzip
 import os
 import shutil
 import struct
@@ -16,6 +17,7 @@ from waiting import eventually
 
 from procedures.cli.procedure import app as ronna_procedure
 from ronna_hw.devices.capabilities import Direction, PassedBytes
+from ronna_hw.recording import flight_recorder
 from ronna_hw.recording.flight_recorder import BYTES_FOLDER, FlightRecorder, LinkLine, list_links, read_link
 
 SENT, RECEIVED = Direction.SENT, Direction.RECEIVED
@@ -123,8 +125,8 @@ def test_bytes_that_do_not_fit_into_the_queue_are_dropped_counted_and_noted(make
 
 def test_a_file_that_cannot_be_written_loses_only_its_own_bytes(make: Make, folder: Path) -> None:
     recorder = make()
-    (folder / "tracker.a.jsonl").mkdir()
-    (folder / "tracker.b.jsonl").mkdir()
+    (folder / "tracker.a.jsonl.gz").mkdir()
+    (folder / "tracker.b.jsonl.gz").mkdir()
     recorder.on_bytes("tracker", SENT, b"lost")
     recorder.on_bytes("eki", SENT, b"kept")
     recorder.close()
@@ -135,13 +137,13 @@ def test_a_link_is_recorded_again_once_its_file_can_be_written_and_says_how_much
     make: Make, folder: Path
 ) -> None:
     recorder = make()
-    for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
+    for name in ("tracker.a.jsonl.gz", "tracker.b.jsonl.gz"):
         (folder / name).mkdir()
     for data in (b"one", b"two"):
         recorder.on_bytes("tracker", SENT, data)
     recorder.on_bytes("eki", SENT, b"later than both")
-    eventually((folder / "eki.a.jsonl").exists)
-    for name in ("tracker.a.jsonl", "tracker.b.jsonl"):
+    eventually((folder / "eki.a.jsonl.gz").exists)
+    for name in ("tracker.a.jsonl.gz", "tracker.b.jsonl.gz"):
         (folder / name).rmdir()
     recorder.on_bytes("tracker", SENT, b"three")
     recorder.close()
@@ -162,17 +164,28 @@ def test_the_recorder_keeps_the_last_theatre_time_when_the_clock_ends(
     assert [line.theatre_time_s for line in _kept(folder, "tracker")] == [3.0, 3.0]
 
 
-def test_a_later_process_of_the_run_appends_after_a_torn_line(make: Make, folder: Path) -> None:
-    first = make()
-    first.on_bytes("tracker", SENT, b"one")
-    first.on_bytes("tracker", SENT, b"two")
-    first.close()
-    file = folder / "tracker.a.jsonl"
-    os.truncate(file, file.stat().st_size - 5)
-    second = make()
-    second.on_bytes("tracker", SENT, b"three")
-    second.close()
+def test_a_later_process_of_the_run_appends_after_a_torn_member(make: Make, folder: Path) -> None:
+    file = folder / "tracker.a.jsonl.gz"
+    ends = []
+    for data in (b"one", b"two"):
+        recorder = make()
+        recorder.on_bytes("tracker", SENT, data)
+        recorder.close()
+        ends.append(file.stat().st_size)
+    os.truncate(file, sum(ends) // 2)
+    later = make()
+    later.on_bytes("tracker", SENT, b"three")
+    later.close()
     assert [line.data for line in _kept(folder, "tracker")] == [b"one", b"three"]
+
+
+def test_a_file_that_expands_too_far_is_refused(
+    run: Path, folder: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(flight_recorder, "LARGEST_CONTENT_BYTES", 100_000)
+    (folder / "tracker.b.jsonl.gz").write_bytes(gzip.compress(bytes(100_001), mtime=0))
+    refused = in_this_process(ronna_procedure, "bytes", run)
+    assert "INP-001" in refused.stderr
 
 
 @pytest.fixture
@@ -233,8 +246,8 @@ def test_an_empty_window_names_the_recorded_span_and_a_reversed_one_is_refused(r
 def test_a_line_that_the_recorder_did_not_write_is_skipped_or_shown_as_plain_text(
     run: Path, folder: Path, line: str
 ) -> None:
-    (folder / "tracker.b.jsonl").write_text(f"{{{line}}}\n")
-    (folder / "\x1b[2J.a.jsonl").write_text(f"{{{line}}}\n")
+    (folder / "tracker.b.jsonl.gz").write_bytes(gzip.compress(f"{{{line}}}\n".encode(), mtime=0))
+    (folder / "\x1b[2J.a.jsonl.gz").write_bytes(gzip.compress(f"{{{line}}}\n".encode(), mtime=0))
     printed = in_this_process(ronna_procedure, "bytes", run)
     assert printed.returncode == 0, printed.stderr
     assert "deadbeef" in printed.stdout

@@ -228,7 +228,7 @@ def test_bytes_of_a_changed_run_are_printed_after_what_has_changed(run: Path) ->
     recorder.on_bytes("tracker", Direction.SENT, b"sent after the end")
     recorder.close()
     printed = in_this_process(app, "bytes", run)
-    assert printed.stderr.startswith("NOT AS THE RUN LEFT IT: bytes/tracker.a.jsonl: added")
+    assert printed.stderr.startswith("NOT AS THE RUN LEFT IT: bytes/tracker.a.jsonl.gz: added")
     assert b"sent after".hex(" ") in printed.stdout
 
 
