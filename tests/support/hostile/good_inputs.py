@@ -18,7 +18,8 @@ PACKET_BYTES = 108
 PARSER_NAMES = (
     "theatre TOML", "scene TOML", "scene JSON", "scene's seed", "plan TOML", "context TOML", "tool TOML",
     "answers TOML", "picks JSON", "picks CSV", "record", "journal", "events", "theatre in use", "seal",
-    "request", "recorded bytes", "packed bytes", "recorded pixels", "control line", "fault script", "Ethernet file",
+    "request", "recorded bytes", "packed bytes", "recorded pixels", "control line", "fault script",
+    "Ethernet file",
     "DICOM", "DICOM deflated", "GenICam XML", "GenICam ZIP", "GenICam formula", "GVCP", "GVSP",
     "Polaris BX", "Polaris text", "Polaris .rom", "EKI", "RSI", "RSI reply", "run", "log", "tape", "truth",
     "left world", "kept truth", "calibration figures", "room", "raw image", "conformance BX", "DICOM RLE",
