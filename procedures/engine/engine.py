@@ -14,11 +14,12 @@ from procedures.engine.context import StepContext
 from procedures.engine.device_faults import DeviceFaults
 from procedures.engine.errors import ToolUnchecked, WrongResult
 from procedures.engine.events import Advisory, CaseState, EventStream, Fault, Refusal, StepState
-from procedures.engine.machine import RECOVERY, ProcedureMachine
+from procedures.engine.machine import ProcedureMachine
 from procedures.engine.order import CaseOrder, Outcome
 from procedures.engine.questions import Questions
 from procedures.engine.run_folder import Recorder, close_run
 from procedures.engine.setting import CaseSetting
+from procedures.engine.states import RECOVERY
 from procedures.journal.errors import JournalNotWritable, StepRefused
 from procedures.journal.journal import Entry, Journal, JournalValue
 from procedures.journal.results import StepResult

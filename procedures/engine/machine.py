@@ -15,22 +15,19 @@ from transitions.extensions import HierarchicalMachine
 from transitions.extensions.nesting import NestedState
 
 from procedures.engine.order import CaseOrder, Phase, Scope, Steps, StepSpec, order_of
+from procedures.engine.states import (
+    ABORTED,
+    BETWEEN,
+    ENDS,
+    FINISHED,
+    HELD,
+    IDLE,
+    RECOVERY,
+    RESTS,
+)
 from procedures.journal.results import StepResult
-from procedures.operator.checkpoint import PAUSED, SUSPENDED
 
 SEPARATOR = "."  # between phase and step; the library's own underscore occurs in names of steps
-RECOVERY, IDLE, HELD = "recovery", "idle", "held"
-FINISHED, ABORTED = "finished", "aborted"
-RESTS = (PAUSED, SUSPENDED)
-ENDS = (FINISHED, ABORTED)
-# What may be between steps, beside the step's own state, and what it means to a reader of the chart.
-BETWEEN = {
-    RECOVERY: "after a restart: nothing moves until devices have been re-read and the operator has accepted",
-    IDLE: "nothing has started",
-    HELD: "a step failed or was left: the arm is at rest, every result remains valid",
-    PAUSED: "the operator paused the case",
-    SUSPENDED: "a guard waits for its condition to be restored",
-}
 
 
 class _StepState(NestedState):

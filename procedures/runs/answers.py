@@ -21,7 +21,6 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from procedures.engine.errors import AnswersUnfit
 from procedures.operator.question import FOR_A_PERSON, Answer, Operator, Question, Topic, join_answers
-from procedures.steps.catalogue import ANSWER_WORDS
 from ronna_hw.bounded_input import read_toml
 from ronna_hw.config import read_theatre_file
 from ronna_hw.mistakes import describe_mistakes
@@ -85,6 +84,10 @@ def read_answers(path: Path, config: Path | None = None) -> Answers:
 
 
 def _find_mistake(key: str, word: str) -> str | None:
+    from procedures.steps.catalogue import (
+        ANSWER_WORDS,  # all steps, which a script without a file does not need
+    )
+
     name = key.partition(":")[0]
     if name not in set(Topic):
         return f"there is no topic {name!r}, only {', '.join(Topic)}"

@@ -8,7 +8,6 @@ from datetime import datetime
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from procedures.engine.run_folder import targets_in_doubt
 from procedures.journal.journal import JOURNAL_FILE, Entry, Line, theatre_time_s
 from procedures.runs.case import clinical_input, order_of_case
 from procedures.runs.finishing import as_run_error
@@ -150,6 +149,8 @@ def build_finished_outcome(
     depth_mm = {one.id: one.depth_mm for one in case.get(CheckedPlan).result.plan.trajectories}
     measured_mm = {name: _read_measured_error_mm(case, name) for name in names}
     errors_mm = {one.id: one.application_error_mm for one in truth.targets}
+    from procedures.engine.run_folder import targets_in_doubt
+
     in_doubt = targets_in_doubt(read_chain(case.folder / JOURNAL_FILE).lines)
     return FinishedRun(
         run=case.folder.name,

@@ -16,7 +16,6 @@ from procedures.engine.events.event_file import EVENTS_FILE
 from procedures.journal.journal import JOURNAL_FILE
 from procedures.runs.request import CaseProcedure, Measurement, RunRequest
 from procedures.runs.request_file import write_request
-from procedures.workcell.errors import AnotherArm
 from ronna_hw.command_line.errors import PathProblem
 from ronna_hw.command_line.options import require_folder
 from ronna_hw.errors import EXIT_USAGE, ConfigurationError, DataError
@@ -116,6 +115,8 @@ def is_run(folder: Path) -> bool:
 
 def remove_if_refused(folder: Path, problem: BaseException) -> None:
     """Remove a run folder that was refused before its journal had a line."""
+    from procedures.workcell.errors import AnotherArm
+
     refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (
         isinstance(problem, CommandRefused) and problem.exit_code == EXIT_USAGE
     )

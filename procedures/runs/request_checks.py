@@ -1,4 +1,8 @@
-"""Checks of a request before its run folder is made: theatre, plan, answers, fault script."""
+"""Checks of a request before its run folder is made: theatre, plan, answers, fault script.
+
+What a check needs is imported by it: a simulated theatre starts only after them, and everything else can be
+imported while that is under way.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from collections.abc import Collection, Iterable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from procedures.runs.request import CaseProcedure
 from ronna_hw.bounded_input import read_bounded
 from ronna_hw.command_line.errors import PathProblem, UsageMistake
 from ronna_hw.config import read_theatre_file
@@ -25,12 +30,14 @@ def check_theatre(request: RunRequest) -> None:
 
     PRO-043 while another run has its devices.
     """
-    from procedures.calibration.arm_check import require_record
-    from procedures.runs.calibration_files import require_records
-    from procedures.runs.theatre_lock import require_free_theatre
+    if request.choice.records:
+        from procedures.runs.calibration_files import require_records
 
-    require_records(request.choice.records)
+        require_records(request.choice.records)
     if request.config is not None:
+        from procedures.calibration.arm_check import require_record
+        from procedures.runs.theatre_lock import require_free_theatre
+
         theatre = read_theatre_file(request.config)
         if request.choice.calibrated:
             require_record(theatre.calibration.arm if theatre.calibration else None)
@@ -39,12 +46,11 @@ def check_theatre(request: RunRequest) -> None:
 
 def check_case(request: RunRequest) -> None:
     """Check theatre, plan, answers and fault script of a case before its run folder is made."""
-    from procedures.planning.plan_file import read_plan
-    from procedures.steps.catalogue import clinical_steps
-    from procedures.strategies.catalogue import find_strategy
-
     case_procedure = request.case
-    find_strategy(case_procedure.strategy)
+    if case_procedure.strategy != CaseProcedure.strategy:
+        from procedures.strategies.catalogue import find_strategy
+
+        find_strategy(case_procedure.strategy)
     check_theatre(request)
     if request.config is not None:
         require_one_kind(read_theatre_file(request.config))
@@ -57,13 +63,19 @@ def check_case(request: RunRequest) -> None:
             if not path.exists():
                 raise PathProblem(f"{path} does not exist", expected="a case folder with ct/ and plan.toml")
         if request.answers is not None:
+            from procedures.planning.plan_file import read_plan
+
             plan = read_plan(case / "plan.toml")
             request.answers.check_trajectories([one.id for one in plan.trajectories])
     if case_procedure.plan is not None:
+        from procedures.planning.plan_file import read_plan
+
         planned = [one.id for one in read_plan(case_procedure.plan).trajectories]
         if request.answers is not None:
             request.answers.check_trajectories(planned)
     if request.faults is not None:
+        from procedures.steps.catalogue import clinical_steps
+
         steps = clinical_steps(measure_targets=case_procedure.measure_targets)
         check_fault_script(request.faults, [step.name for step in steps])
 

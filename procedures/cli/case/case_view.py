@@ -26,7 +26,7 @@ from procedures.engine.events import (
     StepState,
 )
 from procedures.engine.events.stream import LAST_LINES
-from procedures.engine.machine import HELD
+from procedures.engine.states import HELD
 from ronna_hw.text import printable
 
 if TYPE_CHECKING:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING
 from procedures.cli.case.commands import Say, carry_out, read_command, why_not_skipped
 from procedures.cli.case.operators import Alarms, Asking, WritePrompt, await_input, forget_typed, plain_prompt
 from procedures.engine.errors import UnknownStep
-from procedures.engine.machine import ABORTED
-from procedures.engine.machine import HELD as MACHINE_HELD
+from procedures.engine.states import ABORTED
+from procedures.engine.states import HELD as MACHINE_HELD
 from procedures.journal.errors import StepRefused
 from procedures.operator.checkpoint import GO_ON
 from procedures.operator.errors import OperatorAborted
