@@ -68,17 +68,19 @@ SURE_AFTER_TELEGRAMS = 2  # consecutive, on the same other processor; a single o
 
 
 class ProcessorAffinity:
-    """Pins the calling thread to the processor that receives its telegrams.
+    """Places the calling thread beside a paced sender, or away from one that works in lock-step with it.
 
-    Waking up there needs no interrupt to another, possibly halted, processor, and the telegram is still in
-    the caches. The thread has priority over all others, so being pinned does not make it wait; without real-
-    time priority it stays where the system puts it.
+    `follow`: waking up on the processor that receives the telegrams needs no interrupt to another, possibly
+    halted, processor, and the telegram is still in the caches. `avoid`: with priority over all others the
+    thread would keep the sender, on its own processor, from working while it prepares the next reply.
+    Without real-time priority it stays where the system puts it.
     """
 
     def __init__(self, *, follows: bool) -> None:
         self._allowed = os.sched_getaffinity(0)
         self._follows = follows and len(self._allowed) > 1
         self._pinned_to: int | None = None  # None: any processor
+        self._avoided: int | None = None
         self._last = -1  # received the last telegram
         self._consecutive = 0
 
@@ -90,14 +92,20 @@ class ProcessorAffinity:
         self._last = processor
         if self._consecutive >= SURE_AFTER_TELEGRAMS and processor in self._allowed:
             self._restrict({processor})
-            self._pinned_to = processor
+            self._pinned_to, self._avoided = processor, None
+
+    def avoid(self, processor: int) -> None:
+        """Leave the processor on which the sender works (-1: unknown) to it."""
+        if not self._follows or processor == self._avoided or processor not in self._allowed:
+            return
+        self._restrict(self._allowed - {processor})
+        self._pinned_to, self._avoided = None, processor
 
     def free(self) -> None:
-        """Undo the pinning: in lock-step, sender and receiver run better in parallel."""
-        if self._pinned_to is not None:
-            self._restrict(self._allowed - {self._pinned_to})  # otherwise it would stay where it is
+        """Allow any processor again."""
+        if self._pinned_to is not None or self._avoided is not None:
             self._restrict(self._allowed)
-            self._pinned_to = None
+            self._pinned_to = self._avoided = None
 
     def _restrict(self, allowed: set[int]) -> None:
         try:

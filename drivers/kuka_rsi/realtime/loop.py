@@ -41,6 +41,7 @@ YIELD_S = 50e-6  # of processor time after a reply; a cycle has 4,000
 RECORDED_AFTER_FAULT = 64  # cycles: how the stop began
 FOREIGN_AT_ONCE = 8  # checked per cycle: a flood on the port must not delay the reply
 LATE_CYCLES = 1.5  # waited this many cycles for a telegram: the host, or the network, was delayed
+PLACED_EACH_CYCLES = 32  # of lock-step, the processor of the sender is looked up
 PACED_SHARE = 0.2  # of a cycle between two telegrams: the controller keeps a pace, and there is time
 
 
@@ -82,6 +83,7 @@ class LinkLoop:
         self._published: tuple[object, ...] = ()
         self._ending_cycles = 0
         self._stop_sent = False  # in the last reply
+        self._lock_step_cycles = 0
         self._cycles_since_fault = 0
 
     def run(self) -> None:
@@ -221,7 +223,9 @@ class LinkLoop:
                 self._processor.follow(self._sockets.processor())
         else:
             self._receiver.note_lock_step()
-            self._processor.free()
+            self._lock_step_cycles += 1
+            if self._lock_step_cycles % PLACED_EACH_CYCLES == 1:
+                self._processor.avoid(self._sockets.processor())
         self._answered_ns = self._received_ns
         self._turnaround_us = (sent_ns - self._received_ns) / 1000.0
 

@@ -50,14 +50,31 @@ def test_the_link_moves_to_the_processor_of_consecutive_telegrams(
     assert system.granted == granted
 
 
-def test_freeing_moves_the_link_elsewhere_and_then_restores_its_original_affinity(system: System) -> None:
+def test_freeing_restores_the_original_affinity_once(system: System) -> None:
     processor = ProcessorAffinity(follows=True)
     processor.free()
     processor.follow(1)
     processor.follow(1)
     processor.free()
     processor.free()
-    assert system.granted == [{1}, EVERYWHERE - {1}, EVERYWHERE]
+    assert system.granted == [{1}, EVERYWHERE]
+
+
+@pytest.mark.parametrize(
+    ("has_priority", "telegrams_on", "granted"),
+    [
+        pytest.param(True, [1, 1, 1], [EVERYWHERE - {1}], id="it leaves once"),
+        pytest.param(True, [1, 2, -1, 7], [EVERYWHERE - {1}, EVERYWHERE - {2}], id="and follows a move only"),
+        pytest.param(False, [1], [], id="process without real-time priority"),
+    ],
+)
+def test_in_lock_step_the_sender_has_its_processor_for_itself(
+    system: System, has_priority: bool, telegrams_on: list[int], granted: list[set[int]]
+) -> None:
+    processor = ProcessorAffinity(follows=has_priority)
+    for each in telegrams_on:
+        processor.avoid(each)
+    assert system.granted == granted
 
 
 def test_a_refused_affinity_is_not_requested_again(system: System) -> None:
