@@ -14,7 +14,7 @@ from drivers.kuka_rsi.errors import BadOptions, ContextUnusable
 from drivers.kuka_rsi.realtime.link_state import AXIS_NAMES
 from drivers.theatre_options import parse_options
 from ronna_hw.arm.kr6_r900 import ArmVariant
-from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, WORKING_SPEED_FRACTION
+from ronna_hw.arm.motion.limits import RANGE_MARGIN_RAD, REDUCED_SPEED_MM_S, WORKING_SPEED_FRACTION
 from ronna_hw.calibration import Strict
 from ronna_hw.wire.kuka_context import SOFTWARE_END_SWITCHES, RsiContext, load_context
 
@@ -24,6 +24,7 @@ HEARTBEAT_LIMIT_S = 1.0  # a program busy with other work may be delayed by tens
 FOREMOST_PRIORITY = 80  # of SCHED_FIFO: above other programs, below the kernel's own threads
 REHEARSAL_LEAD_US = 500  # finished before the sender needs the processor, with caches still warm
 LARGEST_SPEED_FRACTION = 0.125  # above this, two prepared steps at once exceed what a controller accepts
+LARGEST_LINE_SPEED_MM_S = REDUCED_SPEED_MM_S  # on straight lines, also with nobody beside the arm
 LEAST_PRECISION = 3  # decimals: with fewer the arm never settles within its tolerance
 NEEDED_KEYWORDS = ("DEF_AIPos", "DEF_Delay")
 
@@ -77,7 +78,10 @@ class KukaOptions(Strict):
         description="Margin kept from both ends of each axis's range.",
     )
     line_speed_mm_s: float | None = Field(
-        None, gt=0.0, le=250.0, description="Largest speed on straight lines, instead of the default."
+        None,
+        gt=0.0,
+        le=LARGEST_LINE_SPEED_MM_S,
+        description="Largest speed on straight lines, instead of the default.",
     )
     real_time_priority: int = Field(
         FOREMOST_PRIORITY, ge=0, le=98, description="SCHED_FIFO priority of the link; 0 requests none."
