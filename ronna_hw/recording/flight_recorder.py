@@ -280,9 +280,9 @@ def _read_file(link: str, path: Path) -> Iterator[LinkLine]:
 
 def _unpack_lines(path: Path) -> Iterator[str]:
     with open_regular(path) as file:
-        packed = file.read(LARGEST_FILE_BYTES + 1)
-    if len(packed) > LARGEST_FILE_BYTES:
-        raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
+        if os.fstat(file.fileno()).st_size > LARGEST_FILE_BYTES:
+            raise InputRefused(f"{path.name} is too large", limit=f"{LARGEST_FILE_BYTES} bytes")
+        packed = file.read(LARGEST_FILE_BYTES)
     remaining_bytes = LARGEST_CONTENT_BYTES
     for member in packed.split(MEMBER_START)[1:]:
         unpacker = zlib.decompressobj(zlib.MAX_WBITS | 16)  # 16: gzip

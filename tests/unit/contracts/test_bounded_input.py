@@ -200,7 +200,7 @@ def test_hostile_files_in_a_run_are_refused(tmp_path: Path, name: str) -> None:
 
 @pytest.mark.parametrize("size", [3_000_000_000, 300_000_000_000])
 def test_huge_sparse_files_in_a_run_are_refused_by_their_size(tmp_path: Path, size: int) -> None:
-    for file in ("events.jsonl", "link.a.jsonl"):
+    for file in ("events.jsonl", "link.a.jsonl.gz"):
         (tmp_path / file).touch()
         os.truncate(tmp_path / file, size)
     with bounded_cost(10 << 20, 1.0):
