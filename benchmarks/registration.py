@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -117,12 +118,9 @@ def _fit() -> list[Figure]:
             rotation, _ = Rotation.align_vectors(physical - physical.mean(axis=0), image - image.mean(axis=0))
             return rotation
 
-        samples[equal].append(measure_cpu_s(lambda a=image, b=physical: register(a, b), FIT_REPEATS))  # type: ignore[misc]
-        samples[weighted].append(
-            measure_cpu_s(
-                lambda a=image, b=physical, c=covariance: register(a, b, covariance_mm2=c), FIT_REPEATS
-            )  # type: ignore[misc]
-        )
+        weighted_fit = partial(register, image, physical, covariance_mm2=covariance)
+        samples[equal].append(measure_cpu_s(partial(register, image, physical), FIT_REPEATS))
+        samples[weighted].append(measure_cpu_s(weighted_fit, FIT_REPEATS))
         samples[SCIPY].append(measure_cpu_s(scipy_fit, FIT_REPEATS))
         ours = Rotation.from_matrix(np.asarray(register(image, physical).transform.as_matrix())[:3, :3])
         apart.append(float((ours.inv() * scipy_fit()).magnitude()))
@@ -174,9 +172,9 @@ def _measure_pairing_goals() -> list[Figure]:
                 figures.append(
                     _share_figure(f"{outcome}, {name}, {noise.value}", Method.CLIQUE, outcome, total, most)
                 )
-            if most := WITH_PRIOR.get(counts[0]):
+            if with_prior := WITH_PRIOR.get(counts[0]):
                 what = f"unsuccessful, {name}, {noise.value}, with orientation"
-                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, most))
+                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, with_prior))
             else:
                 what = f"false, {name}, {noise.value}, with the planned count"
                 figures.append(_share_figure(what, Method.COUNT, "false", total, 0.0))

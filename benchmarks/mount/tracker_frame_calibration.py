@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 from datetime import UTC, datetime
+from typing import Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,7 +65,7 @@ class FrameCell:
     exact: bool = False
 
     @classmethod
-    def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> FrameCell:
+    def of(cls, seed: int, *, calibrated: bool, exact: bool = False) -> Self:
         """The default scene of a seed, with or without a calibrated arm."""
         scene = draw_scene("default", seed=seed)
         if calibrated:

@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from typing import Any
 from urllib.request import urlopen
 
 import psutil
@@ -83,8 +84,9 @@ def _measure_by_tabs(
     if MISSING:
         return {0: (_measure_share_percent(process), [])}
     found = {}
+    pages: list[Any] = []
     with modest_chromium(place) as browser:
-        context, pages = opened_context(browser, viewport={"width": 1280, "height": 720}), []
+        context = opened_context(browser, viewport={"width": 1280, "height": 720})
         context.add_init_script(LATE)
         for tabs in TABS:
             while len(pages) < tabs:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,14 +66,9 @@ def _measure_cost(studio: Studio) -> list[Figure]:
     for pair in studio.pairs(FULL_FRAME, FRAMES):
         for view in pair.views:
             for name, method in methods.items():
-                found: list[Array] = []
-                for _ in range(ROUNDS if name == OURS else 1):
-                    found.clear()
-                    spent = measure_cpu_s(
-                        lambda m=method, v=view, f=found: f.append(m(v.picture, v.radius_px))
-                    )  # type: ignore[misc]
-                    cpu_s[name].append(spent)
-                errors_px[name].append(float(np.linalg.norm(found[0] - view.true_centre_px)))
+                work = partial(method, view.picture, view.radius_px)
+                cpu_s[name] += [measure_cpu_s(work) for _ in range(ROUNDS if name == OURS else 1)]
+                errors_px[name].append(float(np.linalg.norm(work() - view.true_centre_px)))
         final_s.append(measure_cpu_s(_pair_work(studio, pair)))
     servo_s = [measure_cpu_s(_pair_work(studio, pair)) for pair in studio.pairs(SERVO_AREA, SERVO_PAIRS)]
     all_but_five = float(np.percentile(cpu_s[OURS], 95))

@@ -20,7 +20,7 @@ from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation
 from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.pose_set import plan_calibration_looks
-from ronna_hw.arm.errors import LimitError
+from ronna_hw.errors import LimitError
 from sim.world.rigid import rotation_towards
 
 Array = NDArray[np.float64]
