@@ -16,7 +16,7 @@ from benchmarks.figures import Figure
 
 PROGRAM = Path(__file__).parent / "peers" / "bare_case.py"
 SEED = 7
-CASE_LIMIT_S = 120.0
+CASE_LIMIT_S = 300.0  # only ends what hangs: a case in real time takes 90 s
 ROUNDS = {"max": 5, "1": 2}  # by speed; a round in real time takes a minute and a half
 SMALLEST = {"max": 1}
 LARGEST_SHARE_PERCENT = {"max": 10.0, "1": 1.0}  # of the wall time

@@ -11,7 +11,7 @@ from typing import Any
 from marked_processes import list_marked, marked_environment
 
 ROOT = Path(__file__).resolve().parents[3]
-LIMIT_S = 170.0
+LIMIT_S = 420.0  # after the measurement's own limit; none takes half a minute on a quiet computer
 
 
 def run_smallest(name: str, folder: Path) -> list[dict[str, Any]]:
