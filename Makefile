@@ -13,7 +13,7 @@ QUICK := tests/unit tests/system tests/hazards
 # pip compiles what it copies; this is not copied. Otherwise each worker would compile all of it at the same time.
 OURS := ronna_hw conformance drivers sim procedures studies console
 
-.PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench profile docs lock clean
+.PHONY: setup demo test test-all test-browser test-browser-all soak fuzz lint bench bench-history profile docs lock clean
 
 # The tests start hundreds of processes. OpenBLAS's threads cost each of them a tenth of a second and gain nothing
 # with four workers on two cores; without bytecode each would compile again what the one before it has compiled.
@@ -70,8 +70,12 @@ lint: setup
 	@$(BIN)/mypy
 	@$(BIN)/lint-imports
 
+# Some measurements only, as ONLY="registration ct".
 bench: setup
-	@$(BIN)/python -P benchmarks/run.py
+	@$(BIN)/python -P benchmarks/run.py $(addprefix --only ,$(ONLY))
+
+bench-history: setup
+	@$(BIN)/python -m benchmarks.history $(addprefix --only ,$(ONLY))
 
 # Options of `ronna-procedure run`, as CASE="--scene mini --seed 3".
 CASE := --seed 7

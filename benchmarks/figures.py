@@ -27,12 +27,13 @@ class Figure:
     more: dict[str, float] = field(default_factory=dict)  # only for the JSON output, such as p99
     goal: str = ""
     met: bool | None = None
+    more_is_better: bool | None = None  # for the history; None: the unit says it, or nothing does
 
     def at_least(self, limit: float) -> Self:
-        return replace(self, goal=f"value ≥ {limit:,g}", met=self.value >= limit)
+        return replace(self, goal=f"value ≥ {limit:,g}", met=self.value >= limit, more_is_better=True)
 
     def at_most(self, limit: float) -> Self:
-        return replace(self, goal=f"value ≤ {limit:g}", met=self.value <= limit)
+        return replace(self, goal=f"value ≤ {limit:g}", met=self.value <= limit, more_is_better=False)
 
     def within(self, low: float, high: float) -> Self:
         return replace(self, goal=f"{low:g} to {high:g}", met=low <= self.value <= high)
@@ -41,7 +42,13 @@ class Figure:
         """Add a minimum of the ratio as the goal; raises ValueError without a baseline."""
         if self.ratio is None:
             raise ValueError("a goal for a ratio needs a baseline")
-        return replace(self, goal=f"ratio ≥ {limit:.3g}", met=self.ratio >= limit)
+        return replace(self, goal=f"ratio ≥ {limit:.3g}", met=self.ratio >= limit, more_is_better=True)
+
+    def ratio_at_most(self, limit: float) -> Self:
+        """Add a maximum of the ratio as the goal; raises ValueError without a baseline."""
+        if self.ratio is None:
+            raise ValueError("a goal for a ratio needs a baseline")
+        return replace(self, goal=f"ratio ≤ {limit:.3g}", met=self.ratio <= limit, more_is_better=False)
 
 
 def compare_samples(
@@ -57,7 +64,8 @@ def compare_samples(
     for who, values in samples.items():
         ratio = None
         if who != baseline:
-            ratio = median(one / other for one, other in zip(values, base, strict=True) if other)
+            ratios = [one / other for one, other in zip(values, base, strict=True) if other]
+            ratio = median(ratios) if ratios else None  # none of what is too short for the clock
         figures.append(
             Figure(what, who, median(values) * scale, unit, ratio, baseline if ratio is not None else "")
         )

@@ -16,17 +16,19 @@ from ronna_hw.host.child_process import ChildProcess, command
 
 ROUNDS = 3
 SEED = 7
-CASE_LIMIT_S, DEMO_LIMIT_S = 50.0, 60.0  # the latter is a goal as well
+CASE_LIMIT_S = 300.0  # only ends what hangs: a busy computer takes many times as long
+GOAL_S, DEMO_GOAL_S = 5.0, 60.0
 COMMAND, THEATRE = "ronna-procedure run", "ronna-sim theatre, start to READY"
 
 
-def measure() -> list[Figure]:
+def measure(smallest: bool = False) -> list[Figure]:
+    """The demo is the default case, which the smallest size leaves out."""
     wall_s: list[float] = []
     theatre_s: list[float] = []
     cpu_s: list[float] = []
     start_s: list[float] = []
     error_mm: list[float] = []
-    for _ in range(ROUNDS):
+    for _ in range(1 if smallest else ROUNDS):
         with tempfile.TemporaryDirectory() as folder:
             began = time.perf_counter()
             with ChildProcess("ronna-sim theatre", _theatre_command(folder)):
@@ -38,20 +40,32 @@ def measure() -> list[Figure]:
             cpu_s.append(_children_cpu_s() - before_s)
             theatre_s.append(float(outcome["sim_s"]))
             error_mm.append(float(outcome["max_application_error_mm"]))
-    with tempfile.TemporaryDirectory() as folder:
-        began = time.perf_counter()
-        _run_case(folder, "default", 2 * DEMO_LIMIT_S)
-        demo_s = time.perf_counter() - began
     speed = median(theatre / wall for theatre, wall in zip(theatre_s, wall_s, strict=True))
     starts = median(wall / start for wall, start in zip(wall_s, start_s, strict=True))
-    return [
-        Figure("mini case, wall", COMMAND, median(wall_s), "s", starts, THEATRE),
+    figures = [
+        Figure("mini case, wall", COMMAND, median(wall_s), "s", starts, THEATRE).at_most(GOAL_S),
         Figure("mini case, wall", THEATRE, median(start_s), "s"),
         Figure("mini case, CPU of all processes", COMMAND, median(cpu_s), "s"),
-        Figure("mini case, theatre time", COMMAND, median(theatre_s), "s", speed, "wall time"),
+        Figure(
+            "mini case, theatre time",
+            COMMAND,
+            median(theatre_s),
+            "s",
+            speed,
+            "wall time",
+            more_is_better=True,
+        ),
         Figure("mini case, largest error at a target", COMMAND, median(error_mm), "mm"),
-        Figure("case of `make demo`, wall", COMMAND, demo_s, "s").at_most(DEMO_LIMIT_S),
     ]
+    return figures if smallest else [*figures, _time_demo()]
+
+
+def _time_demo() -> Figure:
+    with tempfile.TemporaryDirectory() as folder:
+        began = time.perf_counter()
+        _run_case(folder, "default", 2 * DEMO_GOAL_S)
+        demo_s = time.perf_counter() - began
+    return Figure("case of `make demo`, wall", COMMAND, demo_s, "s").at_most(DEMO_GOAL_S)
 
 
 def _theatre_command(folder: str) -> list[str]:

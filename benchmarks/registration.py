@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+from functools import partial
 from statistics import median
 
 import numpy as np
@@ -38,16 +40,17 @@ MOST_MS = 2.0
 OURS, SEARCH, SCIPY = "match", "random triples, NumPy", "SciPy align_vectors"
 
 
-def measure() -> list[Figure]:
-    return [*_measure_pairing(), *_fit(), *measure_goals()]
+def measure(smallest: bool = False) -> list[Figure]:
+    cases = 2 if smallest else CASES
+    return [*_measure_pairing(cases), *_measure_fit(cases), *_measure_goals(SMALLEST if smallest else Runs())]
 
 
-def _measure_pairing() -> list[Figure]:
+def _measure_pairing(cases: int) -> list[Figure]:
     samples: dict[str, list[float]] = {OURS: [], SEARCH: []}
     right = dict.fromkeys(samples, 0)
     generator = np.random.default_rng(12)
     noise = NoiseReading.PER_AXIS
-    seen = draw_readings(sites_mm(1), COMMON, STRANGERS, noise, CASES, generator)
+    seen = draw_readings(sites_mm(1), COMMON, STRANGERS, noise, cases, generator)
     for image, physical, paired in zip(seen.image_mm, seen.physical_mm, seen.pairs.tolist(), strict=True):
         pairs = {(i, j) for i, j in paired}
         found: dict[str, set[tuple[int, int]]] = {}
@@ -70,7 +73,7 @@ def _measure_pairing() -> list[Figure]:
         ours_ms.at_most(MOST_MS),
         search_ms,
         *(
-            Figure("pairings found, complete and right", name, 100 * right[name] / CASES, "%")
+            Figure("pairings found, complete and right", name, 100 * right[name] / cases, "%")
             for name in right
         ),
     ]
@@ -101,12 +104,12 @@ def _fit_kabsch(source: Array, target: Array) -> tuple[Array, Array]:
     return rotation, centre - rotation @ middle
 
 
-def _fit() -> list[Figure]:
+def _measure_fit(cases: int) -> list[Figure]:
     generator = np.random.default_rng(5)
     equal, weighted = "register", "register with covariances"
     samples: dict[str, list[float]] = {equal: [], weighted: [], SCIPY: []}
     apart: list[float] = []
-    for _ in range(CASES):
+    for _ in range(cases):
         image = sites_mm(1)[generator.choice(8, FIT_POINTS, replace=False)]
         turn = Rotation.random(random_state=generator)
         physical = turn.apply(image) + generator.normal(0.0, 0.2, image.shape)
@@ -117,12 +120,9 @@ def _fit() -> list[Figure]:
             rotation, _ = Rotation.align_vectors(physical - physical.mean(axis=0), image - image.mean(axis=0))
             return rotation
 
-        samples[equal].append(measure_cpu_s(lambda a=image, b=physical: register(a, b), FIT_REPEATS))  # type: ignore[misc]
-        samples[weighted].append(
-            measure_cpu_s(
-                lambda a=image, b=physical, c=covariance: register(a, b, covariance_mm2=c), FIT_REPEATS
-            )  # type: ignore[misc]
-        )
+        weighted_fit = partial(register, image, physical, covariance_mm2=covariance)
+        samples[equal].append(measure_cpu_s(partial(register, image, physical), FIT_REPEATS))
+        samples[weighted].append(measure_cpu_s(weighted_fit, FIT_REPEATS))
         samples[SCIPY].append(measure_cpu_s(scipy_fit, FIT_REPEATS))
         ours = Rotation.from_matrix(np.asarray(register(image, physical).transform.as_matrix())[:3, :3])
         apart.append(float((ours.inv() * scipy_fit()).magnitude()))
@@ -132,12 +132,21 @@ def _fit() -> list[Figure]:
     ]
 
 
-# A share of 1 in 2,000 needs many runs.
-RUNS_PER_CELL = {"5 to 8 markers": 200, "4 markers": 1000, "3 markers": 200}
-FIT_RUNS = 5_000
+@dataclass(frozen=True)
+class Runs:
+    """Runs per cell by number of markers, of three markers as the plan requires, and of the fit."""
+
+    five_to_eight: int = 200
+    four: int = 1000  # a share of 1 in 2,000 needs many
+    three: int = 200
+    sides_apart: int = 5_000
+    exact: int = 200
+    fit: int = 5_000
+
+
+SMALLEST = Runs(1, 1, 1, 1, 1, fit=500)
 WEIGHTED_BLOCKS = 2  # of 500 runs: an iterated fit takes ten times as long
 SEED = 12
-EXACT_CASES = 200
 MATCH = "match"
 OUTCOMES = {"unsuccessful": (LOST,), "false": (FALSE, PART)}  # our goals count a part as false
 
@@ -145,26 +154,30 @@ OUTCOMES = {"unsuccessful": (LOST,), "false": (FALSE, PART)}  # our goals count 
 FIVE_TO_EIGHT, FOUR = (0.05, 0.01), (0.7, 0.05)
 THREE = {NoiseReading.PER_AXIS: (20.0, 0.1), NoiseReading.NORM: (10.0, 0.1)}
 WITH_PRIOR = {3: 2.0, 4: 0.05}
-SIDES_APART_RUNS = 5_000  # of three markers as different in their sides as the plan's check requires
 SIDES_APART_PERCENT = 0.1
 
 
-def measure_goals() -> list[Figure]:
+def _measure_goals(runs: Runs) -> list[Figure]:
     """Correspondence over the thesis' protocol, then the fit's formulas."""
-    return [*_measure_pairing_goals(), *_measure_sides_apart(), *_measure_exact_fits(), *_measure_formulas()]
+    return [
+        *_measure_pairing_goals(runs),
+        *_measure_sides_apart(runs.sides_apart),
+        *_measure_exact_fits(runs.exact),
+        *_measure_formulas(runs.fit),
+    ]
 
 
-def _measure_pairing_goals() -> list[Figure]:
+def _measure_pairing_goals(runs: Runs) -> list[Figure]:
     figures = []
     for noise in NoiseReading:
-        for name, counts, limits in (
-            ("5 to 8 markers", (5, 6, 7, 8), FIVE_TO_EIGHT),
-            ("4 markers", (4,), FOUR),
-            ("3 markers", (3,), THREE[noise]),
+        for name, counts, limits, per_cell in (
+            ("5 to 8 markers", (5, 6, 7, 8), FIVE_TO_EIGHT, runs.five_to_eight),
+            ("4 markers", (4,), FOUR, runs.four),
+            ("3 markers", (3,), THREE[noise], runs.three),
         ):
             knowing = Method.PRIOR if counts[0] in WITH_PRIOR else Method.COUNT
             study = CorrespondenceStudy(
-                RUNS_PER_CELL[name], SEED, (Method.CLIQUE, knowing), readings=(noise,), fiducials=counts
+                per_cell, SEED, (Method.CLIQUE, knowing), readings=(noise,), fiducials=counts
             )
             total: dict[str, float] = {}
             for unit in study.units():
@@ -174,22 +187,22 @@ def _measure_pairing_goals() -> list[Figure]:
                 figures.append(
                     _share_figure(f"{outcome}, {name}, {noise.value}", Method.CLIQUE, outcome, total, most)
                 )
-            if most := WITH_PRIOR.get(counts[0]):
+            if with_prior := WITH_PRIOR.get(counts[0]):
                 what = f"unsuccessful, {name}, {noise.value}, with orientation"
-                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, most))
+                figures.append(_share_figure(what, Method.PRIOR, "unsuccessful", total, with_prior))
             else:
                 what = f"false, {name}, {noise.value}, with the planned count"
                 figures.append(_share_figure(what, Method.COUNT, "false", total, 0.0))
     return figures
 
 
-def _measure_sides_apart() -> list[Figure]:
+def _measure_sides_apart(count: int) -> list[Figure]:
     """Three markers with side differences as required by the plan's check: shares without a unique answer."""
     figures = []
     for noise in NoiseReading:
         random = np.random.default_rng(SEED)
         runs = failed = 0
-        while runs < SIDES_APART_RUNS:
+        while runs < count:
             seen = draw_readings(sites_mm(1 + runs % 3), 3, 0, noise, 1, random)
             triangle = seen.image_mm[0]
             if least_side_difference_mm(triangle) < LEAST_SIDE_DIFFERENCE_MM:
@@ -213,11 +226,11 @@ def _share_figure(what: str, method: Method, outcome: str, total: dict[str, floa
     return Figure(what, MATCH, share, "%", more={"runs": runs}).at_most(most)
 
 
-def _measure_exact_fits() -> list[Figure]:
+def _measure_exact_fits(cases: int) -> list[Figure]:
     """The largest rotation error on exact data."""
     random = np.random.default_rng(SEED)
     worst = 0.0
-    for _ in range(EXACT_CASES):
+    for _ in range(cases):
         points = sites_mm(1)[random.choice(8, int(random.integers(3, 9)), replace=False)]
         truth = RigidTransform.from_components(random.normal(size=3) * 500.0, Rotation.random(rng=random))
         found = register(points, truth.apply(points)).transform
@@ -225,8 +238,8 @@ def _measure_exact_fits() -> list[Figure]:
     return [Figure("largest rotation error, exact data", "register", worst, "rad").at_most(1e-12)]
 
 
-def _measure_formulas() -> list[Figure]:
-    study = RegistrationStudy(FIT_RUNS, SEED, fiducials=(5,))
+def _measure_formulas(runs: int) -> list[Figure]:
+    study = RegistrationStudy(runs, SEED, fiducials=(5,))
     units = [
         unit for unit in study.units() if unit.condition.startswith(ISOTROPIC) or unit.block < WEIGHTED_BLOCKS
     ]

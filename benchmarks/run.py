@@ -1,9 +1,11 @@
-"""Runs the measurements, prints a table and writes `benchmarks/results/<date>.json`.
+"""Runs the measurements, prints a table, and keeps the figures.
 
     make bench
-    .venv/bin/python -P benchmarks/run.py --only stereo --only ct
+    make bench ONLY="stereo ct"
 
-Each measurement runs in its own process with a time limit; anything it started ends with it.
+All figures with their conditions go to `benchmarks/results/<date>.json`, and what is compared from week to
+week to `history.jsonl` there. Each measurement runs in its own process with a time limit; anything it
+started ends with it. A missed goal is shown; a measurement that fails makes the command fail.
 """
 
 from __future__ import annotations
@@ -26,12 +28,18 @@ ROOT = Path(__file__).resolve().parents[1]
 if str(ROOT) not in sys.path:
     sys.path.append(str(ROOT))  # benchmarks are not installed; our packages are
 
+from benchmarks import history  # noqa: E402
 from benchmarks.figures import Figure  # noqa: E402
+from benchmarks.isolation import run_alone  # noqa: E402
 from ronna_hw.command_line.terminal import message_console, on_terminal, run  # noqa: E402
 from ronna_hw.errors import EXIT_DONE, EXIT_FAILED  # noqa: E402
 
 RESULTS = ROOT / "benchmarks" / "results"
 LIMIT_S = 400.0  # per measurement; the robot link paces 100,000 telegrams and takes four minutes
+LONGER_LIMITS_S = {
+    "stereo-rate": 900.0,  # 12,000 pairs at up to 50 per second
+    "recording": 900.0,  # four cases in real time
+}
 MEASUREMENTS = {
     "robot-link": "robot.robot_link",
     "set-points": "robot.set_points",
@@ -60,11 +68,15 @@ app = typer.Typer(add_completion=False, rich_markup_mode=None)
 def bench(
     only: Annotated[list[str] | None, typer.Option(help="One of: " + ", ".join(MEASUREMENTS))] = None,
     out: Annotated[Path, typer.Option(help="Folder for the JSON file.")] = RESULTS,
+    smallest: Annotated[
+        bool,
+        typer.Option(help="Only show that each measurement runs: its figures mean little, and are not kept."),
+    ] = False,
     in_process: Annotated[str | None, typer.Option("--in-process", hidden=True)] = None,
 ) -> int:
     """Measure against bare baselines and peers in the same run."""
     if in_process is not None:
-        figures = importlib.import_module(f"benchmarks.{MEASUREMENTS[in_process]}").measure()
+        figures = importlib.import_module(f"benchmarks.{MEASUREMENTS[in_process]}").measure(smallest)
         sys.stdout.write(json.dumps([asdict(figure) for figure in figures]))
         return EXIT_DONE
     names = only or list(MEASUREMENTS)
@@ -77,28 +89,23 @@ def bench(
     with message_console().status("measuring"):
         for name in names:
             try:
-                figures_of[name] = _run_measurement(name)
-            except (RuntimeError, subprocess.TimeoutExpired) as problem:
+                figures_of[name] = _run_measurement(name, smallest)
+            except (RuntimeError, ValueError) as problem:
                 failures[name] = str(problem)
     _print_results(figures_of, failures)
-    path = _write(out, figures_of, failures)
+    content = _describe_run(figures_of, failures)
+    path = _write(out, content)
     sys.stdout.write(f"written to {path}\n")
+    if not smallest:
+        history.append_result(content, out / history.HISTORY.name)
     return EXIT_FAILED if failures else EXIT_DONE
 
 
-def _run_measurement(name: str) -> list[Figure]:
+def _run_measurement(name: str, smallest: bool) -> list[Figure]:
     """Run one measurement in its own process; raises RuntimeError with its last output."""
-    done = subprocess.run(
-        [sys.executable, "-P", __file__, "--in-process", name],
-        stdin=subprocess.DEVNULL,
-        capture_output=True,
-        text=True,
-        timeout=LIMIT_S,
-        check=False,
-    )
-    if done.returncode:
-        raise RuntimeError(" ".join(done.stderr.split()[-60:]) or f"exit code {done.returncode}")
-    return [Figure(**figure) for figure in json.loads(done.stdout)]
+    line = [sys.executable, "-P", __file__, "--in-process", name, *(["--smallest"] if smallest else [])]
+    output = run_alone(line, LONGER_LIMITS_S.get(name, LIMIT_S))
+    return [Figure(**figure) for figure in json.loads(output)]
 
 
 def _print_results(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> None:
@@ -118,7 +125,7 @@ def _print_results(figures_of: dict[str, list[Figure]], failures: dict[str, str]
     console.print(table)
     goals = [figure for figures in figures_of.values() for figure in figures if figure.met is not None]
     if goals:
-        missed = [figure.what for figure in goals if not figure.met]
+        missed = [f"{figure.what}, {figure.who}" for figure in goals if not figure.met]
         summary = f"missed: {'; '.join(missed)}" if missed else "none missed"
         sys.stdout.write(f"goals met: {len(goals) - len(missed)} of {len(goals)}, {summary}\n")
     for name, reason in failures.items():
@@ -130,19 +137,32 @@ def _format_value(value: float) -> str:
     return f"{value:,.0f}" if 1e3 <= abs(value) < 1e7 else f"{value:.4g}"
 
 
-def _write(folder: Path, figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> Path:
-    folder.mkdir(parents=True, exist_ok=True)
-    now = datetime.now(UTC)
-    content: dict[str, Any] = {
-        "date": now.isoformat(timespec="seconds"),
+def _describe_run(figures_of: dict[str, list[Figure]], failures: dict[str, str]) -> dict[str, Any]:
+    return {
+        "date": datetime.now(UTC).isoformat(timespec="seconds"),
         "commit": _read_commit(),
-        "machine": {"cpus": os.cpu_count(), "load": os.getloadavg(), "platform": platform.platform()},
+        "machine": {
+            "processor": _processor_name(),
+            "cpus": os.cpu_count(),
+            "load": os.getloadavg(),
+            "platform": platform.platform(),
+        },
         "python": platform.python_version(),
         "peers": {name: metadata.version(name) for name in PEERS},
         "figures": {name: [asdict(figure) for figure in figures] for name, figures in figures_of.items()},
         "failures": failures,
     }
-    path = folder / f"{now:%Y-%m-%dT%H%M%S}.json"
+
+
+def _processor_name() -> str:
+    lines = Path("/proc/cpuinfo").read_text(encoding="ascii", errors="replace").splitlines()
+    names = [line.partition(":")[2].strip() for line in lines if line.startswith("model name")]
+    return names[0] if names else platform.machine()
+
+
+def _write(folder: Path, content: dict[str, Any]) -> Path:
+    folder.mkdir(parents=True, exist_ok=True)
+    path = folder / f"{datetime.fromisoformat(content['date']):%Y-%m-%dT%H%M%S}.json"
     path.write_text(json.dumps(content, indent=1), encoding="utf-8")
     return path
 

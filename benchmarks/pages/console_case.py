@@ -18,19 +18,19 @@ from operated_case import OperatedCases, enter
 
 from benchmarks.figures import Figure
 
-SCENE = ("--scene", "mini", "--seed", "3", "--speed", "1")
+SCENE = ("--scene", "mini", "--seed", "3", "--speed")
 LIMIT_S = 150.0
 WITH, WITHOUT = "with console and page", "without"
 MOST_TIMES_LONGER, MOST_TIMES_SLOWER = 1.05, 1.2
 
 
-def measure() -> list[Figure]:
+def measure(speed: str = "1") -> list[Figure]:
     """Return no figures without Chromium, since there is then no viewer."""
     if MISSING:
         return []
     with tempfile.TemporaryDirectory() as place:
-        bare = _read_figures(_run_alone(Path(place) / "alone"))
-        watched = _read_figures(_run_watched(Path(place)))
+        bare = _read_figures(_run_alone(Path(place) / "alone", speed))
+        watched = _read_figures(_run_watched(Path(place), speed))
     figures = []
     for what, unit, most in (
         ("time of the steps", "s", MOST_TIMES_LONGER),
@@ -45,16 +45,16 @@ def measure() -> list[Figure]:
     return figures
 
 
-def _run_alone(out: Path) -> Path:
-    line = [sys.executable, "-P", "-m", "procedures.cli.procedure", "run", "--sim", *SCENE, "--json"]
+def _run_alone(out: Path, speed: str) -> Path:
+    line = [sys.executable, "-P", "-m", "procedures.cli.procedure", "run", "--sim", *SCENE, speed, "--json"]
     subprocess.run([*line, "--out", str(out)], check=True, capture_output=True, timeout=LIMIT_S)
     return next(out.iterdir())
 
 
-def _run_watched(folder: Path) -> Path:
+def _run_watched(folder: Path, speed: str) -> Path:
     with modest_chromium(folder) as browser:
         start = OperatedCases(folder)
-        case = start("run", "--json", scene=SCENE)
+        case = start("run", "--json", scene=(*SCENE, speed))
         page = opened_context(browser).new_page()
         enter(page, case.addresses["viewer_url"] + "&low")
         if case.process.wait(LIMIT_S):

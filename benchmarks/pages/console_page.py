@@ -16,6 +16,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from statistics import median
+from typing import Any
 from urllib.request import urlopen
 
 import psutil
@@ -35,6 +36,7 @@ MEASURED_S = 8.0  # over which CPU time is counted
 SETTLED_FACTS = 8  # that a page must have shown before it counts
 READY_S = 30.0
 TABS = (0, 1, 3)
+SMALLEST_TABS, SMALLEST_S = (0, 1), 1.0
 OURS, BARE = "console", "bare page"
 LATE = """
 window.late = [];
@@ -48,16 +50,17 @@ new MutationObserver(() => {
 """
 
 
-def measure() -> list[Figure]:
+def measure(smallest: bool = False) -> list[Figure]:
     """CPU share of the server and delay of an event, by number of open pages."""
+    tabs_open, duration_s = (SMALLEST_TABS, SMALLEST_S) if smallest else (TABS, MEASURED_S)
     figures = []
     with tempfile.TemporaryDirectory() as place:
         began_s = time.monotonic()
         with served_console(Path(place)) as (process, address):
             ready_s = time.monotonic() - began_s
-            ours = _measure_by_tabs(process, address, Path(place))
+            ours = _measure_by_tabs(process, address, Path(place), tabs_open, duration_s)
         with bare_page() as (process, address):
-            bare = _measure_by_tabs(process, address, Path(place))
+            bare = _measure_by_tabs(process, address, Path(place), tabs_open, duration_s)
     figures.append(Figure("start of the console's server", OURS, ready_s, "s").at_most(3.0))
     most_percent, most_ms = {1: 10.0, 3: 30.0}, {1: 20.0, 3: 120.0}
     for tabs, (share_percent, late_ms) in ours.items():
@@ -69,7 +72,7 @@ def measure() -> list[Figure]:
         if late_ms:
             late = _late_figure(tabs, OURS, late_ms)
             figures += [late.at_most(most_ms[tabs]), _late_figure(tabs, BARE, floor[1])]
-    return figures + console_case.measure()
+    return figures + console_case.measure("max" if smallest else "1")
 
 
 def _late_figure(tabs: int, who: str, late_ms: list[float]) -> Figure:
@@ -78,15 +81,16 @@ def _late_figure(tabs: int, who: str, late_ms: list[float]) -> Figure:
 
 
 def _measure_by_tabs(
-    process: psutil.Process, address: str, place: Path
+    process: psutil.Process, address: str, place: Path, tabs_open: tuple[int, ...], duration_s: float
 ) -> dict[int, tuple[float, list[float]]]:
     if MISSING:
-        return {0: (_measure_share_percent(process), [])}
+        return {0: (_measure_share_percent(process, duration_s), [])}
     found = {}
+    pages: list[Any] = []
     with modest_chromium(place) as browser:
-        context, pages = opened_context(browser, viewport={"width": 1280, "height": 720}), []
+        context = opened_context(browser, viewport={"width": 1280, "height": 720})
         context.add_init_script(LATE)
-        for tabs in TABS:
+        for tabs in tabs_open:
             while len(pages) < tabs:
                 page = context.new_page()
                 page.goto(address if not pages else address.partition("?")[0] + "?low")
@@ -97,15 +101,15 @@ def _measure_by_tabs(
             for page in pages:
                 page.wait_for_function(f"window.late.length >= {SETTLED_FACTS}")
                 page.evaluate("window.late = []")
-            share = _measure_share_percent(process)
+            share = _measure_share_percent(process, duration_s)
             found[tabs] = (share, [late for page in pages for late in page.evaluate("window.late")])
     return found
 
 
-def _measure_share_percent(process: psutil.Process) -> float:
+def _measure_share_percent(process: psutil.Process, duration_s: float) -> float:
     before = sum(process.cpu_times()[:2])
-    time.sleep(MEASURED_S)
-    return float(100.0 * (sum(process.cpu_times()[:2]) - before) / MEASURED_S)
+    time.sleep(duration_s)
+    return float(100.0 * (sum(process.cpu_times()[:2]) - before) / duration_s)
 
 
 @contextmanager

@@ -32,6 +32,7 @@ from benchmarks.pages.console_page import BARE, bare_page  # noqa: E402  # it al
 
 OURS = "planner"
 SCROLLS, DRAGS, DRAGS_WITH_ARM = 60, 30, 8  # with an arm each is checked for seconds
+SMALLEST = (2, 2, 1)
 SCROLL_MS, HEAD_S, DRAG_MS = 50.0, 2.0, 200.0
 HANDLE = f"[data-plane=axial] svg circle[r='6.0'][stroke='{CHOSEN}']"  # of the target being edited
 WATCH = """
@@ -49,9 +50,12 @@ new MutationObserver(() => {
 """
 
 
-def measure() -> list[Figure]:
+def measure(smallest: bool = False) -> list[Figure]:
+    """The smallest size has the smaller CT of the mini scene."""
     if MISSING:
         return []
+    scrolls, drags, drags_with_arm = SMALLEST if smallest else (SCROLLS, DRAGS, DRAGS_WITH_ARM)
+    scene = "mini" if smallest else "default"
     with tempfile.TemporaryDirectory() as name, modest_chromium(Path(name)) as browser:
         place = Path(name)
         with bare_page() as (_, address):
@@ -61,7 +65,7 @@ def measure() -> list[Figure]:
             page.wait_for_selector("#clock", state="attached")
             bare_s = time.monotonic() - began_s
             page.close()
-        patient = make_phantom(place / "case", "--scene", "default", "--protocol", "good")
+        patient = make_phantom(place / "case", "--scene", scene, "--protocol", "good")
         with open_planner(place, patient / "ct") as addresses:
             page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
             page.add_init_script(WATCH)
@@ -73,15 +77,15 @@ def measure() -> list[Figure]:
             enter_planner(page, page.url)
             shape = page.locator(".case .dim").inner_text()
             scrolls_ms = [
-                _measure_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(SCROLLS)
+                _measure_scroll_ms(page, 1 if number % 20 < 10 else -1) for number in range(scrolls)
             ]
-            drags_ms = _measure_drags_ms(page, DRAGS)
+            drags_ms = _measure_drags_ms(page, drags)
             page.close()
-        with open_planner(place, patient / "ct", *_arm_options(place)) as addresses:
+        with open_planner(place, patient / "ct", *_arm_options(place, scene)) as addresses:
             page = opened_context(browser, viewport={"width": 1280, "height": 720}).new_page()
             page.add_init_script(WATCH)
             enter_planner(page, addresses["url"])
-            with_arm_ms = _measure_drags_ms(page, DRAGS_WITH_ARM)
+            with_arm_ms = _measure_drags_ms(page, drags_with_arm)
     label = shape.split(",")[0].removeprefix("CT of ")
     return [
         _time_figure(f"scroll to picture, {label}", scrolls_ms).at_most(SCROLL_MS),
@@ -106,9 +110,9 @@ def _measure_scroll_ms(page: Any, steps: int) -> float:
     return float(page.evaluate("window.times.picture[0] - window.times.wheel[0]"))
 
 
-def _arm_options(place: Path) -> list[str]:
+def _arm_options(place: Path, scene_name: str) -> list[str]:
     """The arm of the scene, with the head where it truly is."""
-    scene = draw_scene("default", seed=3)
+    scene = draw_scene(scene_name, seed=3)
     write_theatre_file(theatre_content(scene, ENDPOINTS, "host:", {}, 1.0), place / "theatre.toml")
     head = scene.head.robot_from_ct
     pose = Pose.from_quaternion(head.translation_mm, head.quaternion_wxyz).to_kuka()

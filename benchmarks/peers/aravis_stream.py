@@ -5,9 +5,12 @@
 Prints one JSON line: pairs, seconds, CPU seconds, incomplete frames, packets resent.
 """
 
+from __future__ import annotations
+
 import json
 import sys
 import time
+from typing import Any
 
 import gi
 
@@ -20,7 +23,7 @@ RETENTION_US = 4_000_000
 LIMIT_US = 5_000_000
 
 
-def open_stream(address, packet_bytes):
+def open_stream(address: str, packet_bytes: int) -> tuple[Any, Any]:
     camera = Aravis.Camera.new(address)
     camera.set_pixel_format(Aravis.PIXEL_FORMAT_MONO_8)
     camera.set_exposure_time(2000.0)
@@ -36,7 +39,7 @@ def open_stream(address, packet_bytes):
     return camera, stream
 
 
-def main(job):
+def main(job: dict[str, Any]) -> None:
     both = [open_stream(address, job["packet_bytes"]) for address in job["addresses"]]
     for camera, _ in both:
         camera.start_acquisition()

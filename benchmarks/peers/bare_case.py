@@ -7,6 +7,7 @@ Prints one JSON line: wall seconds, and CPU seconds of the program with everythi
 
 from __future__ import annotations
 
+import contextlib
 import json
 import resource
 import sys
@@ -58,7 +59,7 @@ def _ignore(*_words: object, **_more: object) -> None: ...
 
 class _NullTape(_NullObject):
     def beside(self) -> Any:
-        return lifecycle.contextlib.nullcontext()
+        return contextlib.nullcontext()
 
 
 def main(kept: str, speed: str, seed: str, folder: str) -> None:

@@ -32,7 +32,7 @@ def main() -> None:
     """Serve until this process is ended; the real-time process exits when it is alone."""
     end_with_parent(lambda: os._exit(0))
     endpoint = own_udp_endpoint()
-    options = KukaOptions(silence_limit_s=PATIENCE_S, heartbeat_limit_s=PATIENCE_S)
+    options = KukaOptions.model_validate({"silence_limit_s": PATIENCE_S, "heartbeat_limit_s": PATIENCE_S})
     if "unrehearsed" in sys.argv:
         options = options.model_copy(update={"rehearsal_lead_us": 0})
     link = LinkClient(link_settings(parse_endpoint(endpoint), load_context(), options))

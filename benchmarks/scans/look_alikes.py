@@ -156,7 +156,7 @@ def _crop_grid(grid: CtGrid, low_mm: Array, high_mm: Array) -> CtGrid:
 
 
 def _is_near(place_mm: ArrayLike, centres_mm: Array) -> bool:
-    return bool((np.linalg.norm(centres_mm - place_mm, axis=1) < SAME_SPHERE_MM).any())
+    return bool((np.linalg.norm(centres_mm - np.asarray(place_mm), axis=1) < SAME_SPHERE_MM).any())
 
 
 def _nearest_kind(centre_mm: Array, painted: Painted) -> str:

@@ -7,12 +7,13 @@ ball's centre and its angular radius a the cone is (x . u)^2 = cos^2 a; centre a
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cached_property
 
 import numpy as np
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
 from procedures.calibration.head_model import cameras_of, intersect_rays
@@ -29,6 +30,8 @@ from sim.world.rigid import inverse, matrix_from, matrix_of, pose_of, rotation_f
 from sim.world.scene.model import SPHERE_RADIUS_MM, CameraTruth, Scene
 from sim.world.scene.named_scenes import draw_scene
 from sim.world.true_arm import TrueArm
+
+Array = NDArray[np.float64]
 
 ENDPOINTS = {
     "polaris": "tcp://127.0.0.1:8765",
@@ -65,7 +68,7 @@ class TrueHead:
         changed = camera.model_copy(update={"camera_from_tool": pose_of(turned)})
         return replace(self, scene=self.scene.model_copy(update={side: changed}))
 
-    def observe(self, look: PlannedLook, ball_mm, generator: np.random.Generator) -> Observation:
+    def observe(self, look: PlannedLook, ball_mm: ArrayLike, generator: np.random.Generator) -> Observation:
         """One view: the arm goes where the record says the tool would reach the pose, and misses.
 
         Raises the errors of the inverse kinematics for a pose out of reach, if there is an arm.
@@ -99,7 +102,7 @@ class TrueHead:
         joints = model.solve_branch(pose, model.branch_of(near), near)
         return joints, TrueArm(truth, self.scene.seed).moving(joints, APPROACH)
 
-    def _outline(self, camera: CameraTruth, centre_mm, generator: np.random.Generator) -> Outline:
+    def _outline(self, camera: CameraTruth, centre_mm: Array, generator: np.random.Generator) -> Outline:
         distance = np.linalg.norm(centre_mm)
         u = centre_mm / distance
         cosine_squared = 1.0 - (SPHERE_RADIUS_MM / distance) ** 2
@@ -134,11 +137,13 @@ class TrueHead:
         return float(np.linalg.norm(seen[0] - matrix_of(self.scene.mount.flange_from_tool_true)[:3, 3]))
 
 
-def true_head(seed: int = 3, **noises: float) -> TrueHead:
-    return TrueHead(draw_scene("mini", seed=seed), **noises)
+def true_head(
+    seed: int = 3, *, repeatability_mm: float = 0.015, outline_px: float = 0.02, with_arm: bool = False
+) -> TrueHead:
+    return TrueHead(draw_scene("mini", seed=seed), repeatability_mm, outline_px, with_arm)
 
 
-def observation_set(head: TrueHead, observations) -> ObservationSet:
+def observation_set(head: TrueHead, observations: Iterable[Observation]) -> ObservationSet:
     """Build the observations as `calibrate` stores them."""
     return ObservationSet(
         created=datetime(2026, 11, 20, 9, 0, tzinfo=UTC),

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,31 +32,46 @@ Array = NDArray[np.float64]
 
 FULL_FRAME = Case("full frame", reach_mm=SERVO_MM, area_px=(2048, 1088))
 SERVO_AREA = Case("servo area", reach_mm=SERVO_MM, area_px=(1024, 1024))
-FRAMES, ROUNDS, SERVO_PAIRS = 14, 4, 20
-CENTRED_PAIRS, OTHER_PAIRS, ALTERNATIVES = 200, 100, 30
+ROUNDS = 4  # per frame
 OURS, BASELINE, BOUND = "measure_sphere", "threshold and centroid", "Cramér-Rao bound"
 MEDIAN_MS, NEARLY_ALL_MS, PAIR_MS, FINAL_MS = 12.0, 30.0, 20.0, 60.0
 CENTRED_UM, OCCLUDED_UM, OFF_AXIS_UM = 2.0, 10.0, 1.0
 GIVEN_PERCENT, DISTRUSTED_PERCENT = 95.0, 95.0
-DECEIVING_PAIRS = 12
-SERVO_STARTS, EXACT_STARTS, FROM_TRUTH_STARTS = 40, 10, 2000
 WITHIN_PERCENT = 99.9
 POINT_UM = 20.0
 
 
-def measure() -> list[Figure]:
+@dataclass(frozen=True)
+class Size:
+    """Pairs of images, and starts of the servo loop."""
+
+    frames: int = 14
+    servo_pairs: int = 20
+    centred_pairs: int = 200
+    other_pairs: int = 100
+    alternatives: int = 30
+    deceiving_pairs: int = 12
+    servo_starts: int = 40
+    exact_starts: int = 10
+    from_truth_starts: int = 2000
+
+
+SMALLEST = Size(1, 1, 2, 2, 1, 1, 1, 1, 1)
+
+
+def measure(smallest: bool = False) -> list[Figure]:
     """Cost per image and pair, errors of the campaign, deceptive images, and the servo loop."""
-    studio = Studio()
+    studio, size = Studio(), SMALLEST if smallest else Size()
     return [
-        *_measure_cost(studio),
-        *_measure_accuracy(studio),
-        *_measure_distrust(studio),
-        *_measure_deceptive(studio),
-        *_measure_servo(),
+        *_measure_cost(studio, size),
+        *_measure_accuracy(studio, size),
+        *_measure_distrust(studio, size),
+        *_measure_deceptive(studio, size),
+        *_measure_servo(size),
     ]
 
 
-def _measure_cost(studio: Studio) -> list[Figure]:
+def _measure_cost(studio: Studio, size: Size) -> list[Figure]:
     methods: dict[str, Callable[[Picture, float], Array]] = {
         OURS: lambda picture, _radius: np.array(measure_sphere(picture).centre_px),
         **OTHERS,
@@ -62,19 +79,14 @@ def _measure_cost(studio: Studio) -> list[Figure]:
     cpu_s: dict[str, list[float]] = {name: [] for name in methods}
     errors_px: dict[str, list[float]] = {name: [] for name in methods}
     final_s: list[float] = []
-    for pair in studio.pairs(FULL_FRAME, FRAMES):
+    for pair in studio.pairs(FULL_FRAME, size.frames):
         for view in pair.views:
             for name, method in methods.items():
-                found: list[Array] = []
-                for _ in range(ROUNDS if name == OURS else 1):
-                    found.clear()
-                    spent = measure_cpu_s(
-                        lambda m=method, v=view, f=found: f.append(m(v.picture, v.radius_px))
-                    )  # type: ignore[misc]
-                    cpu_s[name].append(spent)
-                errors_px[name].append(float(np.linalg.norm(found[0] - view.true_centre_px)))
+                work = partial(method, view.picture, view.radius_px)
+                cpu_s[name] += [measure_cpu_s(work) for _ in range(ROUNDS if name == OURS else 1)]
+                errors_px[name].append(float(np.linalg.norm(work() - view.true_centre_px)))
         final_s.append(measure_cpu_s(_pair_work(studio, pair)))
-    servo_s = [measure_cpu_s(_pair_work(studio, pair)) for pair in studio.pairs(SERVO_AREA, SERVO_PAIRS)]
+    servo_s = [measure_cpu_s(_pair_work(studio, pair)) for pair in studio.pairs(SERVO_AREA, size.servo_pairs)]
     all_but_five = float(np.percentile(cpu_s[OURS], 95))
     every = {name: values[:: ROUNDS if name == OURS else 1] for name, values in cpu_s.items()}
     ours, *rest = compare_samples("CPU per full frame", "ms", every, BASELINE, scale=1e3)
@@ -90,15 +102,15 @@ def _measure_cost(studio: Studio) -> list[Figure]:
     ]
 
 
-def _measure_accuracy(studio: Studio) -> list[Figure]:
+def _measure_accuracy(studio: Studio, size: Size) -> list[Figure]:
     figures = []
     for case, count, goal_um in (
-        (CENTRED, CENTRED_PAIRS, CENTRED_UM),
-        (DEFOCUSED, OTHER_PAIRS, CENTRED_UM),
-        (OFF_AXIS, OTHER_PAIRS, OFF_AXIS_UM),
-        (OCCLUDED, OTHER_PAIRS, OCCLUDED_UM),
+        (CENTRED, size.centred_pairs, CENTRED_UM),
+        (DEFOCUSED, size.other_pairs, CENTRED_UM),
+        (OFF_AXIS, size.other_pairs, OFF_AXIS_UM),
+        (OCCLUDED, size.other_pairs, OCCLUDED_UM),
     ):
-        tally = campaign(studio, case, count, others=ALTERNATIVES)
+        tally = campaign(studio, case, count, others=size.alternatives)
         what = f"point error rms, {case.name}"
         more = {"pairs": float(count), "points": float(len(tally.errors_mm)), "largest_um": tally.largest_um}
         figures.append(Figure(what, OURS, tally.rms_um, "µm", more=more).at_most(goal_um))
@@ -114,10 +126,10 @@ def _measure_accuracy(studio: Studio) -> list[Figure]:
     return figures
 
 
-def _measure_distrust(studio: Studio) -> list[Figure]:
+def _measure_distrust(studio: Studio, size: Size) -> list[Figure]:
     figures = []
     for case in (HALF_HIDDEN, JUST_HIDDEN):
-        tally = campaign(studio, case, OTHER_PAIRS)
+        tally = campaign(studio, case, size.other_pairs)
         figure = Figure(
             f"images without a trusted centre, {case.name}", OURS, 100 * tally.distrusted_share, "%"
         )
@@ -125,20 +137,20 @@ def _measure_distrust(studio: Studio) -> list[Figure]:
     return figures
 
 
-def _measure_deceptive(studio: Studio) -> list[Figure]:
+def _measure_deceptive(studio: Studio, size: Size) -> list[Figure]:
     figures = []
     for case in (*DECEIVING, SPHERE_SIZED_GLARE):
-        verdicts = deceive(studio, case, DECEIVING_PAIRS)
+        verdicts = deceive(studio, case, size.deceiving_pairs)
         more = {"pairs": float(verdicts.pairs), "points": float(verdicts.right + verdicts.second)}
         figure = Figure(f"wrong points, {case.name}", "locate_sphere", float(verdicts.wrong), "", more=more)
         figures.append(figure.at_most(0.0))
     return figures
 
 
-def _measure_servo() -> list[Figure]:
+def _measure_servo(size: Size) -> list[Figure]:
     who = "the step's loop"
-    drawn, exact = servo_campaign(SERVO_STARTS), servo_campaign(EXACT_STARTS, without_arm_errors)
-    from_truth = servo_campaign(FROM_TRUTH_STARTS, drawn=False)
+    drawn, exact = servo_campaign(size.servo_starts), servo_campaign(size.exact_starts, without_arm_errors)
+    from_truth = servo_campaign(size.from_truth_starts, drawn=False)
     truth_share = 100.0 * from_truth.within / from_truth.starts
     share = 100.0 * drawn.within / drawn.starts
     more = {"starts": float(drawn.starts), "most_steps": float(max(drawn.steps))}

@@ -20,7 +20,7 @@ from benchmarks.stereo_head.head_looks import TrueHead, check_looks, observation
 from procedures.calibration import Baseline, Observation, calibrate_head, compare_with_baseline
 from procedures.calibration.errors import DoesNotFit
 from procedures.calibration.pose_set import plan_calibration_looks
-from ronna_hw.arm.errors import LimitError
+from ronna_hw.errors import LimitError
 from sim.world.rigid import rotation_towards
 
 Array = NDArray[np.float64]
@@ -38,14 +38,16 @@ HONEST = (0.7, 1.4)  # actual error over stated one, rms
 FALSE_ALARMS_PERCENT = 2.0
 
 
-def measure() -> list[Figure]:
+def measure(smallest: bool = False) -> list[Figure]:
     """Tool centre with a perfect arm but for its repeatability, and with an uncalibrated one; the check."""
-    return [*_measure_tool_centre(), *_measure_check()]
+    if smallest:
+        return [*_measure_tool_centre(heads=1, arms=1), *_measure_check(checks=1)]
+    return [*_measure_tool_centre(HEADS, ARMS), *_measure_check(CHECKS)]
 
 
-def _measure_tool_centre() -> list[Figure]:
-    ideal = [_calibrate(true_head(seed=seed), seed) for seed in range(HEADS)]
-    drawn = [_calibrate(true_head(seed=seed, with_arm=True), seed) for seed in range(ARMS)]
+def _measure_tool_centre(heads: int, arms: int) -> list[Figure]:
+    ideal = [_calibrate(true_head(seed=seed), seed) for seed in range(heads)]
+    drawn = [_calibrate(true_head(seed=seed, with_arm=True), seed) for seed in range(arms)]
     outlines_px, errors_mm, stated_mm, _ = zip(*ideal, strict=True)
     _, arm_errors_mm, arm_stated_mm, plain = zip(*drawn, strict=True)
     plain_mm = [error for error in plain if error is not None]
@@ -91,14 +93,14 @@ def _calibrate(head: TrueHead, seed: int) -> tuple[float, float, float, float | 
     )
 
 
-def _measure_check() -> list[Figure]:
+def _measure_check(checks: int) -> list[Figure]:
     head = true_head()
-    sound = sum(not _passes_check(head, head, seed) for seed in range(CHECKS))
-    found = sum(not _passes_check(head, _twist_camera(head, seed), seed) for seed in range(CHECKS))
-    who, more = "ronna-stereo check", {"checks": float(CHECKS)}
+    sound = sum(not _passes_check(head, head, seed) for seed in range(checks))
+    found = sum(not _passes_check(head, _twist_camera(head, seed), seed) for seed in range(checks))
+    who, more = "ronna-stereo check", {"checks": float(checks)}
     return [
-        Figure("camera turned by 0.01° found", who, 100.0 * found / CHECKS, "%", more=more).at_least(100.0),
-        Figure("sound head refused", who, 100.0 * sound / CHECKS, "%", more=more).at_most(
+        Figure("camera turned by 0.01° found", who, 100.0 * found / checks, "%", more=more).at_least(100.0),
+        Figure("sound head refused", who, 100.0 * sound / checks, "%", more=more).at_most(
             FALSE_ALARMS_PERCENT
         ),
     ]

@@ -271,7 +271,7 @@ def _build_workcell(
     def agree(question: Question) -> str:
         return operator.ask(question).word
 
-    resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock().sleep)
+    resting = Checkpoint(agree, lambda _state, _reason: nullcontext(), HostClock())
     workcell.supervised.ask_before(resting, agree)
     workcell.supervised.confirm(Topic.FIRST_MOTION, "every motion of a benchmark", ())
     workcell.mount.check(MountedTool.STEREO_HEAD)

@@ -191,7 +191,7 @@ def _draw_second_centre(case: Case, place_mm: Array, generator: np.random.Genera
         return None
     away, direction = generator.uniform(*case.second_mm), generator.uniform(0.0, 2.0 * np.pi)
     deeper = generator.uniform(-SECOND_DEPTH_MM, SECOND_DEPTH_MM)
-    return place_mm + np.array([away * np.cos(direction), away * np.sin(direction), deeper])
+    return np.asarray(place_mm + np.array([away * np.cos(direction), away * np.sin(direction), deeper]))
 
 
 def _draw_glares(case: Case, camera: CameraTruth, generator: np.random.Generator) -> tuple[Glare, ...]:

@@ -44,40 +44,44 @@ DRAWING_LIMIT_MS = 40.0
 Sums = dict[str, float]
 
 
-def measure() -> list[Figure]:
+def measure(smallest: bool = False) -> list[Figure]:
     """Alternating rounds; 3,000 pairs of each client in total. Takes about five minutes as superuser."""
+    rounds, pairs = (1, 20) if smallest else (ROUNDS, PAIRS_PER_ROUND)
     measured: dict[str, list[Sums]] = {}
     with TemporaryDirectory() as folder, lossy_cameras(Path(folder), LOST_PERCENT) as cameras:
         addresses = [cameras.ready["endpoints"][side].removeprefix("gev://") for side in ("left", "right")]
-        job = json.dumps({"addresses": addresses, "pairs": PAIRS_PER_ROUND, "packet_bytes": PACKET_BYTES})
+        job = json.dumps({"addresses": addresses, "pairs": pairs, "packet_bytes": PACKET_BYTES})
         clients = _list_clients()
-        for _ in range(ROUNDS):
+        for _ in range(rounds):
             for who, line in clients.items():
-                received = _run_round([*line, job])
-                if received is not None:
-                    measured.setdefault(who, []).append(received)
-    return [*_make_figures(measured), _measure_drawing()]
+                measured.setdefault(who, []).append(_run_round([*line, job]))
+    return [*_make_figures(measured, pairs), _measure_drawing()]
 
 
 def _list_clients() -> dict[str, list[str]]:
     """Command lines by client; Aravis only if installed."""
     clients = {OURS: [sys.executable, str(PEERS / "our_stream.py")]}
-    if Path(SYSTEM_PYTHON).exists():
+    if _has_aravis():
         clients[ARAVIS] = [SYSTEM_PYTHON, str(PEERS / "aravis_stream.py")]
     if os.geteuid() == 0 and shutil.which(WITHOUT_RIGHTS[0]):
         clients |= {who + ORDINARY: [*WITHOUT_RIGHTS, *line] for who, line in clients.items()}
     return clients
 
 
-def _run_round(line: list[str]) -> Sums | None:
-    """A client's report on one round, and the kernel's drops in the meantime; None if it did not run."""
+def _has_aravis() -> bool:
+    """Whether the bindings are installed, even if they do not work: that would be a failure."""
+    look = "import importlib.util as u, sys; sys.exit(u.find_spec('gi') is None)"
+    if not Path(SYSTEM_PYTHON).exists():
+        return False
+    return subprocess.run([SYSTEM_PYTHON, "-c", look], check=False).returncode == 0
+
+
+def _run_round(line: list[str]) -> Sums:
+    """A client's report on one round, and the kernel's drops in the meantime; raises if it failed."""
     dropped = _count_kernel_drops()
-    try:
-        ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)
-    except (FileNotFoundError, subprocess.TimeoutExpired):
-        return None
+    ended = subprocess.run(line, check=False, capture_output=True, text=True, timeout=ROUND_LIMIT_S)
     if ended.returncode:
-        return None
+        raise RuntimeError(f"{' '.join(line[:-1])}: {ended.stderr}")
     received: dict[str, Any] = json.loads(ended.stdout)
     return {**received, "kernel": _count_kernel_drops() - dropped}
 
@@ -90,9 +94,9 @@ def _count_kernel_drops() -> int:
     return int(dict(zip(names, values, strict=True))["RcvbufErrors"])
 
 
-def _make_figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
+def _make_figures(measured: dict[str, list[Sums]], per_round: int) -> Iterator[Figure]:
     for who, rounds in measured.items():
-        total, pairs = _add_rounds(rounds), len(rounds) * PAIRS_PER_ROUND
+        total, pairs = _add_rounds(rounds), len(rounds) * per_round
         ours = who.startswith(OURS)
         peer = who.replace(OURS, ARAVIS)
         rate = Figure("pairs per second, full frames", who, pairs / total["seconds"], "1/s")
@@ -103,7 +107,7 @@ def _make_figures(measured: dict[str, list[Sums]]) -> Iterator[Figure]:
             rate = replace(rate, goal=f"{FULL_RATE_HZ:g}", met=rate.value >= goal_hz)
             cpu = replace(cpu, more={"receiver process": total["receiver_cpu_s"] / pairs * 1e3})
             if peer in measured:
-                theirs, their_pairs = _add_rounds(measured[peer]), len(measured[peer]) * PAIRS_PER_ROUND
+                theirs, their_pairs = _add_rounds(measured[peer]), len(measured[peer]) * per_round
                 their_hz, their_ms = their_pairs / theirs["seconds"], theirs["cpu_s"] / their_pairs * 1e3
                 rate = replace(rate, ratio=rate.value / their_hz, baseline=peer)
                 cpu = replace(cpu, ratio=cpu_ms / their_ms, baseline=peer)

@@ -129,7 +129,7 @@ def robot_parameters() -> str:
     )
 
 
-def parameter_table(rows: Iterator[tuple[str, object, str]]) -> str:
+def parameter_table(rows: Iterable[tuple[str, object, str]]) -> str:
     """Parameters of a simulator for unconfirmed behaviour."""
     return table(
         ("parameter", "best estimate", "meaning"),

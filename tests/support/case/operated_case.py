@@ -80,7 +80,7 @@ class OperatedCases:
         out = self._folder / f"runs-{len(self.started)}"
         return self._start(out, *arguments, "--out", str(out))
 
-    def at_terminal(self, *arguments: str) -> tuple[OperatedCase, Callable[[str], None]]:
+    def at_terminal(self, *arguments: str) -> tuple[OperatedCase, Callable[[str], object]]:
         """As a call, by a person at a terminal; returns what types a line there."""
         out = self._folder / f"runs-{len(self.started)}"
         ours, theirs = pty.openpty()
@@ -88,7 +88,7 @@ class OperatedCases:
         os.close(theirs)
         threading.Thread(target=_keep, args=(ours, case.errors), daemon=True).start()
         case.await_addresses()
-        return case, lambda line: os.write(ours, line.encode() + b"\n") and None
+        return case, lambda line: os.write(ours, line.encode() + b"\n")
 
     def resume(self, case: OperatedCase) -> OperatedCase:
         """Start `ronna-procedure resume RUN --console` for a case that was left."""

@@ -371,7 +371,9 @@ class RecordingCell:
         """Kind and step of the journal's lines; of all kinds when none is named."""
         lines = read_journal(self.folder / JOURNAL_FILE)
         return [
-            (line["entry"], line.get("step", "")) for line in lines if not kinds or line["entry"] in kinds
+            (str(line["entry"]), str(line.get("step", "")))
+            for line in lines
+            if not kinds or line["entry"] in kinds
         ]
 
     def motions(self, what: str) -> list[object]:

@@ -53,8 +53,16 @@ def test_a_goal_applies_to_the_value_or_the_ratio_and_a_miss_is_reported() -> No
     missed = ours.at_least(1500.0)
     assert (missed.goal, missed.met) == ("value ≥ 1,500", False)
     assert not ours.ratio_at_least(0.5).met
-    with pytest.raises(ValueError, match="baseline"):
-        bare.ratio_at_least(1.0)
+    assert ours.ratio_at_most(0.4).met
+    assert not ours.ratio_at_most(0.3).met
+    for set_goal in (bare.ratio_at_least, bare.ratio_at_most):
+        with pytest.raises(ValueError, match="baseline"):
+            set_goal(1.0)
+
+
+def test_a_baseline_too_short_for_the_clock_gives_no_ratio() -> None:
+    ours, _ = figures.compare_samples("CPU", "s", {"ours": [0.01], "bare": [0.0]}, "bare")
+    assert (ours.value, ours.ratio, ours.baseline) == (0.01, None, "")
 
 
 def test_the_lock_step_rate_counts_only_cycles_in_which_the_arm_moves() -> None:
@@ -102,8 +110,9 @@ def test_one_measurement_prints_a_table_and_writes_its_figures(tmp_path: Path) -
     )
     assert done.returncode == 0, done.stderr
     assert "joint move" in done.stdout
-    (file,) = tmp_path.iterdir()
+    (file,) = tmp_path.glob("*.json")
     content = json.loads(file.read_text())
+    assert len((tmp_path / "history.jsonl").read_text().splitlines()) == 1
     figures = {figure["who"]: figure for figure in content["figures"]["set-points"]}
     assert figures["joint move"]["ratio"] > 0.0
     assert content["failures"] == {}
