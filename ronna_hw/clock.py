@@ -142,15 +142,17 @@ class SharedClock:
         if self._paced:
             time.sleep(max(0, moment_ns - self.now_ns()) / 1e9)
             return
-        while True:
-            with self.hold_lock():
-                if self.now_ns() >= moment_ns:
-                    return
-                if not self.is_streaming():
-                    TIME_NS.write(self._memory, moment_ns)
-                    return
-                if WANTED_NS.read(self._memory) < moment_ns:
-                    WANTED_NS.write(self._memory, moment_ns)
+        while self.now_ns() < moment_ns:
+            # Without the lock: the time only grows, and so does the latest time wanted.
+            if WANTED_NS.read(self._memory) < moment_ns or not self.is_streaming():
+                with self.hold_lock():
+                    if self.now_ns() >= moment_ns:
+                        return
+                    if not self.is_streaming():
+                        TIME_NS.write(self._memory, moment_ns)
+                        return
+                    if WANTED_NS.read(self._memory) < moment_ns:
+                        WANTED_NS.write(self._memory, moment_ns)
             time.sleep(WAIT_STEP_S)
 
     def has_waiters(self) -> bool:

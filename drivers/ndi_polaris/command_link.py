@@ -31,6 +31,7 @@ from ronna_hw.errors import ProtocolError
 from ronna_hw.wire import polaris as ndi
 
 CACHED_COMMANDS = 32  # every reading sends the same command
+CACHED_HEADERS = 64  # the lengths of a case's replies
 TRAILING_TEXT_BYTES = 128  # short texts only: errors, echoes, revisions
 BX_START_BYTES = struct.pack("<H", ndi.BX_START)
 ORDINARY_REPLY_BYTES = 128  # reply length assumed when computing its transfer time
@@ -336,9 +337,14 @@ def binary_reply_bytes(header: bytes) -> int:
     start, length, crc = _HEADER.unpack_from(header)
     if start != ndi.BX_START:
         raise MalformedReply("a binary reply does not start with C4 A5", wire=header)
-    if crc != ndi.crc16(header[: ndi.BX_HEADER_BYTES - ndi.BX_CRC_BYTES]):
+    if crc != _header_crc(header[: ndi.BX_HEADER_BYTES - ndi.BX_CRC_BYTES]):
         raise BadReplyCrc("wrong CRC in the header of a binary reply", wire=header[: ndi.BX_HEADER_BYTES])
     return ndi.BX_HEADER_BYTES + int(length) + ndi.BX_CRC_BYTES
+
+
+@lru_cache(maxsize=CACHED_HEADERS)
+def _header_crc(header: bytes) -> int:
+    return ndi.crc16(header)
 
 
 def split_binary(buffer: bytes) -> tuple[bytes, bytes] | None:

@@ -268,7 +268,7 @@ def _make_stray_readings(
     for index, position in enumerate(reply.strays_mm):
         if not _is_plausible_position(position):
             continue  # a stray is only a position
-        if any(_is_marker_of(tool, reading, position, nearest_mm) for tool, reading in tracked_tools):
+        if _is_marker_of_any(tracked_tools, position, nearest_mm):
             continue
         inside = volume.contains(position) if volume is not None else None
         if inside is None:  # unknown volume: rely on the unit's own bit
@@ -277,15 +277,20 @@ def _make_stray_readings(
     return tuple(strays)
 
 
-def _is_marker_of(tool: LoadedTool, reading: ToolReading, position: Vector3, nearest_mm: float) -> bool:
-    """Test whether the stray is one of the tool's own markers."""
-    assert tool.definition is not None
-    assert reading.rotation is not None
-    assert reading.position_mm is not None
-    if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
-        return False
-    placed_mm = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
-    return any(math.dist(position, marker) < nearest_mm for marker in placed_mm)
+def _is_marker_of_any(
+    tracked_tools: list[tuple[LoadedTool, ToolReading]], position: Vector3, nearest_mm: float
+) -> bool:
+    """Test whether the stray is one of the tools' own markers."""
+    for tool, reading in tracked_tools:
+        assert tool.definition is not None
+        assert reading.rotation is not None
+        assert reading.position_mm is not None
+        if math.dist(position, reading.position_mm) > tool.radius_mm + nearest_mm:
+            continue
+        placed_mm = _to_tracker_mm(tool.definition.markers_mm, reading.rotation, reading.position_mm)
+        if any(math.dist(position, marker) < nearest_mm for marker in placed_mm):
+            return True
+    return False
 
 
 def _normalise(rotation: Quaternion) -> Quaternion | None:
@@ -300,7 +305,7 @@ def _normalise(rotation: Quaternion) -> Quaternion | None:
 
 def _is_plausible_position(position_mm: Vector3) -> bool:
     x, y, z = position_mm
-    return abs(x) <= FARTHEST_MM and abs(y) <= FARTHEST_MM and -FARTHEST_MM <= z < 0
+    return -FARTHEST_MM <= z < 0 and -FARTHEST_MM <= x <= FARTHEST_MM and -FARTHEST_MM <= y <= FARTHEST_MM
 
 
 def _to_tracker_mm(

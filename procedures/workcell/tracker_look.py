@@ -153,8 +153,12 @@ def add_frame_spheres(tracker: OpticalTracker, frame: TrackerFrame) -> TrackerFr
 
 def find_frame_name(markers_mm: Mapping[str, Sequence[Sequence[float]]]) -> str | None:
     """Name of the tool whose markers are those of the x-shaped frame, in order; None without one."""
-    frame = np.array(SPHERE_CENTRES_MM)
     for name, markers in markers_mm.items():
-        if np.shape(markers) == frame.shape and np.abs(np.array(markers) - frame).max() <= ALIKE_MM:
+        if len(markers) == len(SPHERE_CENTRES_MM) and all(map(_are_alike, markers, SPHERE_CENTRES_MM)):
             return name
     return None
+
+
+def _are_alike(marker: Sequence[float], centre: Sequence[float]) -> bool:
+    """Whether two points agree in each coordinate; plain numbers, because every frame asks."""
+    return all(abs(one - other) <= ALIKE_MM for one, other in zip(marker, centre, strict=True))

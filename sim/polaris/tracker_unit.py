@@ -143,7 +143,10 @@ class Unit:
         if faulty and self._frame is not None and self._repeats_frame():
             return self._frame
         number = self._next_number()
-        status = self.alerts.system_status | self.port_changes | self.measurer.light
+        status = self.alerts.system_status
+        for more in (self.port_changes, self.measurer.light):
+            if more:  # joining flags takes as long as comparing all of them
+                status |= more
         kept = self._frame
         if kept is None or kept.number != number or kept.system_status != status:
             kept = self._frame = self._measure(number, status, self.ports.enabled())

@@ -9,6 +9,8 @@ import zlib
 
 import numpy as np
 
+WORD_MASK = 0xFFFFFFFFFFFFFFFF
+
 
 def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Generator:
     """Random generator for one event of one device.
@@ -16,7 +18,38 @@ def noise(seed: int, device: str, counter: int, lane: int = 0) -> np.random.Gene
     `counter` is the device's own: frames since TSTART, triggers since AcquisitionStart, motions. `lane`
     separates independent uses within one event.
     """
-    key = np.array([seed & 0xFFFFFFFFFFFFFFFF, zlib.crc32(device.encode())], dtype=np.uint64)
+    key = np.array(_philox_key(seed, device), dtype=np.uint64)
     # Philox: the words of the counter are free, except the lowest, which counts numbers within one event.
-    start = np.array([0, lane, counter & 0xFFFFFFFFFFFFFFFF, 0], dtype=np.uint64)
+    start = np.array([0, lane, counter & WORD_MASK, 0], dtype=np.uint64)
     return np.random.Generator(np.random.Philox(key=key, counter=start))
+
+
+class ReusedNoise:
+    """The numbers of `noise` for one device, from one generator: a tenth of the cost of a new one.
+
+    A new generator first draws a random seed that it then does not use.
+    """
+
+    def __init__(self, seed: int, device: str) -> None:
+        self._philox = np.random.Philox(0)
+        self._generator = np.random.Generator(self._philox)
+        self._key = np.array(_philox_key(seed, device), dtype=np.uint64)
+        self._start = np.zeros(4, dtype=np.uint64)
+        self._no_buffer = np.zeros(4, dtype=np.uint64)
+
+    def at(self, counter: int, lane: int = 0) -> np.random.Generator:
+        """Random generator for one event, valid until the next call."""
+        self._start[1:3] = lane, counter & WORD_MASK
+        self._philox.state = {
+            "bit_generator": "Philox",
+            "state": {"counter": self._start, "key": self._key},
+            "buffer": self._no_buffer,
+            "buffer_pos": len(self._no_buffer),  # nothing is left of it
+            "has_uint32": 0,
+            "uinteger": 0,
+        }
+        return self._generator
+
+
+def _philox_key(seed: int, device: str) -> tuple[int, int]:
+    return seed & WORD_MASK, zlib.crc32(device.encode())

@@ -6,6 +6,7 @@ Matrices are (4, 4), in millimetres; quaternions are scalar first.
 from __future__ import annotations
 
 from collections.abc import Iterable
+from math import sqrt
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -42,25 +43,19 @@ def rotation_from_quaternion(quaternion_wxyz: ArrayLike) -> Matrix:
 
 def quaternion_from_rotation(rotation: ArrayLike) -> Matrix:
     """Unit quaternion (4,) of a rotation matrix, scalar part not negative (Shepperd's method)."""
-    m = np.asarray(rotation, dtype=float)
-    # The largest decides which component is computed first.
-    candidates = np.array([m[0, 0] + m[1, 1] + m[2, 2], m[0, 0], m[1, 1], m[2, 2]])
-    largest = int(np.argmax(candidates))
-    if largest == 0:
-        q = np.array([1 + candidates[0], m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
-    elif largest == 1:
-        q = np.array(
-            [m[2, 1] - m[1, 2], 1 + 2 * m[0, 0] - candidates[0], m[0, 1] + m[1, 0], m[0, 2] + m[2, 0]]
-        )
-    elif largest == 2:
-        q = np.array(
-            [m[0, 2] - m[2, 0], m[0, 1] + m[1, 0], 1 + 2 * m[1, 1] - candidates[0], m[1, 2] + m[2, 1]]
-        )
+    # Plain numbers: operations on single elements of an array take ten times as long.
+    (a, b, c), (d, e, f), (g, h, i) = np.asarray(rotation, dtype=float).tolist()
+    trace = a + e + i
+    largest = max(trace, a, e, i)  # decides which component is computed first
+    if trace == largest:
+        q = np.array([1 + trace, h - f, c - g, d - b])
+    elif a == largest:
+        q = np.array([h - f, 1 + 2 * a - trace, b + d, c + g])
+    elif e == largest:
+        q = np.array([c - g, b + d, 1 + 2 * e - trace, f + h])
     else:
-        q = np.array(
-            [m[1, 0] - m[0, 1], m[0, 2] + m[2, 0], m[1, 2] + m[2, 1], 1 + 2 * m[2, 2] - candidates[0]]
-        )
-    unit: Matrix = q / np.linalg.norm(q)
+        q = np.array([d - b, c + g, f + h, 1 + 2 * i - trace])
+    unit: Matrix = q / sqrt(q.dot(q))
     return unit if unit[0] >= 0 else -unit
 
 

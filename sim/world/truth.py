@@ -120,6 +120,12 @@ class TrueGuide:
         self._scene = world.scene
         self._board = FaultBoard(world, DEVICE)
         self._room = ShiftedRoom(world)
+        mount = self._scene.mount
+        self._flange_from_marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(
+            mount.tool_from_marker_true
+        )
+        self._tip_at_calibration = tip_at_calibration(world)
+        self._seat_offset_mm = (-1, np.zeros(3))  # by the number of mountings
 
     def tip_frame(self, flange: Matrix | None = None) -> Matrix:
         """Pose at the end of the calibrated mandrel, of a bent guide.
@@ -131,13 +137,11 @@ class TrueGuide:
     def bore_frame(self, flange: Matrix | None = None) -> Matrix:
         """Pose without the bend, for parts above the bore."""
         flange = self._world.arm().robot_from_flange if flange is None else flange
-        mount = self._scene.mount
-        marker = matrix_of(mount.flange_from_tool_true) @ matrix_of(mount.tool_from_marker_true)
-        pose = yielding_flange(flange, marker, self._room.now()).copy()
+        pose = yielding_flange(flange, self._flange_from_marker, self._room.now()).copy()
         pose[2, 3] -= self._scene.arm.sag_mm_kg * sum(
             float(one.argument) for one in self._active_faults(WRONG_LOAD)
         )
-        return pose @ tip_at_calibration(self._world) @ self._seat_pose()
+        return pose @ self._tip_at_calibration @ self._seat_pose()
 
     def mandrel(self) -> Matrix:
         """Pose at the end of the mandrel in use."""
@@ -154,9 +158,11 @@ class TrueGuide:
         return np.asarray((self.tip_frame() @ point)[:3])
 
     def _seat_pose(self) -> Matrix:
-        mount = self._scene.mount
         again = max(0, self._world.mountings() - 1)
-        seat_offset_mm = noise(self._scene.seed, SEAT, again).normal(0.0, mount.guide.seat_mm, 3)
+        if self._seat_offset_mm[0] != again:
+            drawn_mm = noise(self._scene.seed, SEAT, again).normal(0.0, self._scene.mount.guide.seat_mm, 3)
+            self._seat_offset_mm = (again, drawn_mm)
+        seat_offset_mm = self._seat_offset_mm[1].copy()
         tilt_rad = 0.0
         for fault in self._active_faults(BAD_SEAT):
             seat_offset_mm[2] -= float(fault.argument)

@@ -88,6 +88,7 @@ class World:
 
     def __init__(self, path: str, scene: Scene | None = None) -> None:
         self._path = path
+        self._kept_arm: tuple[ArmRow, ArmState] | None = None
         try:
             file = os.open(path, os.O_RDWR | os.O_CLOEXEC)
             try:
@@ -159,9 +160,14 @@ class World:
             row = _ARM.read(self._memory)
             if before % 2 == 0 and before == _ARM_SEQUENCE.read(self._memory):
                 break
-        matrix = np.eye(4)
-        matrix[:3] = np.reshape(row.flange_rows, (3, 4))
-        return ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest, row.flanks, row.moved_s)
+        kept = self._kept_arm
+        if kept is None or kept[0] != row:
+            matrix = np.eye(4)
+            matrix[:3] = np.reshape(row.flange_rows, (3, 4))
+            matrix.flags.writeable = False  # shared by all who ask until the arm changes
+            state = ArmState(row.joints_rad, matrix, row.motion_number, row.at_rest, row.flanks, row.moved_s)
+            kept = self._kept_arm = (row, state)
+        return kept[1]
 
     @property
     def has_arm(self) -> bool:

@@ -32,7 +32,7 @@ from procedures.steps.clinical import positioning, relocalization
 from procedures.steps.clinical.room import require_unmoved
 from procedures.workcell import MountedTool
 from ronna_hw.frames import Frame, Transform
-from sim.polaris.measurement.optics import eyes_mm, phantoms
+from sim.polaris.measurement.optics import EYES_MM, phantoms
 
 Array = NDArray[np.float64]
 
@@ -162,7 +162,7 @@ def with_crossings(reading: RoomReading, spheres_mm: Array) -> RoomReading:
     """
     marker = 0.93 * spheres_mm[0] + (0.0, 30.0, 0.0)
     points, seen = np.vstack([spheres_mm[:1], marker]), np.array([[True, False], [False, True]])
-    crossings = phantoms(eyes_mm(), points, seen, line_separation_mm=0.5)
+    crossings = phantoms(EYES_MM, points, seen, line_separation_mm=0.5)
     assert len(crossings) == 1
     return RoomReading(
         reading.robot_from_flange,
@@ -187,7 +187,7 @@ def test_an_intersection_of_lines_to_two_markers_on_the_arm_is_not_taken_for_a_s
     watch = case.begin()
     reading = case.reading(watch, case.home_rad)
     crossing = watch.spheres_mm.mean(axis=0)
-    markers = [eye + 0.86 * (crossing - eye) for eye in eyes_mm()]
+    markers = [eye + 0.86 * (crossing - eye) for eye in EYES_MM]
     crossed = replace(
         reading,
         spheres_mm=np.vstack([reading.spheres_mm[:2], crossing]),

@@ -1,6 +1,6 @@
 """Replies to TX and BX: one frame as text, or as bytes (little endian) with the same content.
 
-Options are those of `ronna_hw.wire.polaris.ReplyOption`.
+Options are bits of `ronna_hw.wire.polaris.ReplyOption`.
 """
 
 from __future__ import annotations
@@ -9,11 +9,16 @@ import struct
 from collections.abc import Sequence
 
 from ronna_hw.wire import polaris as wire
-from ronna_hw.wire.polaris import HandleStatus, PortStatus, ReplyOption, ToolInformation
+from ronna_hw.wire.polaris import HandleStatus, ReplyOption, ToolInformation
 from sim.polaris.measurement.frame import Frame, Stray
 from sim.polaris.measurement.tracking_rules import ToolPose, Tracked, as_requested
 from sim.polaris.unit.behaviour import UnitBehaviour
 from sim.polaris.unit.ports import Port
+
+# Plain numbers: joining flags takes a microsecond each.
+TRANSFORMS, TOOL_INFORMATION = ReplyOption.TRANSFORMS.value, ReplyOption.TOOL_INFORMATION.value
+STRAY_ACTIVE, TOOL_MARKERS = ReplyOption.STRAY_ACTIVE.value, ReplyOption.TOOL_MARKERS.value
+OUT_OF_VOLUME, STRAY_PASSIVE = ReplyOption.OUT_OF_VOLUME.value, ReplyOption.STRAY_PASSIVE.value
 
 MARKER_DIGITS = 20  # option 0002 always sends this many
 Point = tuple[float, float, float]
@@ -34,7 +39,7 @@ _POINT = struct.Struct("<3f")
 _U16 = struct.Struct("<H")
 
 
-def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> str:
+def text_reply(frame: Frame, options: int, behaviour: UnitBehaviour) -> str:
     """Compose the reply to TX, without its CRC."""
     parts = [f"{len(frame.tools):02X}"]
     for port, tracked in frame.tools:
@@ -46,28 +51,28 @@ def text_reply(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> 
             if behaviour.status_of_unseen_handles:
                 parts.append(_status_text(frame, port, tracked))
         parts.append(wire.LF)
-    if options & ReplyOption.STRAY_PASSIVE:
+    if options & STRAY_PASSIVE:
         parts.append(_markers_text(*_select_strays(frame.strays, options), behaviour))
     parts.append(f"{int(frame.system_status):04X}")
     return "".join(parts)
 
 
 def _tool_text(
-    frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
+    frame: Frame, port: Port, tracked: Tracked | None, options: int, behaviour: UnitBehaviour
 ) -> list[str]:
     parts = []
     tracked = omit_unreported(tracked, options, behaviour)
-    if options & ReplyOption.TRANSFORMS:
+    if options & TRANSFORMS:
         pose = None if tracked is None else tracked.pose
         parts.append(wire.REPLY_MISSING if pose is None else _pose_text(pose))
         parts.append(_status_text(frame, port, tracked))
-    if options & ReplyOption.TOOL_INFORMATION:
+    if options & TOOL_INFORMATION:
         digits = marker_digits(tracked, first_first=behaviour.first_marker_is_first_digit)
         parts.append(f"{information(tracked):02X}{digits}")
-    if options & ReplyOption.STRAY_ACTIVE:  # no tool of this unit has a stray active marker
+    if options & STRAY_ACTIVE:  # no tool of this unit has a stray active marker
         words = behaviour.text_active_stray == "words"
         parts.append(wire.REPLY_MISSING if words else f"{HandleStatus.MISSING:02X}")
-    if options & ReplyOption.TOOL_MARKERS:
+    if options & TOOL_MARKERS:
         markers = list_markers(tracked)
         parts.append(_markers_text(markers, [position for position, _ in markers], behaviour))
     return parts
@@ -107,7 +112,7 @@ def _format_bits(flags: Sequence[bool], *, first_is_high: bool) -> str:
     return "".join(f"{sum(1 << k for k, flag in enumerate(group) if flag):X}" for group in groups)
 
 
-def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) -> bytes:
+def binary_body(frame: Frame, options: int, behaviour: UnitBehaviour) -> bytes:
     """Compose the body of the reply to BX."""
     parts = [bytes([len(frame.tools)])]
     for port, tracked in frame.tools:
@@ -115,29 +120,29 @@ def binary_body(frame: Frame, options: ReplyOption, behaviour: UnitBehaviour) ->
             parts.extend(_tool_bytes(frame, port, tracked, options, behaviour))
         else:  # no options apply
             parts.append(_HANDLE.pack(port.handle, HandleStatus.DISABLED))
-    if options & ReplyOption.STRAY_PASSIVE:
+    if options & STRAY_PASSIVE:
         parts.append(_markers_bytes(*_select_strays(frame.strays, options), behaviour))
     parts.append(_U16.pack(frame.system_status))
     return b"".join(parts)
 
 
 def _tool_bytes(
-    frame: Frame, port: Port, tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
+    frame: Frame, port: Port, tracked: Tracked | None, options: int, behaviour: UnitBehaviour
 ) -> list[bytes]:
     tracked = omit_unreported(tracked, options, behaviour)
     pose = None if tracked is None else tracked.pose
     parts = [_HANDLE.pack(port.handle, HandleStatus.MISSING if pose is None else HandleStatus.VALID)]
-    if options & ReplyOption.TRANSFORMS:
+    if options & TRANSFORMS:
         if pose is not None:
             parts.append(_POSE.pack(*pose.quaternion, *pose.position_mm, pose.error_mm))
         parts.append(_STATUS.pack(port_status(port, tracked), frame.number & FRAME_NUMBER_MASK))
-    if options & ReplyOption.TOOL_INFORMATION:
+    if options & TOOL_INFORMATION:
         digits = marker_digits(tracked, first_first=behaviour.first_marker_is_first_nibble)
         parts.append(bytes([information(tracked)]) + bytes.fromhex(digits))
-    if options & ReplyOption.STRAY_ACTIVE:  # no tool of this unit has a stray active marker
+    if options & STRAY_ACTIVE:  # no tool of this unit has a stray active marker
         always = behaviour.binary_active_stray_always
         parts.append(bytes([HandleStatus.MISSING]) + NO_POSITION if always else b"\0")
-    if options & ReplyOption.TOOL_MARKERS:
+    if options & TOOL_MARKERS:
         markers = list_markers(tracked)
         parts.append(_markers_bytes(markers, [position for position, _ in markers], behaviour))
     return parts
@@ -151,19 +156,17 @@ def _markers_bytes(markers: Markers, sent_mm: list[Point], behaviour: UnitBehavi
     return bytes([len(markers)]) + flags + b"".join(_POINT.pack(*position) for position in sent_mm)
 
 
-def omit_unreported(
-    tracked: Tracked | None, options: ReplyOption, behaviour: UnitBehaviour
-) -> Tracked | None:
+def omit_unreported(tracked: Tracked | None, options: int, behaviour: UnitBehaviour) -> Tracked | None:
     """Omit what neither request nor unit reports of a tool outside the volume."""
     if tracked is None or not tracked.volume_status:
         return tracked
-    outside = bool(options & ReplyOption.OUT_OF_VOLUME)
+    outside = bool(options & OUT_OF_VOLUME)
     return as_requested(tracked, outside=outside, partially_outside=behaviour.poses_partially_out)
 
 
 def port_status(port: Port, tracked: Tracked | None) -> int:
     """Port status with the bits that the frame adds."""
-    return int(port.status | (tracked.volume_status if tracked is not None else PortStatus(0)))
+    return port.status.value | (tracked.volume_status.value if tracked is not None else 0)
 
 
 def information(tracked: Tracked | None) -> int:
@@ -186,8 +189,8 @@ def list_markers(tracked: Tracked | None) -> Markers:
     return [(position, inside) for position, inside in pairs if position is not None]
 
 
-def _select_strays(strays: tuple[Stray, ...], options: ReplyOption) -> tuple[Markers, list[Point]]:
+def _select_strays(strays: tuple[Stray, ...], options: int) -> tuple[Markers, list[Point]]:
     """All strays, and the positions sent: those inside the volume; all with option 0800."""
-    whole = bool(options & ReplyOption.OUT_OF_VOLUME)
+    whole = bool(options & OUT_OF_VOLUME)
     markers = [(stray.position_mm, stray.inside) for stray in strays]
     return markers, [position for position, inside in markers if inside or whole]

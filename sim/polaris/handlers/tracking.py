@@ -69,11 +69,11 @@ def binary_frame(unit: Unit, argument: str) -> bytes:
     return binary_reply(binary_body(unit.frame(), options, unit.behaviour))
 
 
-def _parse_options(argument: str) -> ReplyOption:
-    requested_options = hexadecimal(argument) if argument else int(ReplyOption.TRANSFORMS)
+def _parse_options(argument: str) -> int:
+    requested_options = hexadecimal(argument) if argument else ReplyOption.TRANSFORMS.value
     if not requested_options or requested_options & ~OPTIONS:
         raise Refusal(ErrorCode.OUT_OF_RANGE)
-    return ReplyOption(requested_options)
+    return requested_options
 
 
 def _has_dummy_beside_tool(ports: tuple[Port, ...]) -> bool:

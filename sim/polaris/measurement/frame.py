@@ -7,6 +7,7 @@ frame again, or skipping others, changes nothing.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from itertools import accumulate
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,10 +15,10 @@ from numpy.typing import NDArray
 from ronna_hw.wire.polaris import MAXIMUM_STRAYS, PortStatus, SystemStatus
 from sim.polaris.measurement.line_of_sight import Flags, visible
 from sim.polaris.measurement.optics import (
+    EYES_MM,
     Optics,
     Sight,
     extra_strays,
-    eyes_mm,
     is_in_field,
     phantoms,
     reflecting_places,
@@ -29,7 +30,7 @@ from sim.polaris.unit.model import Volume
 from sim.polaris.unit.ports import Port
 from sim.world.displacements import ShiftedRoom
 from sim.world.faults import FaultBoard
-from sim.world.noise import noise
+from sim.world.noise import ReusedNoise
 from sim.world.world import ArmState, World
 
 SUNLIGHT_NOISE = 2.0  # factor on the noise under ambient infrared light; an estimate without a source
@@ -76,7 +77,7 @@ class Measurer:
         self._first_volume = volumes[0]
         self._faces: dict[int, int] = {}  # face tracked in the previous frame, by handle
         self._sessions = 0  # starts of tracking
-        self._noise_key = DEVICE
+        self._noise = ReusedNoise(self._seed, DEVICE)
 
     def is_mount_frame(self, port: Port) -> bool:
         """Whether this port's tool is the reference frame M on the mount."""
@@ -90,7 +91,7 @@ class Measurer:
         """
         self._sessions += 1
         if self._sessions > 1:
-            self._noise_key = f"{DEVICE}, session {self._sessions}"
+            self._noise = ReusedNoise(self._seed, f"{DEVICE}, session {self._sessions}")
 
     def forget_tools(self) -> None:
         """Drop caches after tools were loaded, freed or enabled."""
@@ -111,7 +112,7 @@ class Measurer:
             return Frame(number, tuple((port, None) for port in ports), (), status)
         disturbance = self._disturbances.now()
         in_view = self._visibility.now(ports, disturbance)
-        generator = noise(self._seed, self._noise_key, since_start, TOOL_LANE)
+        generator = self._noise.at(since_start, TOOL_LANE)
         tools: list[tuple[Port, Tracked | None]] = []
         unclaimed: list[tuple[float, float, float]] = []  # markers of tools without a pose
         for port in ports:
@@ -162,19 +163,17 @@ class Measurer:
         glints += SUNLIGHT_REFLECTIONS if disturbance.sunlight else 0
         if glints:
             places = reflecting_places(self._seed, glints, self._first_volume)
-            points += _as_triples(
-                reflections(places, noise(self._seed, self._noise_key, since_start, REFLECTION_LANE))
-            )
+            points += _as_triples(reflections(places, self._noise.at(since_start, REFLECTION_LANE)))
         points = points[:MAXIMUM_STRAYS]
         # Strays have no identity: their order differs from frame to frame.
-        order = noise(self._seed, self._noise_key, since_start, ORDER_LANE).permutation(len(points)).tolist()
+        order = self._noise.at(since_start, ORDER_LANE).permutation(len(points)).tolist()
         return tuple(Stray(points[k], volume.holds(*points[k])) for k in order)
 
     def _measure_points(self, group: Group, since_start: int, lane: int) -> list[tuple[float, float, float]]:
         """Measure the visible markers of a group once."""
         if not group.seen:
             return []
-        generator = noise(self._seed, self._noise_key, since_start, lane)
+        generator = self._noise.at(since_start, lane)
         return _as_triples(
             group.sight.measured(generator.standard_normal(group.sight.mean_mm.shape))[group.seen]
         )
@@ -214,6 +213,7 @@ class MarkerVisibility:
         self._line_separation_mm = line_mm
         self._key: object = None
         self._kept: VisibleMarkers | None = None
+        self._fixed: tuple[object, TrueTool, Sight] | None = None  # as last disturbed; the arm moves none
 
     def forget(self) -> None:
         """Drop the cache after a change of handles."""
@@ -242,18 +242,19 @@ class MarkerVisibility:
         frame_loaded = scene.frame_on_mount.part_number in loaded
         frame = None if arm is None or frame_loaded else scene.frame(arm, disturbance)
         on_head = any(port.definition is not None and scene.is_head_frame(port.definition) for port in ports)
-        fixed = self._list_fixed_spheres(disturbance, as_tool=on_head)
+        fixed, fixed_sight = self._list_fixed_spheres(disturbance, as_tool=on_head)
 
         groups = [fixed, *(tool for tool in (*tools.values(), frame) if tool is not None)]
         points = np.vstack([group.markers_mm for group in groups])
-        seen = visible(eyes_mm(), points, scene.bodies(arm, mounted, disturbance.room))
-        bodies_past_mount = scene.bodies(arm, mounted, disturbance.room, past_mount=True)
-        ends = np.cumsum([len(group.markers_mm) for group in groups]).tolist()
+        past_mount = np.repeat(
+            [scene.is_on_mount(group) for group in groups], [len(group.markers_mm) for group in groups]
+        )
+        seen = visible(EYES_MM, points, scene.bodies(arm, mounted, disturbance.room), past_mount)
+        ends = list(accumulate(len(group.markers_mm) for group in groups))
         for group, end in zip(groups, ends, strict=True):
-            first = end - len(group.markers_mm)
-            if scene.is_on_mount(group):
-                seen[:, first:end] = visible(eyes_mm(), points[first:end], bodies_past_mount)
-            seen[:, [first + row for row in group.covered]] = False
+            if group.covered:
+                first = end - len(group.markers_mm)
+                seen[:, [first + row for row in group.covered]] = False
         seen &= is_in_field(points)
         rows = {
             id(group): seen[:, end - len(group.markers_mm) : end]
@@ -261,21 +262,30 @@ class MarkerVisibility:
         }
 
         def group_of(tool: TrueTool | None) -> Group | None:
-            return None if tool is None else self._make_group(tool, rows[id(tool)], disturbance)
+            if tool is None:
+                return None
+            return _make_group(tool, self._optics.sight(tool.markers_mm), rows[id(tool)], disturbance)
 
         ghosts = phantoms(
-            eyes_mm(), points, seen, max(self._line_separation_mm, disturbance.line_separation_mm)
+            EYES_MM, points, seen, max(self._line_separation_mm, disturbance.line_separation_mm)
         )
         ghost_group = Group(self._optics.sight(ghosts), list(range(len(ghosts))))
         return VisibleMarkers(
             tools={handle: group_of(tool) for handle, tool in tools.items()},
             frame=group_of(frame),
-            fixed=self._make_group(fixed, rows[id(fixed)], disturbance),
+            fixed=_make_group(fixed, fixed_sight, rows[id(fixed)], disturbance),
             phantoms=ghost_group,
         )
 
-    def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
+    def _list_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> tuple[TrueTool, Sight]:
         """Spheres that belong to no tool: strays, and fiducials unless they are a tool (`as_tool`)."""
+        key = (disturbance, as_tool)
+        if self._fixed is None or self._fixed[0] != key:
+            spheres = self._find_fixed_spheres(disturbance, as_tool=as_tool)
+            self._fixed = (key, spheres, self._optics.sight(spheres.markers_mm))
+        return self._fixed[1:]
+
+    def _find_fixed_spheres(self, disturbance: Disturbance, *, as_tool: bool) -> TrueTool:
         scene = self._scene
         more = extra_strays(self._seed, disturbance.strays, self._volume)
         if as_tool:
@@ -287,9 +297,9 @@ class MarkerVisibility:
             frozenset(), np.vstack([scene.fiducials_at(disturbance.room), scene.strays_mm, more]), covered
         )
 
-    def _make_group(self, tool: TrueTool, seen: Flags, disturbance: Disturbance) -> Group:
-        sight = self._optics.sight(tool.markers_mm)
-        disturbed = disturbance.sunlight or bool(tool.names & disturbance.interfered)
-        if disturbed:
-            sight = Sight(sight.mean_mm, sight.sigma_mm * SUNLIGHT_NOISE)
-        return Group(sight, np.nonzero(seen.all(axis=0))[0].tolist(), disturbed)
+
+def _make_group(tool: TrueTool, sight: Sight, seen: Flags, disturbance: Disturbance) -> Group:
+    disturbed = disturbance.sunlight or bool(tool.names & disturbance.interfered)
+    if disturbed:
+        sight = Sight(sight.mean_mm, sight.sigma_mm * SUNLIGHT_NOISE)
+    return Group(sight, np.nonzero(seen.all(axis=0))[0].tolist(), disturbed)

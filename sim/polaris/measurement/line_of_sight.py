@@ -44,19 +44,24 @@ CAMERA_LENGTH_MM = 80.0  # housing and lens, from the lens' centre backwards
 SHOULDER, ELBOW, WRIST = 1, 2, 4  # joints at the ends of upper arm and forearm
 
 
-def visible(eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...]) -> Flags:
-    """Flags (m, n): whether each of the eyes (m, 3) sees each of the points (n, 3) past all bodies."""
+def visible(
+    eyes_mm: Vectors, points_mm: Vectors, bodies: tuple[Body, ...], past_mount: Flags | None = None
+) -> Flags:
+    """Flags (m, n): whether each of the eyes (m, 3) sees each of the points (n, 3) past all bodies.
+
+    `past_mount` (n,) marks the points that the mount never hides.
+    """
     seen = np.ones((len(eyes_mm), len(points_mm)), dtype=bool)
     if len(points_mm):
         for body in bodies:
-            seen &= ~body.hides(eyes_mm, points_mm)
+            seen &= ~body.hides(eyes_mm, points_mm, past_mount)
     return seen
 
 
 class Body(Protocol):
     """An opaque body."""
 
-    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
         """Flags (m, n): whether the body hides each of the points (n, 3) from each of the eyes (m, 3)."""
         ...
 
@@ -75,7 +80,7 @@ class Ellipsoid:
 
     unit_from_tracker: Matrix
 
-    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors, _past_mount: Flags | None = None) -> Flags:
         eyes = apply(self.unit_from_tracker, eyes_mm)[:, None]
         points = apply(self.unit_from_tracker, points_mm)
         ways = points - eyes
@@ -90,40 +95,67 @@ class Ellipsoid:
 
 @dataclass(frozen=True)
 class Capsules:
-    """Links of an arm: all within `radii_mm` (c,) of c segments between points (c, 3)."""
+    """Links of an arm: all within `radii_mm` (c,) of c segments between points (c, 3).
+
+    `of_mount` (c,) marks those of the mount.
+    """
 
     starts_mm: Vectors
     ends_mm: Vectors
     radii_mm: Vectors
+    of_mount: Flags | None = None
 
-    def hides(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
-        starts, ends, radii = self.starts_mm[:, None], self.ends_mm[:, None], self.radii_mm[:, None]
-        blocked = _segment_distances(starts, ends, eyes_mm[:, None, None], points_mm) < radii
-        mounted = _segment_distances(starts, ends, points_mm, points_mm) < radii
-        hidden: Flags = np.logical_or.reduce(blocked & ~mounted, axis=1)
-        return hidden
+    def hides(self, eyes_mm: Vectors, points_mm: Vectors, past_mount: Flags | None = None) -> Flags:
+        hidden = self._reach_rays(eyes_mm, points_mm)
+        if past_mount is not None and self.of_mount is not None:
+            hidden &= ~(past_mount[:, None] & self.of_mount)
+        if hidden.any():
+            hidden &= ~self._hold(points_mm)
+        found: Flags = np.logical_or.reduce(hidden, axis=2)
+        return found
+
+    def _reach_rays(self, eyes_mm: Vectors, points_mm: Vectors) -> Flags:
+        """Flags (m, n, c): whether each segment eye-point enters each capsule (Ericson 2005, 5.1.9)."""
+        along = self.ends_mm - self.starts_mm
+        ways = points_mm - eyes_mm[:, None]
+        offsets = self.starts_mm - eyes_mm[:, None]
+        # Scalar products, whose names are Ericson's, broadcast to (m, n, c).
+        a = _squares(along)
+        a = np.where(a > 0.0, a, 1.0)
+        e = np.maximum(_squares(ways), np.finfo(float).tiny)[:, :, None]
+        b = ways @ along.T
+        c = (offsets * along).sum(axis=-1)[:, None]
+        f = ways @ offsets.transpose(0, 2, 1)
+        ae = a * e
+        denominator = ae - b * b
+        parallel = denominator < 1e-9 * ae
+        s = _share(np.where(parallel, 0.0, (b * f - c * e) / np.where(parallel, 1.0, denominator)))
+        t = _share((b * s + f) / e)
+        s = _share((b * t - c) / a)
+        squared = _squares(offsets)[:, None] + s * (s * a + 2.0 * c) + t * (t * e - 2.0 * (f + s * b))
+        reached: Flags = squared < self.radii_mm * self.radii_mm
+        return reached
+
+    def _hold(self, points_mm: Vectors) -> Flags:
+        """Flags (n, c): whether each point is within each capsule."""
+        along = self.ends_mm - self.starts_mm
+        a = _squares(along)
+        offsets = points_mm[:, None] - self.starts_mm
+        shares = _share((offsets * along).sum(axis=-1) / np.where(a > 0.0, a, 1.0))
+        held: Flags = np.sqrt(_squares(offsets - shares[..., None] * along)) < self.radii_mm
+        return held
 
 
-def _segment_distances(starts: Vectors, ends: Vectors, eyes: Vectors, points: Vectors) -> Vectors:
-    """Distance between each segment start-end and each segment eye-point (Ericson 2005, 5.1.9).
+def _squares(vectors: Vectors) -> Vectors:
+    """Squared lengths of vectors (..., 3)."""
+    squares: Vectors = (vectors * vectors).sum(axis=-1)
+    return squares
 
-    All four (..., 3), broadcast against each other.
-    """
-    along, ways, offsets = ends - starts, points - eyes, starts - eyes
-    a = (along * along).sum(axis=-1)
-    a = np.where(a > 0.0, a, 1.0)
-    e = np.maximum((ways * ways).sum(axis=-1), np.finfo(float).tiny)
-    b = (ways * along).sum(axis=-1)
-    c = (offsets * along).sum(axis=-1)
-    f = (ways * offsets).sum(axis=-1)
-    denominator = a * e - b * b
-    parallel = denominator < 1e-9 * a * e
-    s = np.clip(np.where(parallel, 0.0, (b * f - c * e) / np.where(parallel, 1.0, denominator)), 0.0, 1.0)
-    t = np.clip((b * s + f) / e, 0.0, 1.0)
-    s = np.clip((b * t - c) / a, 0.0, 1.0)
-    between = starts + s[..., None] * along - (eyes + t[..., None] * ways)
-    distances: Vectors = np.sqrt((between * between).sum(axis=-1))
-    return distances
+
+def _share(values: Vectors) -> Vectors:
+    """Values limited to 0..1; faster than `numpy.clip`."""
+    limited: Vectors = np.minimum(np.maximum(values, 0.0), 1.0)
+    return limited
 
 
 class ArmBody:
@@ -131,46 +163,63 @@ class ArmBody:
 
     def __init__(self, scene: Scene) -> None:
         mount = scene.mount
-        self._joints = [
-            (np.array(joint.origin_mm, dtype=float), _rodrigues_terms(joint.axis))
-            for joint in description(scene.arm.variant).joints[: WRIST + 1]
-        ]
+        joints = description(scene.arm.variant).joints[: WRIST + 1]
+        self._origins_mm = [np.array(joint.origin_mm, dtype=float) for joint in joints]
+        terms = [_rodrigues_terms(joint.axis) for joint in joints]
+        self._once, self._twice = np.array([one for one, _ in terms]), np.array([two for _, two in terms])
         self._flange_from_tool = matrix_of(mount.flange_from_tool_true)
-        self._mount_limbs, top = _mount(inverse(self._flange_from_tool)[:3, 3])
+        mount_limbs, top = _mount(inverse(self._flange_from_tool)[:3, 3])
+        self._bare = _LimbsOnTool([], [])
         self._carried = {
-            mount.tool_number_guide: _guide(mount, top),
-            mount.tool_number_stereo: _stereo_head(scene, top),
+            number: _LimbsOnTool([*mount_limbs, *bars], carried)
+            for number, (bars, carried) in (
+                (mount.tool_number_guide, _guide(mount, top)),
+                (mount.tool_number_stereo, _stereo_head(scene, top)),
+            )
         }
 
-    def capsules(
-        self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix, *, past_mount: bool = False
-    ) -> Capsules:
-        """Capsules in the tracker frame; `past_mount` omits the mount, for objects on the mount itself."""
-        shoulder, elbow, wrist = self._joints_mm(arm)
+    def capsules(self, arm: ArmState, mounted_tool: int, tracker_from_robot: Matrix) -> Capsules:
+        """Capsules in the tracker frame."""
         flange = arm.robot_from_flange
-        limbs: list[Limb] = [
-            (shoulder, elbow, UPPER_ARM_RADIUS_MM),
-            (elbow, wrist, FOREARM_RADIUS_MM),
-            (wrist, flange[:3, 3], WRIST_RADIUS_MM),
-        ]
-        bars, carried = self._carried.get(mounted_tool, ([], []))
-        on_tool = carried if past_mount else [*self._mount_limbs, *bars, *carried]
-        tool = flange @ self._flange_from_tool
-        if on_tool:
-            begins, stops, radii = zip(*on_tool, strict=True)
-            limbs += zip(apply(tool, np.array(begins)), apply(tool, np.array(stops)), radii, strict=True)
-        starts, ends, thick = (np.array(column) for column in zip(*limbs, strict=True))
-        return Capsules(apply(tracker_from_robot, starts), apply(tracker_from_robot, ends), thick)
+        joints = apply(tracker_from_robot, np.array([*self._joints_mm(arm), flange[:3, 3]]))
+        limbs = self._carried.get(mounted_tool, self._bare)
+        on_tool = apply(tracker_from_robot @ flange @ self._flange_from_tool, limbs.ends_mm)
+        return Capsules(
+            np.concatenate([joints[:-1], on_tool[0::2]]),
+            np.concatenate([joints[1:], on_tool[1::2]]),
+            limbs.all_radii_mm,
+            limbs.of_mount,
+        )
 
     def _joints_mm(self, arm: ArmState) -> tuple[Vector, Vector, Vector]:
         """Shoulder, elbow and wrist in the robot frame."""
+        sines = np.array([math.sin(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
+        versines = np.array([1.0 - math.cos(angle) for angle in arm.joints_rad[: WRIST + 1]])[:, None, None]
+        turns = np.eye(3) + sines * self._once + versines * self._twice
         rotation, place = np.eye(3), np.zeros(3)
         places = []
-        for (origin, (once, twice)), angle in zip(self._joints, arm.joints_rad, strict=False):
+        for origin, turn in zip(self._origins_mm, turns, strict=True):
             place = place + rotation @ origin
-            rotation = rotation @ (np.eye(3) + math.sin(angle) * once + (1.0 - math.cos(angle)) * twice)
+            rotation = rotation @ turn
             places.append(place)
         return places[SHOULDER], places[ELBOW], places[WRIST]
+
+
+class _LimbsOnTool:
+    """Limbs of the mount and of what it carries: both ends of each in turn, tool frame.
+
+    Radii and flags are those of the whole arm, whose own limbs come first.
+    """
+
+    def __init__(self, mount: list[Limb], carried: list[Limb]) -> None:
+        limbs = [*mount, *carried]
+        arm_radii_mm = (UPPER_ARM_RADIUS_MM, FOREARM_RADIUS_MM, WRIST_RADIUS_MM)
+        self.ends_mm: Vectors = np.array([end for one in limbs for end in one[:2]], dtype=float).reshape(
+            -1, 3
+        )
+        self.all_radii_mm: Vectors = np.array([*arm_radii_mm, *(radius for _, _, radius in limbs)])
+        flags = [False] * len(arm_radii_mm) + [True] * len(mount) + [False] * len(carried)
+        self.of_mount: Flags = np.array(flags)
 
 
 def _mount(flange_mm: Vector) -> tuple[list[Limb], Vector]:

@@ -29,6 +29,7 @@ POWER_RANGE = (-6.0, 6.0)
 POWER_STEPS = 20  # bisections
 
 HALF_BASE_MM = 250.0  # the sensors are on y, left and right of the origin
+EYES_MM: NDArray[np.float64] = np.array([[0.0, -HALF_BASE_MM, 0.0], [0.0, HALF_BASE_MM, 0.0]])
 # Field of view of both sensors: not public; it only has to contain every volume.
 FIELD_DEPTHS_MM = (300.0, 4000.0)
 FIELD_SLOPES = (tan(radians(27.0)), tan(radians(32.0)))  # largest |x| and |y| per depth
@@ -64,13 +65,10 @@ class Optics:
 
     def sight(self, points_mm: Vectors) -> Sight:
         """Mean and noise of markers at `points_mm` (n, 3)."""
+        if not len(points_mm):
+            return Sight(points_mm, points_mm)
         growth = (points_mm[:, 2:] / self._middle_mm) ** 2
         return Sight(points_mm + self.bias_field.error_at(points_mm), growth * self._sigma_mm)
-
-
-def eyes_mm() -> Vectors:
-    """Positions of the left and the right sensor (2, 3)."""
-    return np.array([[0.0, -HALF_BASE_MM, 0.0], [0.0, HALF_BASE_MM, 0.0]])
 
 
 def is_in_field(points_mm: Vectors) -> NDArray[np.bool_]:
@@ -92,7 +90,7 @@ def phantoms(eyes_mm: Vectors, points_mm: Vectors, seen: Flags, line_separation_
     left, right = np.nonzero(seen[0])[0], np.nonzero(seen[1])[0]
     if line_separation_mm <= 0.0 or len(left) < 1 or len(right) < 1:
         return np.empty((0, 3))
-    first, second = (pairs.ravel() for pairs in np.meshgrid(left, right, indexing="ij"))
+    first, second = np.repeat(left, len(right)), np.tile(right, len(left))
     different = first != second
     first, second = first[different], second[different]
     a, b = points_mm[first] - eyes_mm[0], points_mm[second] - eyes_mm[1]

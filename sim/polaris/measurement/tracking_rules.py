@@ -8,7 +8,7 @@ after each step. A reply reports a tool outside the volume only if requested: `a
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from math import atan2, cos, degrees, radians
+from math import atan2, cos, degrees, radians, sqrt
 from typing import NamedTuple
 
 import numpy as np
@@ -30,6 +30,7 @@ USED_OUT_OF_VOLUME = 5
 FACE_BITS = 4  # position of the face number in the tool information
 FACE_MASK = 0x07 << FACE_BITS
 INFRARED_COPY = 0x04  # copy of the interference bit in the tool information; its position is not public
+WITHIN = PortStatus(0)
 OUTSIDE = PortStatus.OUT_OF_VOLUME | PortStatus.PARTIALLY_OUT_OF_VOLUME
 
 
@@ -171,7 +172,7 @@ def _volume_status(inside: list[bool], definition: ToolDefinition) -> PortStatus
     """Volume status: out with every marker outside, partially out with too few inside."""
     count = sum(inside)
     if count == len(inside) or count >= definition.minimum_markers:
-        return PortStatus(0)
+        return WITHIN
     return PortStatus.PARTIALLY_OUT_OF_VOLUME if count else PortStatus.OUT_OF_VOLUME
 
 
@@ -190,7 +191,8 @@ def _is_spread_enough(body_mm: Vectors, definition: ToolDefinition) -> bool:
 def _as_tool_pose(fit: RigidFit) -> ToolPose:
     w, qx, qy, qz = quaternion_from_rotation(fit.rotation).tolist()
     x, y, z = fit.translation_mm.tolist()
-    return ToolPose((w, qx, qy, qz), (x, y, z), float(np.sqrt(np.mean(fit.distances_mm**2))))
+    squares = fit.distances_mm**2
+    return ToolPose((w, qx, qy, qz), (x, y, z), sqrt(float(squares.sum()) / len(squares)))
 
 
 @dataclass(frozen=True)
@@ -215,7 +217,7 @@ def best_face(
     The face turned most directly to the sensor, with hysteresis in favour of `previous`, the face of the last
     frame. `seen` as in `track`; `allowed` has one bit per face that may be tracked, lowest bit for face 1.
     """
-    faces = [face for face in sorted(set(definition.faces)) or [ONLY_FACE] if allowed >> (face - 1) & 1]
+    faces = [face for face in definition.different_faces or (ONLY_FACE,) if allowed >> (face - 1) & 1]
     if len(faces) == 1:
         return _fit(definition, faces[0], seen, measured_mm)
     candidates: dict[int, tuple[float, FittedFace]] = {}

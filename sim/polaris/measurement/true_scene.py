@@ -53,6 +53,7 @@ class TrueScene:
         self._places = tuple(matrix_of(place) for place in scene.tracker.places)
         self._tools = {tool.part_number: tool for tool in scene.tracker.tools}
         self.frame_on_mount: TrackerTool = scene.tracker.tools[0]
+        self._frame_markers_mm: Vectors = np.array(self.frame_on_mount.markers_mm)
         self.strays_mm: Vectors = np.array(scene.tracker.strays_mm, dtype=float).reshape(-1, 3)
         fiducials = spheres_in_theatre(scene) if scene.tracker.fiducials_visible else ()
         self.fiducial_numbers = tuple(fiducial.number for fiducial in fiducials)
@@ -87,31 +88,20 @@ class TrueScene:
         )
 
     def bodies(
-        self,
-        arm: ArmState | None,
-        mounted_tool: int,
-        room: RoomShift = NOTHING_MOVED,
-        *,
-        past_mount: bool = False,
+        self, arm: ArmState | None, mounted_tool: int, room: RoomShift = NOTHING_MOVED
     ) -> tuple[Body, ...]:
-        """Opaque bodies: the head, in its place in the scene, and the arm.
-
-        The frames stand off the mount on posts: with `past_mount` the mount hides nothing.
-        """
+        """Opaque bodies: the head, in its place in the scene, and the arm."""
         head = self._head if self.fiducial_numbers else ()
         if arm is None:
             return head
-        return (
-            *head,
-            self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room), past_mount=past_mount),
-        )
+        return (*head, self._arm_body.capsules(arm, mounted_tool, self._tracker_from(room)))
 
     def is_mount_frame(self, definition: ToolDefinition) -> bool:
         """Whether this is the reference frame M, with an arm to carry it."""
         return definition.part_number == self.frame_on_mount.part_number and self.arm() is not None
 
     def is_on_mount(self, tool: TrueTool) -> bool:
-        """Whether a tool is on the arm's mount or the guide."""
+        """Whether a tool is on the arm's mount or the guide: on posts, so that the mount never hides it."""
         return not tool.names.isdisjoint({self.frame_on_mount.part_number, GUIDE_FRAME_PART_NUMBER})
 
     def tool(
@@ -156,7 +146,7 @@ class TrueScene:
         flange = yielding_flange(arm.robot_from_flange, self._flange_from_marker, disturbance.room)
         pose = self._tracker_from(disturbance.room) @ flange @ self._flange_from_marker
         names = frozenset({tool.name, tool.part_number})
-        return _disturb(names, pose, np.array(tool.markers_mm), disturbance)
+        return _disturb(names, pose, self._frame_markers_mm, disturbance)
 
     def _frame_on_guide(
         self, tip_from_frame: Matrix, arm: ArmState | None, disturbance: Disturbance

@@ -8,11 +8,13 @@ from __future__ import annotations
 import re
 import struct
 from dataclasses import dataclass
+from functools import lru_cache
 
 from ronna_hw.wire import polaris as wire
 from ronna_hw.wire.polaris import ASCII_CRC_DIGITS, BX_START, CR, crc16
 from sim.polaris.unit.refusal import ErrorCode, Refusal
 
+CACHED_HEADERS = 64  # lengths of the replies of a case
 STALE_S = 1.0  # half a command this old came from a client that disappeared
 STRAY_LINE_FEED = b"\n"  # from clients that end a line with CR LF
 _SEPARATOR = re.compile(rb"[: ]")
@@ -120,5 +122,10 @@ def ascii_reply(text: str) -> bytes:
 
 def binary_reply(body: bytes) -> bytes:
     """Frame a binary reply: start sequence, length, header CRC, body, body CRC; no CR."""
-    header = _HEADER.pack(BX_START, len(body))
-    return header + _U16.pack(crc16(header)) + body + _U16.pack(crc16(body))
+    return _header(len(body)) + body + _U16.pack(crc16(body))
+
+
+@lru_cache(maxsize=CACHED_HEADERS)
+def _header(length: int) -> bytes:
+    header = _HEADER.pack(BX_START, length)
+    return header + _U16.pack(crc16(header))

@@ -47,12 +47,20 @@ class Volume:
 
     def half_widths_mm(self, depth_mm: float) -> tuple[float, float]:
         """Half extents in x and y at a distance from the sensor."""
-        _, knee, _, y_knee, x_knee, y_front, y_behind, x_slope, y_cap, x_cap = self.dimensions
-        before_knee_mm = -depth_mm - knee / SFLIST_DIMENSION_SCALE
+        _, _, _, _, _, y_front, y_behind, x_slope, _, _ = self.dimensions
+        knee_mm, y_knee_mm, x_knee_mm, y_cap_mm, x_cap_mm = self._lengths_mm
+        before_knee_mm = -depth_mm - knee_mm
         y_slope = y_front if before_knee_mm >= 0.0 else y_behind
-        y_half_mm = y_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * y_slope / SLOPE_SCALE
-        x_half_mm = x_knee / SFLIST_DIMENSION_SCALE - before_knee_mm * x_slope / SLOPE_SCALE
-        return min(x_half_mm, x_cap / SFLIST_DIMENSION_SCALE), min(y_half_mm, y_cap / SFLIST_DIMENSION_SCALE)
+        y_half_mm = y_knee_mm - before_knee_mm * y_slope / SLOPE_SCALE
+        x_half_mm = x_knee_mm - before_knee_mm * x_slope / SLOPE_SCALE
+        return min(x_half_mm, x_cap_mm), min(y_half_mm, y_cap_mm)
+
+    @cached_property
+    def _lengths_mm(self) -> tuple[float, float, float, float, float]:
+        """Knee, half extents there in y and x, and the largest in y and x."""
+        _, knee, _, y_knee, x_knee, _, _, _, y_cap, x_cap = self.dimensions
+        scale = SFLIST_DIMENSION_SCALE
+        return knee / scale, y_knee / scale, x_knee / scale, y_cap / scale, x_cap / scale
 
     def feature_line(self) -> str:
         """Record of the feature list: 74 characters, the last a line feed."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from itertools import product
 from pathlib import Path
 
 from ronna_hw.bounded_input import read_bounded
@@ -18,6 +19,14 @@ LARGEST_FILE_BYTES = 65_536  # more than any memory holds
 
 FIRST_HANDLE = 0x01
 ALL_FACES = 0xFF
+
+
+_STATUSES = {  # a table, because joining flags is slow and every reply needs this
+    (occupied, initialised, enabled): PortStatus(
+        PortStatus.OCCUPIED * occupied | PortStatus.INITIALISED * initialised | PortStatus.ENABLED * enabled
+    )
+    for occupied, initialised, enabled in product((False, True), repeat=3)
+}
 
 
 @dataclass
@@ -54,12 +63,7 @@ class Port:
     @property
     def status(self) -> PortStatus:
         """Port status for PHSR, PHINF, TX and BX."""
-        status = PortStatus.OCCUPIED if self.occupied else PortStatus(0)
-        if self.initialised:
-            status |= PortStatus.INITIALISED
-        if self.enabled:
-            status |= PortStatus.ENABLED
-        return status
+        return _STATUSES[self.occupied, self.initialised, self.enabled]
 
 
 class PortTable:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 from dataclasses import dataclass
+from functools import cached_property
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -75,6 +76,11 @@ class ToolDefinition:
     switches: tuple[bool, bool, bool] = (False, False, False)
     in_port: bool = False  # presence of a tool-in-port diode
     tracking_led: bool = False
+
+    @cached_property
+    def different_faces(self) -> tuple[int, ...]:
+        """Numbers of the faces, in ascending order; empty if there is only one."""
+        return tuple(sorted(set(self.faces)))
 
 
 def parse_definition(content: bytes) -> ToolDefinition:

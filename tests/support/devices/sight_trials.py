@@ -28,7 +28,7 @@ from ronna_hw.collision_config import CollisionConfig
 from ronna_hw.frames import Frame
 from ronna_hw.vectors import JointVector
 from sim.polaris.measurement.line_of_sight import ArmBody, head_ellipsoid, visible
-from sim.polaris.measurement.optics import eyes_mm
+from sim.polaris.measurement.optics import EYES_MM
 from sim.world.rigid import apply
 from sim.world.world import ArmState
 
@@ -62,7 +62,7 @@ class GuideSight:
         if joints not in self._known:
             arm = ArmState(joints, self._case.true_flange(joints), 0, True)
             capsules = self._body.capsules(arm, self._guide, self._case.tracker_from_robot)
-            seen = visible(eyes_mm(), self._spheres_mm, (self._head, capsules))
+            seen = visible(EYES_MM, self._spheres_mm, (self._head, capsules))
             self._known[joints] = seen.all(axis=0)
         return self._known[joints]
 

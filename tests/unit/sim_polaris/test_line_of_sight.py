@@ -8,7 +8,7 @@ import pytest
 from ronna_hw.arm.clearance.bodies import Capsule
 from ronna_hw.collision_config import CollisionConfig
 from sim.polaris.measurement.line_of_sight import ArmBody, Capsules, Ellipsoid, visible
-from sim.polaris.measurement.optics import eyes_mm
+from sim.polaris.measurement.optics import EYES_MM
 from sim.polaris.measurement.true_scene import UNDISTURBED, TrueScene
 from sim.world.nominal_arm import description
 from sim.world.rigid import matrix_of
@@ -89,9 +89,10 @@ def test_the_tracker_sees_head_and_frame_past_the_arm_at_home(name: str, seed: i
     assert arm is not None
     frame = scene.frame(arm, UNDISTURBED)
     assert scene.is_on_mount(frame)
+    past_mount = np.ones(len(frame.markers_mm), dtype=bool)
     for tool in (0, world.scene.mount.tool_number_stereo, world.scene.mount.tool_number_guide):
-        assert visible(eyes_mm(), scene.fiducials_mm, scene.bodies(arm, tool)).all()
-        assert visible(eyes_mm(), frame.markers_mm, scene.bodies(arm, tool, past_mount=True)).all()
+        assert visible(EYES_MM, scene.fiducials_mm, scene.bodies(arm, tool)).all()
+        assert visible(EYES_MM, frame.markers_mm, scene.bodies(arm, tool), past_mount).all()
 
 
 def test_the_mount_leaves_the_guide_axis_free_over_its_reach() -> None:
@@ -179,7 +180,7 @@ def test_a_sphere_behind_the_head_is_not_seen() -> None:
     centre = matrix_of(head.robot_from_ct) @ [*head.centre_ct_mm, 1.0]
     in_tracker = np.linalg.inv(matrix_of(world.scene.tracker.robot_from_tracker)) @ centre
     far_side = in_tracker[:3] * (1.0 + 120.0 / np.linalg.norm(in_tracker[:3]))
-    assert not visible(eyes_mm(), far_side[None], scene.bodies(None, 0)).any()
+    assert not visible(EYES_MM, far_side[None], scene.bodies(None, 0)).any()
 
 
 def test_an_arm_that_reaches_over_the_head_hides_spheres() -> None:
@@ -192,4 +193,4 @@ def test_an_arm_that_reaches_over_the_head_hides_spheres() -> None:
     middle = (tracker @ [*scene.fiducials_mm.mean(axis=0), 1.0])[:3]
     flange[:3, 3] = middle + 200.0 * towards
     bodies = scene.bodies(ArmState(arm.joints_rad, flange, 1, True), 1)
-    assert not visible(eyes_mm(), scene.fiducials_mm, bodies).all()
+    assert not visible(EYES_MM, scene.fiducials_mm, bodies).all()
