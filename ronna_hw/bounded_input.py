@@ -18,6 +18,7 @@ import errno
 import io
 import json
 import math
+import os
 import re
 import struct
 import tomllib
@@ -43,14 +44,18 @@ class InputRefused(DataError):
 FILE_ADVICE = "Give a file: pipes, sockets and devices are not read."
 
 
-def read_bounded(path: Path, limit_bytes: int, *, follow_links: bool = True) -> bytes:
-    """Read a complete file. Raises INP-001 for more than `limit_bytes`, OSError.
+def read_bounded(
+    path: Path, limit_bytes: int, *, follow_links: bool = True, start_bytes: int | None = None
+) -> bytes:
+    """Read a complete file, or its first `start_bytes`. Raises INP-001 for more than `limit_bytes`, OSError.
 
     Never blocks: a pipe, socket or device in its place is refused, and without `follow_links` also a link
     (OSError).
     """
     try:
         with open_regular(path, follow_links=follow_links) as file:
+            if start_bytes is not None and start_bytes < os.fstat(file.fileno()).st_size <= limit_bytes:
+                return file.read(start_bytes)
             content = file.read(limit_bytes + 1)
     except OSError as error:
         if follow_links and error.errno in (errno.EINVAL, errno.ENXIO):  # the second for a socket

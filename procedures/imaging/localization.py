@@ -104,8 +104,7 @@ def localize(
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
     """Local maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
-    coarse, step_mm = _resample(volume, radius_mm / VOXELS_PER_RADIUS)
-    response = _correlate(coarse, _build_kernel(radius_mm, step_mm))
+    response, step_mm = _filter_spheres(volume, radius_mm)
     places = np.argwhere(response > MIN_CONTRAST_HU)
     strengths = response[tuple(places.T)]
     order = np.argsort(-strengths, kind="stable")
@@ -120,6 +119,20 @@ def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
         peaks.append((places_mm[best] + offset_mm, float(strengths[best])))
         free &= np.linalg.norm(places_mm - places_mm[best], axis=1) > SEPARATION * radius_mm
     return peaks
+
+
+def _filter_spheres(volume: Volume, radius_mm: float) -> tuple[NDArray[np.float32], Array]:
+    """Return the response of the sphere filter on the coarse grid, and the grid's spacing (3,) mm."""
+    coarse, step_mm = _resample(volume, radius_mm / VOXELS_PER_RADIUS)
+    kernel = _build_kernel(radius_mm, step_mm)
+    # outside the volume counts as air; the kernel is symmetric, so convolution equals correlation
+    middle = [k // 2 for k in kernel.shape]
+    inner = tuple(slice(k, k + n) for k, n in zip(middle, coarse.shape, strict=True))
+    shape = [fft.next_fast_len(n + k, real=True) for n, k in zip(coarse.shape, middle, strict=True)]
+    spectrum = fft.rfftn(coarse, s=shape)
+    del coarse  # each of these arrays has tens of megabytes
+    np.multiply(_transform_kernel(kernel, shape), spectrum, out=spectrum)
+    return fft.irfftn(spectrum, s=shape, overwrite_x=True)[inner], step_mm
 
 
 def _resample(volume: Volume, step_mm: float) -> tuple[NDArray[np.float32], Array]:
@@ -175,17 +188,12 @@ def _build_kernel(radius_mm: float, step_mm: Array) -> NDArray[np.float32]:
     return np.asarray(ball / ball.sum() - shell / shell.sum(), dtype=np.float32)
 
 
-def _correlate(values: NDArray[np.float32], kernel: NDArray[np.float32]) -> NDArray[np.float32]:
-    # outside the volume counts as air; the kernel is symmetric, so convolution equals correlation
-    middle = [k // 2 for k in kernel.shape]
-    shape = [fft.next_fast_len(n + k, real=True) for n, k in zip(values.shape, middle, strict=True)]
+def _transform_kernel(kernel: NDArray[np.float32], shape: list[int]) -> NDArray[np.complex64]:
     # axis by axis: lines on which the small kernel is still zero are not transformed
     spectrum = fft.rfft(kernel, n=shape[2], axis=2)
     for axis in (1, 0):
         spectrum = fft.fft(spectrum, n=shape[axis], axis=axis, overwrite_x=True)
-    spectrum *= fft.rfftn(values, s=shape)
-    response = fft.irfftn(spectrum, s=shape, overwrite_x=True)
-    return np.asarray(response[tuple(slice(k, k + n) for k, n in zip(middle, values.shape, strict=True))])
+    return np.asarray(spectrum)
 
 
 def judge_spheres(

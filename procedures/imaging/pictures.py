@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 from collections.abc import Iterable, Sequence
 from textwrap import fill
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -39,28 +40,28 @@ def draw_markers(volume: Volume, localization: Localization) -> tuple[bytes, ...
     Each shows three planes of the voxel grid through the centre with the fitted sphere. Letters mark the
     patient's sides; blue is outside the scan.
     """
+    sheet = _Sheet(volume)
     return tuple(
-        draw_marker(volume, marker, f"marker {number}")
+        sheet.draw(np.array(marker.centre_mm), marker.radius_mm, _head_marker(marker, number))
         for number, marker in enumerate(localization.markers, start=1)
     )
 
 
-def draw_marker(volume: Volume, marker: Marker, title: str) -> bytes:
-    """Draw one PNG with three planes through a marker, HU window -1000 to 600."""
+def _head_marker(marker: Marker, number: int) -> str:
     heading = (
-        f"{title}   LPS {_as_text(marker.centre_mm)} mm\n"
+        f"marker {number}   LPS {_as_text(marker.centre_mm)} mm\n"
         f"sigma {marker.sigma_mm:.3f} mm   radius {marker.radius_mm:.2f} mm   quality {marker.quality:.2f}"
     )
     if marker.flags:
         heading += f"\n{fill(', '.join(marker.flags).replace('_', ' '), HEADING_LETTERS)}"
-    return _draw_picture(volume, np.array(marker.centre_mm), marker.radius_mm, heading)
+    return heading
 
 
 def draw_candidates(volume: Volume, candidates: Sequence[Candidate]) -> tuple[bytes, ...]:
     """Draw a PNG for every candidate, in order, with the verdict; a ring where a surface was found."""
+    sheet = _Sheet(volume)
     return tuple(
-        _draw_picture(
-            volume,
+        sheet.draw(
             np.array(one.centre_mm),
             one.radius_mm,
             f"candidate {number}   LPS {_as_text(one.centre_mm)} mm\n{fill(one.reason, HEADING_LETTERS)}",
@@ -73,46 +74,82 @@ def _as_text(centre_mm: Iterable[float]) -> str:
     return f"({', '.join(f'{value:z.2f}' for value in centre_mm)})"
 
 
-def _draw_picture(volume: Volume, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
-    from matplotlib import colormaps
-    from matplotlib.backends.backend_agg import FigureCanvasAgg
-    from matplotlib.figure import Figure
-    from matplotlib.patches import Circle
+class _Sheet:
+    """A figure of three planes of a volume's grid, on which one picture after the other is drawn.
 
-    geometry = volume.geometry
-    centre_mm = geometry.to_index(middle_mm) * geometry.spacing_mm
-    planes = _sample_planes(volume, centre_mm)
-    sides = geometry.orientation[::-1]  # along slices, rows, columns
-    figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
-    figure.subplots_adjust(**MARGINS)  # computing them for each image would double its time
-    canvas = FigureCanvasAgg(figure)
-    colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
-    for place, ((across, down, through), picture) in enumerate(zip(_PLANES, planes, strict=True)):
-        axes = figure.add_subplot(1, 3, place + 1)
-        # the index increases downwards in every image; the slice axis is drawn upwards, head on top
-        is_upwards = down == 0
-        extent = (-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM)
-        axes.imshow(
-            picture,
-            cmap=colours,
-            vmin=WINDOW_HU[0],
-            vmax=WINDOW_HU[1],
-            extent=extent,
-            origin="lower" if is_upwards else "upper",
-        )
-        if radius_mm is not None:
-            axes.add_patch(Circle((0.0, 0.0), radius_mm, fill=False, color="tab:orange", linewidth=1.2))
-        axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9)
-        right = sides[across]
-        top = sides[down] if is_upwards else _OPPOSITE[sides[down]]
-        axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}", fontsize=PLANE_POINTS)
-        axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}", fontsize=PLANE_POINTS)
-        axes.set_title(_plane_name(geometry, through), fontsize=PLANE_POINTS)
-        axes.tick_params(labelsize=TICK_POINTS)
-    figure.suptitle(heading, fontsize=HEADING_POINTS)
-    stream = io.BytesIO()
-    canvas.print_png(stream, metadata={"Software": None})
-    return stream.getvalue()
+    What all pictures share, such as axes and letters, is drawn once and kept as pixels.
+    """
+
+    def __init__(self, volume: Volume) -> None:
+        from matplotlib import colormaps
+        from matplotlib.backends.backend_agg import FigureCanvasAgg
+        from matplotlib.figure import Figure
+        from matplotlib.patches import Circle
+
+        self._volume = volume
+        geometry = volume.geometry
+        sides = geometry.orientation[::-1]  # along slices, rows, columns
+        self._figure = Figure(figsize=SIZE_IN, dpi=DOTS_PER_INCH)
+        self._figure.subplots_adjust(**MARGINS)  # computing them for each image would double its time
+        self._canvas = FigureCanvasAgg(self._figure)
+        self._axes, self._images, self._circles, self._crosses = [], [], [], []
+        colours = colormaps["gray"].with_extremes(bad=UNSCANNED_COLOUR)
+        for place, (across, down, through) in enumerate(_PLANES):
+            axes = self._figure.add_subplot(1, 3, place + 1)
+            # the index increases downwards in every image; the slice axis is drawn upwards, head on top
+            is_upwards = down == 0
+            image = axes.imshow(
+                np.full((2, 2), np.nan),
+                cmap=colours,
+                vmin=WINDOW_HU[0],
+                vmax=WINDOW_HU[1],
+                extent=(-HALF_WIDTH_MM, HALF_WIDTH_MM, -HALF_WIDTH_MM, HALF_WIDTH_MM),
+                origin="lower" if is_upwards else "upper",
+                animated=True,  # left out of what is drawn once
+            )
+            circle = Circle((0.0, 0.0), 1.0, fill=False, color="tab:orange", linewidth=1.2, animated=True)
+            axes.add_patch(circle)
+            (cross,) = axes.plot([0.0], [0.0], "+", color="tab:cyan", markersize=9, animated=True)
+            right = sides[across]
+            top = sides[down] if is_upwards else _OPPOSITE[sides[down]]
+            axes.set_xlabel(f"{_OPPOSITE[right]}  ← mm →  {right}", fontsize=PLANE_POINTS)
+            axes.set_ylabel(f"{_OPPOSITE[top]}  ← mm →  {top}", fontsize=PLANE_POINTS)
+            axes.set_title(_plane_name(geometry, through), fontsize=PLANE_POINTS)
+            axes.tick_params(labelsize=TICK_POINTS)
+            for spine in axes.spines.values():  # the image would cover half of them
+                spine.set_animated(True)
+            self._axes.append(axes)
+            self._images.append(image)
+            self._circles.append(circle)
+            self._crosses.append(cross)
+        self._heading = self._figure.suptitle("", fontsize=HEADING_POINTS, animated=True)
+        self._canvas.draw()
+        self._shared = self._canvas.copy_from_bbox(self._figure.bbox)
+
+    def draw(self, middle_mm: Array, radius_mm: float | None, heading: str) -> bytes:
+        """Draw one PNG with the planes through a position (LPS); a ring where a radius is known."""
+        from matplotlib.image import imsave
+
+        geometry = self._volume.geometry
+        planes = _sample_planes(self._volume, geometry.to_index(middle_mm) * geometry.spacing_mm)
+        self._canvas.restore_region(self._shared)
+        for axes, image, circle, cross, plane in zip(
+            self._axes, self._images, self._circles, self._crosses, planes, strict=True
+        ):
+            image.set_data(plane)
+            axes.draw_artist(image)
+            if radius_mm is not None:
+                circle.set_radius(radius_mm)
+                axes.draw_artist(circle)
+            axes.draw_artist(cross)
+            for spine in axes.spines.values():
+                axes.draw_artist(spine)
+        self._heading.set_text(heading)
+        self._figure.draw_artist(self._heading)
+        stream = io.BytesIO()
+        nameless: dict[str, Any] = {"Software": None}
+        imsave(stream, self._canvas.buffer_rgba(), format="png", dpi=DOTS_PER_INCH, metadata=nameless)
+        return stream.getvalue()
 
 
 def _sample_planes(volume: Volume, centre_mm: Array) -> list[Array]:

@@ -29,6 +29,7 @@ from ronna_hw.errors import RonnaError
 from ronna_hw.host.files import require_open_files
 from ronna_hw.host.process import ENDING_SIGNALS, defer_interruption
 from ronna_hw.log_output import keep_log
+from ronna_hw.registry import load_driver
 
 if TYPE_CHECKING:
     from procedures.engine.engine import Engine
@@ -36,6 +37,9 @@ if TYPE_CHECKING:
     from procedures.runs.interrupted_run import Resumption
     from ronna_hw.theatre import Theatre
 
+# What the first steps of a case import when they need it; while the phantom is made, they cost no time.
+IMPORTED_LATE = ("pydicom", "matplotlib.figure", "matplotlib.backends.backend_agg")
+SIMULATED_DRIVERS = ("kuka_rsi", "ndi_polaris", "basler_stereo")
 OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room for plots and libraries
 
 
@@ -202,6 +206,10 @@ def _start_simulated(
     for module in ("procedures.steps.catalogue", "procedures.runs.engine_setup"):
         importlib.import_module(module)  # a second of imports, meanwhile
     if phantom is not None:
+        for module in IMPORTED_LATE:
+            importlib.import_module(module)
+        for driver in SIMULATED_DRIVERS:
+            load_driver(driver)
         observers.status("making the phantom CT")
         simulated.await_patient()
     observers.status("opening the theatre")

@@ -8,6 +8,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -21,6 +22,7 @@ DEFLATED = b"1.2.840.10008.1.2.1.99"  # everything after the meta header is defl
 EXPLICIT = b"1.2.840.10008.1.2.1".ljust(len(DEFLATED), b"\0")  # the equivalent syntax once inflated
 
 LONGEST_SHOWN = 80  # characters quoted of an unusable value
+START_BYTES = 16_384  # enough for the attributes of most scanners; otherwise the whole file is read
 LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scanner data
 
 
@@ -31,17 +33,23 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # oddities in attributes that are not used
-            content = read_bounded(path, LARGEST_SLICE_BYTES)
             longest = LARGEST_SLICE_BYTES if only is None else LONGEST_VALUE
             read = partial(
                 pydicom.dcmread,
                 stop_before_pixels=only is not None,
                 specific_tags=None if only is None else list(only),
             )
-            try:
-                found = read(BoundedStream(content, longest))
-            except DataSetDeflated as deflated:
-                found = read(BoundedStream(_inflate(content, deflated.begin), longest))
+            found = None
+            if only is not None:
+                with suppress(Exception):  # whatever it is, the whole file shows it
+                    start = read_bounded(path, LARGEST_SLICE_BYTES, start_bytes=START_BYTES)
+                    found = read(BoundedStream(start, longest, is_start=len(start) == START_BYTES))
+            if found is None:
+                content = read_bounded(path, LARGEST_SLICE_BYTES)
+                try:
+                    found = read(BoundedStream(content, longest))
+                except DataSetDeflated as deflated:
+                    found = read(BoundedStream(_inflate(content, deflated.begin), longest))
             if only is not None:
                 found.buffer = None  # the whole file, of each of a thousand slices
             return found
@@ -70,21 +78,28 @@ class DataSetDeflated(Exception):
         self.begin = begin
 
 
+class StartTooShort(Exception):
+    """Raised where more of a file is read than its start."""
+
+
 class BoundedStream(io.BytesIO):
-    """Bytes of a file with limits on reads.
+    """Bytes of a file with limits on reads; with `is_start`, only the first of them.
 
     Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
     """
 
-    def __init__(self, content: bytes, longest_value: int) -> None:
+    def __init__(self, content: bytes, longest_value: int, *, is_start: bool = False) -> None:
         super().__init__(content)
+        self._start_bytes = len(content) if is_start else None
         self._reads_left = MOST_READS
         self._longest_value = longest_value
 
     def read(self, size: int | None = -1, /) -> bytes:
         """Read `size` bytes; only a deflated data set is read to the end at once."""
         if size is None or size < 0:
-            raise DataSetDeflated(self.tell())
+            raise StartTooShort if self._start_bytes is not None else DataSetDeflated(self.tell())
+        if self._start_bytes is not None and self.tell() + size > self._start_bytes:
+            raise StartTooShort
         self._reads_left -= 1
         if self._reads_left < 0:
             raise InputRefused("too many elements", limit=f"{MOST_READS} reads")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+from concurrent.futures import ThreadPoolExecutor
 
 from pydantic import Field
 
@@ -61,11 +62,12 @@ class ImportedCt(StepResult, kind="ct_import"):
 
 def run(context: StepContext) -> Outcome[ImportedCt]:
     """Read and check the series, and record its identity with the hash of its voxels."""
-    volume = read_series(
-        context.clinical.series, progress=lambda share: context.progress(share, "reading the CT series")
-    )
+    series = context.clinical.series
+    with ThreadPoolExecutor(1) as pool:  # hashing leaves the interpreter to the reader most of the time
+        noting = pool.submit(lambda: context.note_inputs(*list_dicom_files(series)))
+        volume = read_series(series, progress=lambda share: context.progress(share, "reading the CT series"))
+        noting.result()
     context.setting.memory.keep(volume)
-    context.note_inputs(*list_dicom_files(context.clinical.series))
     imported = ImportedCt.from_volume(volume)
     slices, rows, columns = imported.shape
     return Outcome(

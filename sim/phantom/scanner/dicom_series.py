@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 import json
 from functools import cached_property
-from io import BytesIO
 from math import cos, radians, sin
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -20,7 +19,8 @@ from sim.phantom.scanner.grid import CtGrid
 from sim.world.scene.model import Scene
 
 if TYPE_CHECKING:
-    from pydicom.dataset import FileDataset
+    from pydicom.dataset import Dataset
+    from pydicom.uid import UID
 
 INTERCEPT_HU = -1024
 LARGEST_STORED = 4095  # 12 bits
@@ -30,6 +30,7 @@ UID_PREFIX = "2.25."  # UIDs based on a 128-bit number
 UID_BITS = 128
 COORDINATE_DIGITS = 4
 DIRECTION_DIGITS = 10  # of a direction cosine: four would displace the last row of a tilted slice by 0.01 mm
+PREAMBLE_BYTES = 128  # DICOM part 10: free bytes before the letters DICM
 FILE_PATTERN = "slice-*.dcm"
 
 
@@ -68,20 +69,23 @@ class DicomSeries:
 
     def write(self, number: int, stored: NDArray[np.uint16]) -> None:
         """Write one slice of stored values; call it from one thread."""
-        from pydicom.filewriter import dcmwrite
+        from pydicom.dataelem import DataElement
+        from pydicom.dataset import Dataset
         from pydicom.uid import UID
 
-        data = self._header
-        instance = self._make_uid(f"slice {number}")
-        data.SOPInstanceUID = data.file_meta.MediaStorageSOPInstanceUID = UID(instance)
-        data.InstanceNumber = number + 1
+        own = Dataset()
+        own.SOPInstanceUID = UID(self._make_uid(f"slice {number}"))
+        own.InstanceNumber = number + 1
         position = self._first_pixel_mm(number)
-        data.ImagePositionPatient = [_format_decimal(value) for value in position]
-        data.SliceLocation = _format_decimal(position[2])
-        data.PixelData = stored.tobytes()
-        content = BytesIO()
-        dcmwrite(content, data, enforce_file_format=True)
-        write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content.getvalue(), flushed=False)
+        own.ImagePositionPatient = [_format_decimal(value) for value in position]
+        own.SliceLocation = _format_decimal(position[2])
+        own.add(DataElement("PixelData", "OW", stored.tobytes()))
+        encoded = self._shared | _encode_elements(own)
+        content = b"".join(
+            [bytes(PREAMBLE_BYTES), b"DICM", _encode_meta(own.SOPInstanceUID)]
+            + [encoded[tag] for tag in sorted(encoded)]
+        )
+        write_atomically(self._folder / f"slice-{number + 1:04d}.dcm", content, flushed=False)
 
     def _first_pixel_mm(self, number: int) -> tuple[float, float, float]:
         """Return the position of the first pixel of a slice tilted about its middle row."""
@@ -91,16 +95,13 @@ class DicomSeries:
         return x, y, z + number * grid.slice_mm - half_mm * sin(self._tilt_rad)
 
     @cached_property
-    def _header(self) -> FileDataset:
-        """Attributes that all slices share."""
-        from pydicom.dataset import FileDataset, FileMetaDataset
-        from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+    def _shared(self) -> dict[int, bytes]:
+        """Attributes that all slices share, encoded once."""
+        from pydicom.dataset import Dataset
+        from pydicom.uid import CTImageStorage
 
         grid, protocol = self._grid, self._scene.ct
-        meta = FileMetaDataset()
-        meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        meta.MediaStorageSOPClassUID = CTImageStorage
-        data = FileDataset("", {}, file_meta=meta, preamble=bytes(128))
+        data = Dataset()
         data.ImageType = ["ORIGINAL", "PRIMARY", "AXIAL"]
         data.SOPClassUID = CTImageStorage
         data.StudyDate = data.SeriesDate = data.AcquisitionDate = data.ContentDate = SCAN_DATE
@@ -136,11 +137,41 @@ class DicomSeries:
         data.BitsAllocated, data.BitsStored, data.HighBit, data.PixelRepresentation = 16, bits, bits - 1, 0
         data.RescaleIntercept, data.RescaleSlope, data.RescaleType = str(INTERCEPT_HU), "1", "HU"
         data.WindowCenter, data.WindowWidth = "40", "400"
-        return data
+        return _encode_elements(data)
 
     def _make_uid(self, what: str) -> str:
         digest = hashlib.sha256(self._content + what.encode()).digest()
         return UID_PREFIX + str(int.from_bytes(digest[: UID_BITS // 8], "big"))
+
+
+def _encode_elements(data: Dataset) -> dict[int, bytes]:
+    """Encode each attribute as explicit VR little endian, by tag."""
+    from pydicom.filebase import DicomBytesIO
+    from pydicom.filewriter import write_data_element
+
+    encoded = {}
+    for element in data:
+        stream = DicomBytesIO()
+        stream.is_little_endian, stream.is_implicit_VR = True, False
+        write_data_element(stream, element)
+        encoded[int(element.tag)] = stream.getvalue()
+    return encoded
+
+
+def _encode_meta(instance: UID) -> bytes:
+    """Encode the file meta information of one slice."""
+    from pydicom.dataset import FileMetaDataset
+    from pydicom.filebase import DicomBytesIO
+    from pydicom.filewriter import write_file_meta_info
+    from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+
+    meta = FileMetaDataset()
+    meta.MediaStorageSOPClassUID, meta.MediaStorageSOPInstanceUID = CTImageStorage, instance
+    meta.TransferSyntaxUID = ExplicitVRLittleEndian
+    stream = DicomBytesIO()
+    stream.is_little_endian, stream.is_implicit_VR = True, False
+    write_file_meta_info(stream, meta)
+    return stream.getvalue()
 
 
 def to_stored_values(hu: Values, largest: int = LARGEST_STORED) -> NDArray[np.uint16]:
