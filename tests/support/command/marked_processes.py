@@ -10,9 +10,10 @@ MARK = "RONNA_TEST_MARK"
 
 
 def marked_environment() -> tuple[str, dict[str, str]]:
-    """A new mark, and this process's environment with it."""
+    """A new mark, and this process's environment with it; a server of pages must not see that this is a test."""
     mark = uuid.uuid4().hex
-    return mark, os.environ | {MARK: mark}
+    environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
+    return mark, environment | {MARK: mark}
 
 
 def list_marked(mark: str) -> list[str]:
