@@ -235,19 +235,19 @@ def _convolve(patch: Image, kernel: Image) -> Image:
     smooth = np.empty_like(patch)
     for rows in row_bands(*patch.shape):
         down = _convolve_axis(padded[rows.start : rows.stop + 2 * spread], kernel, 0)
-        smooth[rows] = _convolve_axis(_extend_edge(down, spread, 1), kernel, 1)
+        _convolve_axis(_extend_edge(down, spread, 1), kernel, 1, smooth[rows])
     return smooth
 
 
-def _convolve_axis(padded: Image, kernel: Image, axis: int) -> Image:
-    """Convolve along an axis, which becomes shorter by the kernel's length less one."""
+def _convolve_axis(padded: Image, kernel: Image, axis: int, out: Image | None = None) -> Image:
+    """Convolve along an axis, which becomes shorter by the kernel's length less one; in `out` if given."""
     spread = len(kernel) // 2
     length = padded.shape[axis] - 2 * spread
 
     def view_from(step: int) -> Image:
         return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
 
-    total: Image = view_from(spread) * kernel[spread]
+    total: Image = np.multiply(view_from(spread), kernel[spread], out=out)
     pair = np.empty_like(total)
     for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
         np.add(view_from(step), view_from(2 * spread - step), out=pair)
