@@ -57,16 +57,19 @@ class Lens:
     def project(self, points_mm: ArrayLike) -> Array:
         """Project points (n, 3) in front of the camera to pixels (n, 2)."""
         points = np.asarray(points_mm, dtype=float)
-        distorted = self._distort(points[:, :2] / points[:, 2:])
+        straight = points[:, :2] / points[:, 2:]
+        distorted = np.column_stack(self._distort(straight[:, 0], straight[:, 1]))
         return distorted * self.focal_px + self.principal_point_px
 
     def rays(self, pixels: ArrayLike) -> Array:
         """Return x and y of the ray (x, y, 1) of each pixel position (n, 2)."""
         seen = (np.asarray(pixels, dtype=float) - self.principal_point_px) / self.focal_px
-        straight = seen
+        seen_x, seen_y = seen.T.copy()
+        x, y = seen_x, seen_y
         for _ in range(UNDISTORT_STEPS):
-            straight = straight + (seen - self._distort(straight))
-        return straight
+            distorted_x, distorted_y = self._distort(x, y)
+            x, y = x + (seen_x - distorted_x), y + (seen_y - distorted_y)
+        return np.column_stack([x, y])
 
     def blur_sigma_px(self, depth_mm: float) -> float:
         """Return the standard deviation of the blur at a depth (thin lens, uniform disc)."""
@@ -79,16 +82,13 @@ class Lens:
         """Image size over object size in the plane of focus."""
         return self.focal_px[0] * PIXEL_PITCH_UM * 1e-3 / self.focus_mm
 
-    def _distort(self, straight: Array) -> Array:
+    def _distort(self, x: Array, y: Array) -> tuple[Array, Array]:
         k1, k2, p1, p2, k3 = self.distortion
-        x, y = straight[:, 0], straight[:, 1]
         r2 = x * x + y * y
         radial = 1.0 + r2 * (k1 + r2 * (k2 + r2 * k3))
-        return np.column_stack(
-            [
-                x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-                y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-            ]
+        return (
+            x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
+            y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
         )
 
 
@@ -152,6 +152,19 @@ class Canvas:
         return self.light[top : top + area.height, left : left + area.width]
 
 
+@dataclass(frozen=True)
+class Dot:
+    """Dot products of a vector with the rays of an area: the sum of a row and a column."""
+
+    rows: Image  # (height, 1)
+    columns: Image  # (1, width)
+
+    def sum_rows(self, rows: slice, out: Image | None = None) -> Image:
+        """Return the products of some rows, in `out` if given."""
+        total: Image = np.add(self.rows[rows], self.columns, out=out)
+        return total
+
+
 class Rays:
     """The rays (x, y, 1) of all pixels of an area, linear in the pixel position.
 
@@ -170,30 +183,25 @@ class Rays:
         self._columns = np.arange(area.width) - (area.width - 1) / 2
         self._rows = np.arange(area.height) - (area.height - 1) / 2
 
-    def select_rows(self, rows: slice) -> Rays:
-        """Return the rays of some rows only."""
-        part = object.__new__(Rays)
-        part.area = Area(self.area.x, self.area.y + rows.start, self.area.width, rows.stop - rows.start)
-        part._origin, part._per_column, part._per_row = self._origin, self._per_column, self._per_row
-        part._columns, part._rows = self._columns, self._rows[rows]
-        return part
-
-    def dot(self, vector: NDArray[np.float64]) -> Image:
-        """Dot a vector (3,) with each ray: (height, width)."""
+    def dot(self, vector: NDArray[np.float64]) -> Dot:
+        """Dot a vector (3,) with each ray."""
         columns = self._columns * (self._per_column @ vector) + self._origin @ vector
         rows = self._rows * (self._per_row @ vector)
-        total: Image = rows.astype(np.float32)[:, None] + columns.astype(np.float32)[None, :]
-        return total
+        return Dot(rows.astype(np.float32)[:, None], columns.astype(np.float32)[None, :])
 
-    @cached_property
-    def squared(self) -> Image:
-        """Squared length of each ray: (height, width)."""
-        x, y = self.dot(np.array([1.0, 0.0, 0.0])), self.dot(np.array([0.0, 1.0, 0.0]))
+    def square_rows(self, rows: slice, out: Image | None = None) -> Image:
+        """Return the squared length of each ray of some rows, in `out` if given."""
+        along_x, along_y = self._along_axes
+        x, y = along_x.sum_rows(rows, out), along_y.sum_rows(rows)
         x *= x
         y *= y
         x += y
         x += np.float32(1.0)
         return x
+
+    @cached_property
+    def _along_axes(self) -> tuple[Dot, Dot]:
+        return self.dot(np.array([1.0, 0.0, 0.0])), self.dot(np.array([0.0, 1.0, 0.0]))
 
 
 def spread_px(sigma_px: float) -> int:
@@ -227,19 +235,19 @@ def _convolve(patch: Image, kernel: Image) -> Image:
     smooth = np.empty_like(patch)
     for rows in row_bands(*patch.shape):
         down = _convolve_axis(padded[rows.start : rows.stop + 2 * spread], kernel, 0)
-        smooth[rows] = _convolve_axis(_extend_edge(down, spread, 1), kernel, 1)
+        _convolve_axis(_extend_edge(down, spread, 1), kernel, 1, smooth[rows])
     return smooth
 
 
-def _convolve_axis(padded: Image, kernel: Image, axis: int) -> Image:
-    """Convolve along an axis, which becomes shorter by the kernel's length less one."""
+def _convolve_axis(padded: Image, kernel: Image, axis: int, out: Image | None = None) -> Image:
+    """Convolve along an axis, which becomes shorter by the kernel's length less one; in `out` if given."""
     spread = len(kernel) // 2
     length = padded.shape[axis] - 2 * spread
 
     def view_from(step: int) -> Image:
         return padded[step : step + length] if axis == 0 else padded[:, step : step + length]
 
-    total: Image = view_from(spread) * kernel[spread]
+    total: Image = np.multiply(view_from(spread), kernel[spread], out=out)
     pair = np.empty_like(total)
     for step in range(spread):  # the kernel is symmetric: one multiplication for two taps
         np.add(view_from(step), view_from(2 * spread - step), out=pair)
@@ -259,6 +267,13 @@ def _box_filter(patch: Image, width: int, axis: int) -> Image:
 
 
 def _extend_edge(patch: Image, spread: int, axis: int) -> Image:
-    margin = ((spread, spread), (0, 0)) if axis == 0 else ((0, 0), (spread, spread))
-    padded: Image = np.pad(patch, margin, mode="edge")
+    height, width = patch.shape
+    if axis == 0:
+        padded: Image = np.empty((height + 2 * spread, width), patch.dtype)
+        padded[spread : spread + height] = patch
+        padded[:spread], padded[spread + height :] = patch[:1], patch[-1:]
+    else:
+        padded = np.empty((height, width + 2 * spread), patch.dtype)
+        padded[:, spread : spread + width] = patch
+        padded[:, :spread], padded[:, spread + width :] = patch[:, :1], patch[:, -1:]
     return padded

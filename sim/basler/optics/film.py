@@ -93,8 +93,11 @@ class Grain:
     def brightness_at(self, x_mm: Image, y_mm: Image, z_mm: Image) -> Image:
         """Return the brightness factor, with mean 1, of surface points in the sphere's frame."""
         total: NDArray[np.int32] = np.zeros(x_mm.shape, dtype=np.int32)
+        beads, cube = np.empty_like(x_mm), np.empty_like(total)
         for position, multiplier in zip((x_mm, y_mm, z_mm), MULTIPLIERS, strict=True):
-            cube = np.floor(position * np.float32(1.0 / BEAD_MM)).astype(np.int32)
+            np.multiply(position, np.float32(1.0 / BEAD_MM), out=beads)
+            np.floor(beads, out=beads)
+            np.copyto(cube, beads, casting="unsafe")
             cube *= multiplier  # wraps around, as a hash should
             total ^= cube
         total >>= 12

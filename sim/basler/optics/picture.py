@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cache
 from math import cos, pi, sin
 from statistics import NormalDist
@@ -11,7 +11,17 @@ from statistics import NormalDist
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import LARGEST_SIGMA_PX, Area, Canvas, Image, Lens, blur, bounds_of, spread_px
+from sim.basler.optics.canvas import (
+    LARGEST_SIGMA_PX,
+    Area,
+    Canvas,
+    Image,
+    Lens,
+    blur,
+    bounds_of,
+    row_bands,
+    spread_px,
+)
 from sim.basler.optics.film import Film, Grain, Stain
 from sim.basler.optics.sensor import BACKGROUND_ELECTRONS_PER_US, FILM_ELECTRONS_PER_US, Lighting
 from sim.basler.optics.sphere import BodyImage, Sphere, draw_sphere, draw_stalk, stalk_outline_mm
@@ -115,8 +125,8 @@ class Optics:
         if sphere_area.empty:
             return
         drawn = draw_sphere(sphere, self.lens, sphere_area, film)
-        drawn_light = drawn.light * self._lighting.on_film(sphere_area) * strength
-        _composite(canvas.part(sphere_area), drawn.cover, drawn_light)
+        self._illuminate(drawn, strength)
+        _composite(canvas.part(sphere_area), drawn.cover, drawn.light)
         both = sphere_area.intersect(stalk_area)
         if stalk is None or both.empty:
             return
@@ -131,7 +141,14 @@ class Optics:
         if area.empty:
             return None
         image = draw_stalk(sphere, self.lens, area)
-        return replace(image, light=image.light * self._lighting.on_film(area) * strength)
+        self._illuminate(image, strength)
+        return image
+
+    def _illuminate(self, image: BodyImage, strength: np.float32) -> None:
+        """Turn brightness into light, in place."""
+        light = image.light
+        light *= self._lighting.on_film(image.area)
+        light *= strength
 
     def _make_film(self, sphere: Sphere, disturbance: Disturbance) -> Film:
         if sphere.number not in self._grains:
@@ -201,7 +218,10 @@ def _is_drawable(sphere: Sphere) -> bool:
 
 def _composite(behind: Image, cover: Image, light: Image) -> None:
     """Composite light over the background, in place."""
-    behind += cover * (light - behind)
+    for rows in row_bands(*behind.shape):
+        change = light[rows] - behind[rows]
+        change *= cover[rows]
+        behind[rows] += change
 
 
 def _enclosing_area(areas: Sequence[Area]) -> Area:

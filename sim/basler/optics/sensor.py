@@ -33,13 +33,15 @@ class Lighting:
 
     def on_film(self, area: Area) -> Image:
         """Return electrons per microsecond (height, width) from a film of unit brightness."""
-        return self._light_surface(area, self._slope, FALL_OFF) * np.float32(FILM_ELECTRONS_PER_US)
+        light = self._light_surface(area, self._slope, FALL_OFF)
+        light *= np.float32(FILM_ELECTRONS_PER_US)
+        return light
 
     def on_background(self, area: Area) -> Image:
         """Return electrons per microsecond (height, width) from an empty background."""
-        return self._light_surface(area, self._background_slope, 0.0) * np.float32(
-            BACKGROUND_ELECTRONS_PER_US
-        )
+        light = self._light_surface(area, self._background_slope, 0.0)
+        light *= np.float32(BACKGROUND_ELECTRONS_PER_US)
+        return light
 
     def _light_surface(self, area: Area, slope: np.ndarray, fall_off: float) -> Image:
         x = (area.x + np.arange(area.width) - self._centre[0]) / self._half_width_px

@@ -13,13 +13,12 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import product
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sim.basler.optics.canvas import Area, Canvas, Image, Lens, Rays, bounds_of, row_bands
+from sim.basler.optics.canvas import Area, Canvas, Dot, Image, Lens, Rays, bounds_of, row_bands
 from sim.basler.optics.film import Film
 
 Vector = NDArray[np.float64]
@@ -78,11 +77,11 @@ class BodyImage:
 def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage:
     """Draw a sphere of unit brightness over `area`."""
     shape = (area.height, area.width)
-    whole = Rays(lens, area)
+    rays = SphereRays.of(sphere, Rays(lens, area))
     image = BodyImage(area, *(np.empty(shape, np.float32) for _ in range(3)))
     rims = []
     for rows in row_bands(*shape):
-        inside_px = _draw_inside(sphere, lens, film, whole.select_rows(rows), image, rows)
+        inside_px = _draw_inside(sphere, lens, film, rays, image, rows)
         below, right = np.nonzero(np.abs(inside_px) <= BAND_PX)
         rims.append((below + rows.start, right))
     if rims:
@@ -91,43 +90,67 @@ def draw_sphere(sphere: Sphere, lens: Lens, area: Area, film: Film) -> BodyImage
     return image
 
 
-def _draw_inside(sphere: Sphere, lens: Lens, film: Film, rays: Rays, image: BodyImage, rows: slice) -> Image:
+@dataclass(frozen=True)
+class SphereRays:
+    """The rays of an area, and their dot products that draw a sphere."""
+
+    rays: Rays
+    along: Dot  # the centre projected on each ray, times the ray's length
+    across: tuple[Dot, Dot, Dot]  # the cross product of each ray with the centre
+    axes: tuple[Dot, Dot, Dot]
+
+    @classmethod
+    def of(cls, sphere: Sphere, rays: Rays) -> SphereRays:
+        """Return the rays of an area for a sphere."""
+        x, y, z = sphere.centre_mm
+        across = ([z, 0.0, -x], [0.0, z, -y], [y, -x, 0.0])
+        first, second, third = (rays.dot(np.array(each)) for each in across)
+        right, down, post = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
+        return cls(rays, rays.dot(sphere.centre_mm), (first, second, third), (right, down, post))
+
+    def squared_miss_distance(self, rows: slice) -> Image:
+        """Return the squared cross product of each ray with the centre: (miss distance times ray length)^2.
+
+        Unlike a difference of large squares it keeps its digits in single precision.
+        """
+        total = self.across[0].sum_rows(rows)
+        total *= total
+        part = np.empty_like(total)
+        for across in self.across[1:]:
+            across.sum_rows(rows, part)
+            part *= part
+            total += part
+        return total
+
+
+def _draw_inside(
+    sphere: Sphere, lens: Lens, film: Film, rays: SphereRays, image: BodyImage, rows: slice
+) -> Image:
     """Draw some rows, one ray per pixel; returns how far inside the outline each pixel is."""
-    along = rays.dot(sphere.centre_mm)  # the centre projected on each ray, times the ray's length
-    miss = _squared_miss_distance(rays, sphere)
-    inside_px: Image = sphere.radius_mm - np.sqrt(miss / rays.squared)
+    miss = rays.squared_miss_distance(rows)
+    squared = rays.rays.square_rows(rows)
+    inside_px: Image = miss / squared
+    np.sqrt(inside_px, out=inside_px)
+    np.subtract(np.float32(sphere.radius_mm), inside_px, out=inside_px)
     inside_px *= np.float32(lens.focal_px[0] / sphere.tangent_mm)
     # discriminant of the ray's intersections with the sphere; negative outside
-    discriminant = rays.squared * np.float32(sphere.radius_mm**2)
+    discriminant = squared * np.float32(sphere.radius_mm**2)
     discriminant -= miss
     outside = discriminant < 0.0
     np.maximum(discriminant, np.float32(0.0), out=discriminant)
-    depth = (along - np.sqrt(discriminant)) / rays.squared
-    dots = (rays.dot(axis) for axis in sphere.camera_from_sphere.T)
+    depth = image.depth_mm[rows]
+    rays.along.sum_rows(rows, depth)
+    depth -= np.sqrt(discriminant, out=miss)
+    depth /= squared
+    dots = (axis.sum_rows(rows) for axis in rays.axes)
     np.multiply(
-        _limb_brightness(discriminant, rays.squared, sphere),
+        _limb_brightness(discriminant, squared, sphere),
         film.brightness_at(*_surface_points(sphere, depth, dots)),
         out=image.light[rows],
     )
-    depth[outside] = np.inf
-    image.depth_mm[rows] = depth
+    np.copyto(depth, np.float32(np.inf), where=outside)
     image.cover[rows] = inside_px > 0.0
     return inside_px
-
-
-def _squared_miss_distance(rays: Rays, sphere: Sphere) -> Image:
-    """Return the squared cross product of each ray with the centre: (miss distance times ray length)^2.
-
-    Unlike a difference of large squares it keeps its digits in single precision.
-    """
-    x, y, z = sphere.centre_mm
-    total = rays.dot(np.array([z, 0.0, -x]))
-    total *= total
-    for across in ([0.0, z, -y], [y, -x, 0.0]):
-        part = rays.dot(np.array(across))
-        part *= part
-        total += part
-    return total
 
 
 def _sample_rim(
@@ -137,15 +160,18 @@ def _sample_rim(
     if not len(rows):
         return
     centres = np.column_stack([columns + image.area.x, rows + image.area.y]).astype(float)
-    middle = lens.rays(centres)
+    middle_x, middle_y = lens.rays(centres).T.copy()
     # Over one pixel the rays are linear to 1e-7 px: one derivative for the whole band suffices.
     here = centres.mean(axis=0)
     probe = lens.rays(here + np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]]))
+    per_column, per_row = probe[1] - probe[0], probe[2] - probe[0]
     steps = (np.arange(SAMPLES) + 0.5) / SAMPLES - 0.5
     covered = np.zeros(len(rows))
     weighted = np.zeros(len(rows))
-    for right, down in product(steps, steps):
-        x, y = (middle + right * (probe[1] - probe[0]) + down * (probe[2] - probe[0])).T
+    for right in steps:
+        # the samples of a column below each other: (SAMPLES, pixels)
+        x = (middle_x + right * per_column[0]) + (steps * per_row[0])[:, None]
+        y = (middle_y + right * per_column[1]) + (steps * per_row[1])[:, None]
         squared = x * x + y * y + 1.0
         along = x * sphere.centre_mm[0] + y * sphere.centre_mm[1] + sphere.centre_mm[2]
         inside_px = (along / np.sqrt(squared) - sphere.tangent_mm) * (lens.focal_px[0] / sphere.radius_mm)
@@ -153,12 +179,14 @@ def _sample_rim(
         discriminant = np.maximum(along * along - squared * sphere.tangent_mm**2, 0.0)
         depth = (along - np.sqrt(discriminant)) / squared
         dots = (x * axis[0] + y * axis[1] + axis[2] for axis in sphere.camera_from_sphere.T)
-        covered += share
-        weighted += (
+        light = (
             share
             * _limb_brightness(discriminant, squared, sphere)
             * film.brightness_at(*_surface_points(sphere, depth, dots))
         )
+        for share_below, light_below in zip(share, light, strict=True):
+            covered += share_below
+            weighted += light_below
     image.cover[rows, columns] = covered / SAMPLES**2
     image.light[rows, columns] = weighted / np.maximum(covered, np.finfo(float).tiny)
 
@@ -174,7 +202,8 @@ def _limb_brightness(discriminant: Values, squared: Values, sphere: Sphere) -> V
 def _surface_points(sphere: Sphere, depth: Values, dots: Iterator[Values]) -> Iterator[Image]:
     """Yield x, y, z of the surface points in the sphere's frame; `dots` are the rays along its axes."""
     for axis, dot in zip(sphere.camera_from_sphere.T, dots, strict=True):
-        point: Image = (depth * dot).astype(np.float32, copy=False)
+        dot *= depth
+        point: Image = dot.astype(np.float32, copy=False)
         point -= np.float32(axis @ sphere.centre_mm)
         yield point
 
@@ -228,31 +257,35 @@ def draw_stalk(sphere: Sphere, lens: Lens, area: Area) -> BodyImage:
 
 
 def _draw_section(image: BodyImage, part: Area, sphere: Sphere, section: Section, lens: Lens) -> None:
-    whole = Rays(lens, part)
+    rays = Rays(lens, part)
     layers = [Canvas(image.area, each).part(part) for each in (image.cover, image.light, image.depth_mm)]
-    for rows in row_bands(part.height, part.width):
-        _draw_section_rows([each[rows] for each in layers], whole.select_rows(rows), sphere, section, lens)
-
-
-def _draw_section_rows(
-    layers: Sequence[Image], rays: Rays, sphere: Sphere, section: Section, lens: Lens
-) -> None:
-    """Draw some rows of a section into cover, light and depth."""
     # From the skull end up to the sphere: seen from above, the axis points to the camera.
     axis = sphere.camera_from_sphere[:, 2]
     foot = sphere.centre_mm - section.end_mm * axis
     length = section.end_mm - section.begin_mm
     px_per_mm = lens.focal_px[0] / sphere.distance_mm
-    along_axis = rays.dot(axis)
-    cover, light, depth = _draw_side(rays, along_axis, foot, axis, section, px_per_mm)
     # The end facing the camera covers the side.
     end_mm = length if foot @ axis + length < 0 else 0.0
-    end_cover, end_light, end_depth = _draw_end(
-        rays, along_axis, foot + end_mm * axis, axis, section, px_per_mm
-    )
+    end_centre = foot + end_mm * axis
+    along_axis = rays.dot(axis)
+    towards_foot, towards_end = rays.dot(foot - float(foot @ axis) * axis), rays.dot(end_centre)
+    for rows in row_bands(part.height, part.width):
+        along, squared = along_axis.sum_rows(rows), rays.square_rows(rows)
+        side = _draw_side(along, squared, towards_foot.sum_rows(rows), foot, axis, section, px_per_mm)
+        end = _draw_end(along, squared, towards_end.sum_rows(rows), end_centre, axis, section, px_per_mm)
+        _add_section([each[rows] for each in layers], side, end)
+
+
+Drawn = tuple[Image, Image, Image]  # cover, light and depth
+
+
+def _add_section(layers: Sequence[Image], side: Drawn, end: Drawn) -> None:
+    """Add side and end of a section, where nearer, to cover, light and depth; `side` is overwritten."""
+    cover, light, depth = side
+    end_cover, end_light, end_depth = end
     on_end = end_cover > cover
-    for whole, end in ((cover, end_cover), (light, end_light), (depth, end_depth)):
-        np.copyto(whole, end, where=on_end)
+    for one, other in ((cover, end_cover), (light, end_light), (depth, end_depth)):
+        np.copyto(one, other, where=on_end)
     nearer = (cover > 0.0) & (depth < layers[2])
     np.copyto(layers[0], np.maximum(cover, layers[0]), where=nearer)
     np.copyto(layers[1], light, where=nearer)
@@ -260,43 +293,75 @@ def _draw_section_rows(
 
 
 def _draw_side(
-    rays: Rays, along_axis: Image, foot: Vector, axis: Vector, section: Section, px_per_mm: float
-) -> tuple[Image, Image, Image]:
-    """Return coverage, light and depth of the curved side."""
+    along_axis: Image,
+    squared: Image,
+    towards: Image,
+    foot: Vector,
+    axis: Vector,
+    section: Section,
+    px_per_mm: float,
+) -> Drawn:
+    """Draw the curved side; `towards` is the axis, projected on each ray."""
     radius, length = section.radius_mm, section.end_mm - section.begin_mm
     foot_along = float(foot @ axis)
-    across = rays.squared - along_axis * along_axis  # squared component of the ray perpendicular to the axis
+    across = along_axis * along_axis  # squared component of the ray perpendicular to the axis
+    np.subtract(squared, across, out=across)
     np.maximum(across, np.float32(SMALLEST_ACROSS), out=across)
-    towards = rays.dot(foot - foot_along * axis)  # the axis, projected on each ray
     # squared distance between ray and axis, and half the ray's chord in the cylinder
-    distance2 = np.float32(foot @ foot - foot_along**2) - towards * towards / across
+    distance2 = towards * towards
+    distance2 /= across
+    np.subtract(np.float32(foot @ foot - foot_along**2), distance2, out=distance2)
     np.maximum(distance2, np.float32(0.0), out=distance2)
-    chord = np.sqrt(np.maximum(np.float32(radius**2) - distance2, np.float32(0.0)) / across)
-    depth: Image = (towards / across - chord).astype(np.float32, copy=False)
-    height = depth * along_axis - np.float32(foot_along)
-    cover = _edge_cover(np.float32(radius) - np.sqrt(distance2), px_per_mm)
+    chord = np.float32(radius**2) - distance2
+    np.maximum(chord, np.float32(0.0), out=chord)
+    chord /= across
+    np.sqrt(chord, out=chord)
+    depth = towards / across
+    depth -= chord
+    height = depth * along_axis
+    height -= np.float32(foot_along)
+    cover = _edge_cover(np.sqrt(distance2, out=distance2), radius, px_per_mm)
     cover *= (height >= 0.0) & (height <= length)
-    light: Image = (np.sqrt(across) * chord).astype(np.float32, copy=False)
+    light: Image = np.sqrt(across, out=across)
+    light *= chord
     light *= np.float32(section.brightness * SIDE_DARKENING / radius)
     light += np.float32(section.brightness * (1 - SIDE_DARKENING))
     return cover, light, depth
 
 
 def _draw_end(
-    rays: Rays, along_axis: Image, centre: Vector, axis: Vector, section: Section, px_per_mm: float
-) -> tuple[Image, Image, Image]:
-    """Return coverage, light and depth of a flat end."""
-    steep = np.where(np.abs(along_axis) < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
-    depth: Image = (np.float32(centre @ axis) / steep).astype(np.float32, copy=False)
-    off2 = depth * depth * rays.squared - 2.0 * depth * rays.dot(centre) + np.float32(centre @ centre)
-    cover = _edge_cover(np.float32(section.radius_mm) - np.sqrt(np.maximum(off2, np.float32(0.0))), px_per_mm)
+    along_axis: Image,
+    squared: Image,
+    towards: Image,
+    centre: Vector,
+    axis: Vector,
+    section: Section,
+    px_per_mm: float,
+) -> Drawn:
+    """Draw a flat end; `towards` is its centre, projected on each ray."""
+    upright = np.abs(along_axis)
+    depth = np.where(upright < SMALLEST_ACROSS, np.float32(SMALLEST_ACROSS), along_axis)
+    np.divide(np.float32(centre @ axis), depth, out=depth)
+    off2 = depth * depth
+    off2 *= squared
+    twice = np.float32(2.0) * depth
+    twice *= towards
+    off2 -= twice
+    off2 += np.float32(centre @ centre)
+    np.maximum(off2, np.float32(0.0), out=off2)
+    cover = _edge_cover(np.sqrt(off2, out=off2), section.radius_mm, px_per_mm)
     cover *= depth > 0.0
-    light: Image = (np.abs(along_axis) / np.sqrt(rays.squared)).astype(np.float32, copy=False)
+    light: Image = upright
+    light /= np.sqrt(squared, out=twice)
     light *= np.float32(section.brightness)
     return cover, light, depth
 
 
-def _edge_cover(inside_mm: Image, px_per_mm: float) -> Image:
-    """Return the coverage of a pixel by how far inside an edge its centre is."""
-    cover: Image = np.clip(np.float32(0.5) + inside_mm * np.float32(px_per_mm), 0.0, 1.0)
+def _edge_cover(distance_mm: Image, radius_mm: float, px_per_mm: float) -> Image:
+    """Turn distances of pixel centres from the axis, in place, into coverage of the pixels."""
+    cover = distance_mm
+    np.subtract(np.float32(radius_mm), distance_mm, out=cover)
+    cover *= np.float32(px_per_mm)
+    cover += np.float32(0.5)
+    np.clip(cover, 0.0, 1.0, out=cover)
     return cover
