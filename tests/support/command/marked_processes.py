@@ -10,7 +10,7 @@ MARK = "RONNA_TEST_MARK"
 
 
 def marked_environment() -> tuple[str, dict[str, str]]:
-    """A new mark, and this process's environment with it; a server of pages must not see that this is a test."""
+    """A new mark, and this process's environment with it; NiceGUI must not see a test."""
     mark = uuid.uuid4().hex
     environment = {name: value for name, value in os.environ.items() if name != "PYTEST_CURRENT_TEST"}
     return mark, environment | {MARK: mark}
