@@ -36,7 +36,7 @@ def pytest_collection_finish() -> None:
 class OpenFiles:
     """How many files may be open before garbage is searched for some to close.
 
-    What is in use stays open: where that is many, a search after every test would find nothing and cost 70 ms each.
+    What is in use stays open: where that is many, a search after every test finds nothing and costs 70 ms.
     """
 
     def __init__(self) -> None:
