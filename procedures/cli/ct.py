@@ -1,4 +1,4 @@
-"""`ronna-ct`: the marker spheres in a CT series; the CT after the operation is `postoperative.py`."""
+"""`ronna-ct`: marker spheres in a CT series. The postoperative CT is in `postoperative.py`."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ app = typer.Typer(name="ronna-ct", no_args_is_help=True, add_completion=False, r
 
 
 class Method(StrEnum):
-    """How spheres are localized."""
+    """Method of sphere localization."""
 
     COMBINED = "combined"
     THESIS_LINE = "thesis-line"
@@ -241,7 +241,7 @@ def view(
 
 
 def _read_layout_mm(layout: str) -> Any:
-    """Spheres of the layout (k, 3) mm, in its own frame. Raises CT-018, for fewer than three too."""
+    """Read the spheres (k, 3) mm in the layout's own frame. Raises CT-018, also for fewer than three."""
     from procedures.imaging import read_picks
     from procedures.imaging.errors import PicksUnreadable
     from procedures.registration.points import FEWEST_PAIRS

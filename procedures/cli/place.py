@@ -1,4 +1,4 @@
-"""`ronna-plan place`: possible positions of the cart."""
+"""`ronna-plan place`: map of possible cart positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""`ronna-plan`: checks a plan against its CT series and the arm, proposes where markers go on a head."""
+"""`ronna-plan`: plan checks against CT series and arm, and proposals for marker positions."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Inputs of planning commands: the arm of a theatre file, the CT and its markers; positions for markers."""
+"""Inputs of planning commands (theatre arm, CT, markers) and proposals for marker positions."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ SpacingOption = Annotated[int, typer.Option("--seed", min=0, help="Spacing of th
 def load_theatre_arm(
     config: Path | None, robot_from_ct: SixNumbers | None, home_deg: SixNumbers | None, strategy: str
 ) -> TheatreArm | None:
-    """Return the arm of a theatre file with the head at the given pose; None if no option asks for it."""
+    """Load the theatre's arm with the head at the given pose; return None if no option requests it."""
     require_theatre_options(config, robot_from_ct, home_deg, strategy)
     if config is None or robot_from_ct is None:
         return None
@@ -121,7 +121,7 @@ def read_volume(series_dir: Path) -> Volume:
 def read_ct(
     series_dir: Path, needs_markers: bool
 ) -> tuple[Volume, list[tuple[float, float, float]] | None, tuple[str, ...]]:
-    """Return the series, its marker centres, and their remarks on the scan or why there are none."""
+    """Read the series and its marker centres; also return remarks on the scan or why centres are missing."""
     from procedures.imaging import localize, read_series
 
     with terminal.progress_bar("reading the series") as advance:

@@ -1,4 +1,4 @@
-"""`ronna-ct postoperative`: the postoperative CT against the plan."""
+"""`ronna-ct postoperative`: comparison of the postoperative CT with the plan."""
 
 from __future__ import annotations
 
@@ -99,7 +99,7 @@ def _check_same_patient(pre_dir: Path, post_dir: Path) -> tuple[str, ...]:
 
 
 def _require_same_plan(run: Path, plan: Plan) -> None:
-    """Raise POST-008 if the run followed another plan, PRO-033 for a run that was changed."""
+    """Raise POST-008 if the run followed another plan, or PRO-033 if its files were changed."""
     from procedures.engine.run_folder import read_run
     from procedures.postoperative.errors import RunOfAnotherPlan
     from procedures.steps.clinical.plan_check import CheckedPlan

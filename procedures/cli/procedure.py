@@ -1,4 +1,4 @@
-"""`ronna-procedure`: run a case, step through it, look at its steps, its state chart and its links."""
+"""`ronna-procedure`: run or step through a case; show its steps, state chart and links."""
 
 from __future__ import annotations
 

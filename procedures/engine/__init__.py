@@ -1,1 +1,1 @@
-"""Where a case is: its steps, their order, and what comes next."""
+"""Engine of a case: steps, their order, state and progress."""

@@ -1,4 +1,4 @@
-"""The results of one run: immutable records in its folder, each with its parents.
+"""Results of one run, stored as immutable records with references to their parents.
 
 RUN/journal.jsonl            intents and outcomes
 RUN/records/05-....json      one result each
@@ -24,7 +24,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class StepKey:
-    """One step of a case: a name, and its trajectory if it has one."""
+    """Key of a step in a case: step name and optional trajectory."""
 
     name: str
     trajectory: str | None = None
@@ -35,7 +35,7 @@ class StepKey:
 
 @dataclass(frozen=True)
 class Exclusion:
-    """A trajectory that a result leaves out of the case."""
+    """Exclusion of a trajectory from the case by a result."""
 
     trajectory: str
     reason: str
@@ -44,7 +44,7 @@ class Exclusion:
 
 @dataclass(frozen=True)
 class Stored(Generic[R]):
-    """A stored record and its parsed model."""
+    """Stored record with its parsed model."""
 
     record: Record
     result: R
@@ -56,10 +56,10 @@ class Stored(Generic[R]):
 
 
 class Case:
-    """The run folder and its results: the valid ones, and those that a repeated step has superseded."""
+    """Run folder with its valid and superseded results."""
 
     def __init__(self, folder: Path, run: str | None = None) -> None:
-        """`run` is the run's original name, if its folder was renamed."""
+        """Open the run folder; `run` is its original name if it was renamed."""
         self.folder = folder
         self.run = run or folder.name
         self._standing: dict[StepKey, Stored[StepResult]] = {}
@@ -71,7 +71,7 @@ class Case:
         self._written = max((int(found[0]) for found in number_matches if found), default=0)
 
     def store(self, key: StepKey, result: StepResult, parents: Sequence[Record]) -> Stored[StepResult]:
-        """Write a result, named by its place in the run, its kind and its trajectory. Raises REC-002.
+        """Write a result under its number in the run, kind and trajectory. Raises REC-002.
 
         It is valid only once accepted, after the journal has it.
         """
@@ -92,7 +92,7 @@ class Case:
         return Stored(record, result)
 
     def records_superseded_by(self, key: StepKey, finished: Collection[str] = ()) -> tuple[Record, ...]:
-        """Return the records that a new result of that step supersedes: its former result and descendants.
+        """Return the records superseded by a new result of a step: the old result and its descendants.
 
         Results of `finished` trajectories are never superseded.
         """
@@ -110,51 +110,51 @@ class Case:
 
     @property
     def past(self) -> frozenset[str]:
-        """Identifiers of results of finished trajectories that are valid without their ancestors."""
+        """Identifiers of results of finished trajectories that stay valid without their ancestors."""
         return without_ancestors(stored.record for stored in self._standing.values())
 
     @property
     def past_trajectories(self) -> frozenset[str]:
-        """Trajectories with such results: nothing is done for them any more."""
+        """Finished trajectories, whose results stay valid without their ancestors. They get no further steps."""
         past = self.past
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Accept a result in place of those that it supersedes; see `records_superseded_by`."""
+        """Accept a result and remove the results it supersedes; see `records_superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 
     def void(self, key: StepKey, finished: Collection[str] = ()) -> None:
-        """Void the result of that step and its descendants; see `records_superseded_by`."""
+        """Void a step's result and its descendants; see `records_superseded_by`."""
         gone = self.records_superseded_by(key, finished)
         self._superseded += gone
         self._standing = {kept: one for kept, one in self._standing.items() if one.record not in gone}
 
     def stands(self, key: StepKey) -> bool:
-        """Whether that step has a result that has not been superseded."""
+        """Whether a step has a valid result."""
         return key in self._standing
 
     def record_of(self, key: StepKey) -> str | None:
-        """Return the identifier of that step's valid result."""
+        """Return the identifier of a step's valid result, or None."""
         return self._standing[key].record.identifier if key in self._standing else None
 
     def was_superseded(self, key: StepKey) -> bool:
-        """Whether that step had results, none of which is valid."""
+        """Whether all results of a step have been superseded."""
         had_result = any(
             one.kind == key.name and one.trajectory == key.trajectory for one in self._superseded
         )
         return had_result and not self.stands(key)
 
     def find(self, model: type[R], trajectory: str | None) -> Stored[R] | None:
-        """Return the valid result of that model, of a trajectory or of none."""
+        """Return the valid result of a model for a trajectory (None for steps without one), or None."""
         for key in (StepKey(model.kind, trajectory), StepKey(model.kind)):
             if key in self._standing:
                 return cast("Stored[R]", self._standing[key])
         return None
 
     def get(self, model: type[R], trajectory: str | None = None) -> Stored[R]:
-        """Return what `find` finds. Raises PRO-001 without one, REC-001 if its file was changed."""
+        """Return the result from `find`. Raises PRO-001 if there is none, REC-001 if its file was changed."""
         stored = self.find(model, trajectory)
         if stored is None:
             where = f" for {trajectory}" if trajectory else ""
@@ -167,31 +167,31 @@ class Case:
         return stored
 
     def trusts(self, key: StepKey) -> bool:
-        """Whether that step has a valid result that is not in doubt."""
+        """Whether a step has a valid result that is not in doubt."""
         return self.stands(key) and self.doubt_at(key) is None
 
     def doubt(self, key: StepKey, fault: str) -> None:
-        """Put that step's valid result in doubt: the operator is asked whether it is kept."""
+        """Put a step's valid result in doubt, so that the operator is asked whether to keep it."""
         if key in self._standing:
             self._doubts[self._standing[key].record.identifier] = fault
 
     def doubt_at(self, key: StepKey) -> str | None:
-        """Return the fault that came after that step's own valid result."""
+        """Return the fault that occurred after a step's own valid result, or None."""
         return self._doubts.get(self.record_of(key) or "")
 
     def doubt_of(self, record: Record) -> str | None:
-        """Return the fault that came after a record or one of its ancestors."""
+        """Return the fault that occurred after a record or one of its ancestors, or None."""
         names = (record.identifier, *record.parents)
         return next((self._doubts[name] for name in names if name in self._doubts), None)
 
     def trust(self, record: Record) -> None:
-        """Keep a record in spite of the fault."""
+        """Clear the doubt about a record despite the fault."""
         for name in (record.identifier, *record.parents):
             self._doubts.pop(name, None)
 
     @property
     def left_out(self) -> tuple[Exclusion, ...]:
-        """Trajectories that the valid results leave out."""
+        """Trajectories excluded by the valid results."""
         return tuple(
             Exclusion(trajectory, reason, key)
             for key, stored in self._standing.items()
@@ -199,7 +199,7 @@ class Case:
         )
 
     def exclusions_before(self, key: StepKey) -> dict[str, str]:
-        """Return the trajectories that stay left out, and why, whatever a new result of that step says."""
+        """Return trajectories excluded independently of a step's new result, with reasons."""
         gone = {(record.kind, record.trajectory) for record in self.records_superseded_by(key)}
         return {
             one.trajectory: one.reason
@@ -209,18 +209,18 @@ class Case:
 
     @property
     def records(self) -> tuple[Record, ...]:
-        """Every result, in order, including those that are no longer valid."""
+        """All results in order, valid and superseded."""
         standing = (stored.record for stored in self._standing.values())
         return tuple(sorted((*self._superseded, *standing), key=_number))
 
     @property
     def standing(self) -> tuple[Stored[StepResult], ...]:
-        """The valid results, in order."""
+        """Valid results, in order."""
         return tuple(self._standing.values())
 
 
 def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
-    """Return identifiers of valid results with an ancestor that is not valid any more, in order.
+    """Return identifiers of valid results with an invalid ancestor.
 
     They belong to trajectories that were finished before something moved.
     """
@@ -234,12 +234,12 @@ def without_ancestors(standing: Iterable[Record]) -> frozenset[str]:
 
 
 def parent_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return the parent of that kind of a record, among `records` by identifier; None without one."""
+    """Return a record's parent of a given kind from `records` (by identifier), or None."""
     return next((parent for parent in _parents(record, records) if parent.kind == kind), None)
 
 
 def ancestor_of_kind(record: Record, kind: str, records: Mapping[str, Record]) -> Record | None:
-    """Return the nearest ancestor of that kind of a record, among `records`; None without one."""
+    """Return a record's nearest ancestor of a given kind from `records`, or None."""
     level = [record]
     while level:
         level = list({one.identifier: one for below in level for one in _parents(below, records)}.values())

@@ -1,4 +1,4 @@
-"""Progress of a case: which steps are done, left out or next, while it runs and after a restart."""
+"""Progress of a case, while running and after a restart: steps done, left out and next."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from ronna_hw.records import Record
 
 
 class CaseProgress:
-    """The steps of a case, its results, and the latest step, unless something came between."""
+    """Progress of a case from its step order, its results and the latest uninterrupted step."""
 
     def __init__(self, order: CaseOrder, case: Case, latest: StepKey | None = None) -> None:
         self.order = order
@@ -19,37 +19,37 @@ class CaseProgress:
     # What comes next
 
     def left_out(self, key: StepKey) -> str | None:
-        """Return why the trajectory of a step was left out before it; None if it was not."""
+        """Return why a step's trajectory was left out before the step, or None."""
         return self.order.exclusions_at(key, self.case.left_out).get(key.trajectory or "")
 
     def is_settled(self, key: StepKey) -> bool:
-        """Whether a step's result is valid, or its trajectory is left out, or was finished before a move."""
+        """Whether a step needs no work: its result is valid, or its trajectory is left out or finished."""
         if self.case.stands(key) or self.left_out(key) is not None:
             return True
         return key.trajectory is not None and key.trajectory in self.case.past_trajectories
 
     def remains(self, name: str) -> bool:
-        """Whether a step of that name is still to be done."""
+        """Whether a step of this name is still to be done."""
         return any(str(key) == name and not self.is_settled(key) for key in self.order.sequence)
 
     @property
     def _all_finished_before(self) -> bool:
-        """Whether every target was finished before something moved: no step would lead to one."""
+        """Whether every target was finished before a move, so that no step leads to a target."""
         return self.case.past_trajectories.issuperset(self.order.trajectories or ("",))
 
     @property
     def over(self) -> bool:
-        """Whether no step remains; the arm may still be where it was stopped."""
+        """Whether no step remains. The arm may still be away from home."""
         return self._all_finished_before or all(map(self.is_settled, self.order.sequence))
 
     @property
     def continuation(self) -> StepKey | None:
-        """The one step that may follow the latest, if nothing else may come between."""
+        """The step that must directly follow the latest one, or None."""
         return self.order.continuation(self.latest)
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The next step; None when nothing remains.
+        """The next step, or None if no step remains.
 
         A step that must follow the latest comes first. A step that may only follow another, which was not the
         latest, comes after that one is done again.
@@ -68,7 +68,7 @@ class CaseProgress:
         return key
 
     def why_not_now(self, key: StepKey) -> tuple[str, ...]:
-        """Return why it is not that step's turn; empty if it may be."""
+        """Return why a step may not run in the present order; empty if it may."""
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
@@ -76,7 +76,7 @@ class CaseProgress:
         return self.order.unmet(key, self.latest, self.is_settled)
 
     def why_not_up_to(self, key: StepKey) -> str:
-        """Why the case cannot be run up to a step; empty if it can."""
+        """Return why the case cannot be run up to a step; empty if it can."""
         if self.case.stands(key):
             return f"{key} is already done"
         if (reason := self.left_out(key)) is not None:
@@ -84,7 +84,7 @@ class CaseProgress:
         return f"{key.trajectory} is finished" if self.is_settled(key) else ""
 
     def status(self, key: StepKey) -> str:
-        """Return `done`, `left out`, `finished` (its target is), `next`, `superseded`, or nothing."""
+        """Return a step's status: `done`, `left out`, `finished` (target), `next`, `superseded` or empty."""
         if self.case.stands(key):
             return "done"
         if self.left_out(key) is not None:
@@ -99,13 +99,13 @@ class CaseProgress:
 
     @property
     def finished(self) -> tuple[str, ...]:
-        """Trajectories at whose targets the work is done."""
+        """Trajectories with completed work at the target."""
         done = (key for key in self.order.sequence if self.order.spec(key).finishes and self.case.stands(key))
         return tuple(key.trajectory for key in done if key.trajectory is not None)
 
     @property
     def checks_in_doubt(self) -> dict[StepKey, str]:
-        """Checks of the tool that must be repeated, with the fault that came after each.
+        """Tool checks that must be repeated, with the fault that occurred after each.
 
         Empty when the tool is led to no target any more.
         """
@@ -116,23 +116,23 @@ class CaseProgress:
         return {key: fault for key, fault in doubts.items() if fault is not None}
 
     def records_superseded_by(self, key: StepKey) -> tuple[Record, ...]:
-        """Return the records that a new result of that step supersedes; of finished targets only its own."""
+        """Return the records superseded by a step's new result; for finished targets only its old result."""
         return self.case.records_superseded_by(key, self._other_lasting_trajectories(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
-        """Accept a new result in place of what it supersedes."""
+        """Accept a new result and remove the results it supersedes."""
         self.case.accept(key, stored, self._other_lasting_trajectories(key))
 
     def records_voided_by(self, key: StepKey) -> tuple[Record, ...]:
-        """Return the records that fall with that step's result; none of finished targets."""
+        """Return the records voided together with a step's result, except those of finished targets."""
         return self.case.records_superseded_by(key, self._lasting_trajectories(key))
 
     def void(self, key: StepKey) -> None:
-        """Void that step's result, and the records that fall with it."""
+        """Void a step's result and its dependent records."""
         self.case.void(key, self._lasting_trajectories(key))
 
     def _lasting_trajectories(self, key: StepKey) -> tuple[str, ...]:
-        """Return trajectories whose results stay: a later move does not undo finished work.
+        """Return trajectories whose results stay valid, since a later move does not undo finished work.
 
         Another CT or plan does.
         """

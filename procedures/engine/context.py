@@ -1,4 +1,4 @@
-"""The view of the case that a step has. Each result that it reads becomes a parent of its own result."""
+"""Context of a step: its view of the case. Each result read becomes a parent of the step's result."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ D = TypeVar("D")
 
 @dataclass(frozen=True)
 class StepContext:
-    """One step's view of its case."""
+    """View of the case for one step."""
 
     key: StepKey
     reads: tuple[type[StepResult], ...]  # results that the step declares to read
@@ -50,7 +50,7 @@ class StepContext:
     _inputs: dict[str, str] = field(default_factory=dict)
 
     def result(self, model: type[R]) -> R:
-        """Return the valid result of a step, of this step's trajectory or of none.
+        """Return the valid result of a model, for this step's trajectory or without one.
 
         Raises PRO-001 without one, PRO-016 if this step does not declare that it reads it, REC-001 if its
         file was changed.
@@ -63,7 +63,7 @@ class StepContext:
         return self._read_from_case(model, self.key.trajectory)
 
     def _read_from_case(self, model: type[R], trajectory: str | None) -> Stored[R]:
-        """Read a result as a parent, checking its file; the only way to one."""
+        """Read a result, check its file and record it as a parent. Every read goes through here."""
         stored = self._case.get(model, trajectory)
         self._read[stored.record.identifier] = stored.record
         return stored
@@ -71,13 +71,13 @@ class StepContext:
     def trajectories_done(
         self, model: type[R], accept: Callable[[R], bool] = lambda _result: True
     ) -> tuple[str, ...]:
-        """Return the trajectories with an accepted result of a step; reads none."""
+        """Return trajectories with a valid result that `accept` approves, without making it a parent."""
         found = ((name, self._case.find(model, name)) for name in self.trajectories)
         return tuple(name for name, one in found if one is not None and accept(one.result))
 
     @property
     def read(self) -> tuple[Record, ...]:
-        """Results that were asked for so far: the parents of this step's result."""
+        """Records read so far, which become parents of this step's result."""
         return tuple(self._read.values())
 
     @property
@@ -86,11 +86,11 @@ class StepContext:
         return self._case.stands(self.key)
 
     def doubt(self, model: type[R]) -> str | None:
-        """Return the fault that puts a result in doubt, or None; see `result`."""
+        """Return the fault that puts a result in doubt, or None; arguments as for `result`."""
         return self._case.doubt_of(self._read_result(model).record)
 
     def keep(self, model: type[R]) -> None:
-        """Keep a result in spite of the fault; see `result`."""
+        """Clear the doubt about a result despite the fault; arguments as for `result`."""
         self._case.trust(self._read_result(model).record)
 
     @property
@@ -102,23 +102,23 @@ class StepContext:
 
     @property
     def served_trajectories(self) -> tuple[str, ...]:
-        """Trajectories that this step's result is for: its own, or all that remain in the case."""
+        """Trajectories served by this step's result: its own, or all remaining ones."""
         return self.remaining if self.key.trajectory is None else (self.key.trajectory,)
 
     @property
     def remaining(self) -> tuple[str, ...]:
-        """Trajectories that were neither left out nor finished before something moved."""
+        """Trajectories neither left out nor finished before a move."""
         gone = {*self.left_out, *self._case.past_trajectories}
         return tuple(name for name in self.trajectories if name not in gone)
 
     @property
     def workcell(self) -> Workcell:
-        """The only way to look and to move."""
+        """Workcell of the case, the only access to looks and motions."""
         return self.setting.workcell
 
     @property
     def clinical(self) -> ClinicalInput:
-        """Series, plan and strategy of the case. Raises PRO-016 in a procedure without a patient."""
+        """CT series, plan and strategy of the case. Raises PRO-016 in a procedure without a patient."""
         if self.setting.clinical is None:
             raise WrongResult(f"{self.key} needs a case with a patient")
         return self.setting.clinical
@@ -128,7 +128,7 @@ class StepContext:
         return self.workcell.device(name, interface)
 
     def keep_picture(self, name: str, png: bytes) -> None:
-        """Write a picture for people into the run folder, with a number after a name that is taken."""
+        """Write a PNG picture into the run folder, numbering the name if it is taken."""
         folder = self._case.folder / PICTURES_FOLDER
         folder.mkdir(exist_ok=True)
         first = folder / name
@@ -138,7 +138,7 @@ class StepContext:
         self._pictures[path.name] = hashlib.sha256(png).hexdigest()
 
     def note_inputs(self, *files: Path) -> None:
-        """Note files that the result is made from: `verify` finds an exchanged one."""
+        """Note input files of the result, so that `verify` detects a replaced one."""
         self._inputs.update(hash_inputs(self._case.folder, files))
 
     @property
@@ -152,24 +152,24 @@ class StepContext:
         return dict(self._pictures)
 
     def progress(self, share: float, text: str) -> None:
-        """Publish how far the step is, 0..1, and what it is doing; rests here if a pause is wanted."""
+        """Publish the step's progress (0..1) and current activity. Rests here if a pause was requested."""
         self._events.publish(Progress(step=str(self.key), share=share, text=text))
         self._checkpoint.here(f"{self.key}, {text}")
 
     def watching(self, what: str) -> AbstractContextManager[None]:
-        """Watch the patient while the block runs and the arm rests, as during a motion."""
+        """Watch the patient during the block, with the arm at rest, as during a motion."""
         return self._checkpoint.watching(what, False)
 
     def find(self, text: str, targets: Sequence[str] = ()) -> None:
-        """Record a finding that stops nothing, with the `targets` that it concerns."""
+        """Record a finding that does not stop the case, with the `targets` concerned."""
         self._find(text, targets)
 
     def identifier(self, model: type[R]) -> str:
-        """Return the identifier of a valid result; see `result`."""
+        """Return the identifier of a valid result; arguments as for `result`."""
         return self._read_result(model).record.identifier
 
     def result_among(self, model: type[R], pick: Callable[[Sequence[R]], R | None]) -> R | None:
-        """Return the one that `pick` chooses of a step's valid results, of any trajectory, the last one last.
+        """Return the valid result chosen by `pick` from all trajectories, ordered oldest first.
 
         It need not be declared in the reads, because there may be none. Only the chosen result becomes a
         parent. See `stands` for which are valid. Raises
@@ -181,7 +181,7 @@ class StepContext:
         return None if chosen is None else self._read_from_case(model, chosen.record.trajectory).result
 
     def stands(self, model: type[StepResult]) -> bool:
-        """Whether a step has valid results, of any trajectory; reads none.
+        """Whether any trajectory has a valid result of this model. Adds no parent.
 
         Results of finished trajectories that were made before something moved do not count.
         """
@@ -199,7 +199,7 @@ class StepContext:
                 self._void(key, reason)
 
     def void(self, model: type[R], reason: RonnaError) -> None:
-        """Void a result and its descendants, without a new one."""
+        """Void a result and its descendants without a replacement."""
         self._void(StepKey(model.kind), reason)
 
     def confirm(
@@ -211,7 +211,7 @@ class StepContext:
         read_back: ReadBack | None = None,
         evidence: tuple[Evidence, ...] = (),
     ) -> None:
-        """Ask the operator to confirm a value, and record both; raises PRO-002 unless the answer is yes."""
+        """Ask the operator to confirm a value and record the answer. Raises PRO-002 unless it is yes."""
         question = Question(
             topic, subject, value, trajectory=trajectory, read_back=read_back, evidence=evidence
         )
@@ -219,11 +219,11 @@ class StepContext:
             raise NotConfirmed(f"the operator did not confirm: {subject}", got=value)
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
-        """Assign a task to the room's staff and record the readings; raises PRO-002 without them."""
+        """Assign a task to the room's staff and record the readings. Raises PRO-002 if they are missing."""
         return self._questions.perform_task(task)
 
     def request_instrument_removal(self) -> None:
-        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
+        """Request removal of any instrument from the guide. Raises PRO-002 unless confirmed."""
         self._questions.request_instrument_removal()
 
     def choose(self, question: Question) -> str:

@@ -1,4 +1,4 @@
-"""Device faults: reported by their present state, recovered once a person acknowledged them."""
+"""Device faults: reporting of the current state, and recovery after acknowledgement by a person."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ _log = logger(part="engine")
 
 
 def devices_in_fault(devices: Mapping[str, DeviceView]) -> Iterator[tuple[str, LastKnown[object]]]:
-    """Return the role of each device in fault, and how it was last seen."""
+    """Yield the role and last known state of each device in fault."""
     observed = ((role, device.observe()) for role, device in devices.items())
     return ((role, known) for role, known in observed if known.state is Lifecycle.FAULT)
 
@@ -59,19 +59,19 @@ def summarize_fault(role: str, observed: LastKnown[object]) -> str:
 
 
 def _cause_of(observed: LastKnown[object]) -> str:
-    """Return the fault without advice, for records that outlast it."""
+    """Return the cause of the fault without advice, for permanent records."""
     return UNKNOWN if observed.fault is None else f"{observed.fault.code}: {observed.fault.summary}"
 
 
 def _facts(fault: RonnaError, says: Sequence[Fact]) -> list[Fact]:
-    """Return present obstacles, and the cause of the fault."""
+    """Return current obstacles and the cause of the fault."""
     return [fact for fact in says if not fact.ready or (fact.advice and fact.name in fault.what)]
 
 
 def recover_faults(
     devices: Mapping[str, DeviceView], recover: Callable[[str], None]
 ) -> Iterator[tuple[str, str]]:
-    """Recover each device that is in fault, or still holds a message of an earlier connection.
+    """Recover each device that is in fault or still holds a message from an earlier connection.
 
     Yields its role and the acknowledged fault. Raises the errors of `recover`, which is called with the role.
     """
@@ -90,7 +90,7 @@ def recover_faults(
 
 
 class DeviceFaults:
-    """The faults in a case, and the results that they put in doubt."""
+    """Device faults of a case and the results they put in doubt."""
 
     def __init__(
         self,
@@ -100,7 +100,7 @@ class DeviceFaults:
         clock: Clock,
         on_doubt: Callable[[], None] = lambda: None,
     ) -> None:
-        """`on_doubt` is called when something is in doubt."""
+        """Set up fault handling; `on_doubt` is called when a result is put in doubt."""
         self._on_doubt = on_doubt
         self._course = course
         self._workcell = workcell
@@ -115,7 +115,7 @@ class DeviceFaults:
 
     @property
     def descriptions(self) -> dict[str, str]:
-        """Devices in fault, by role, in words for a person: present state and advice."""
+        """Readable descriptions of devices in fault, by role: current state and advice."""
         return {
             role: describe_fault(role, observed)
             for role, observed in devices_in_fault(self._workcell.devices)
@@ -123,19 +123,19 @@ class DeviceFaults:
 
     @property
     def summaries(self) -> dict[str, str]:
-        """Devices in fault, by role, without advice."""
+        """Fault descriptions without advice, by device role."""
         return {
             role: summarize_fault(role, observed)
             for role, observed in devices_in_fault(self._workcell.devices)
         }
 
     def require_arm_moves(self) -> None:
-        """Raise PRO-001 for an arm in fault, with its present state."""
+        """Raise PRO-001 with the current state if the arm is in fault."""
         if (fault := self.descriptions.get(ARM)) is not None:
             raise StepRefused(f"the arm cannot move: {fault}", action="Then repeat the command.")
 
     def acknowledge(self, by: str) -> dict[str, str]:
-        """Recover every device in fault; moves nothing. Return the acknowledged faults, by role.
+        """Recover every device in fault without motion; return the acknowledged faults by role.
 
         `by` is the person's name. Raises DEV-006, and the error of a driver that cannot be recovered yet.
         """
@@ -170,7 +170,7 @@ class DeviceFaults:
         return len(self._acknowledged)
 
     def as_of_now(self, problem: RonnaError, before: int) -> RonnaError:
-        """Return the error that ended a step, for the last line of a run, without acknowledged faults.
+        """Return a step's final error for the last line of a run, without acknowledged faults.
 
         `before` is the number of acknowledgements when the step ended.
         """
@@ -184,7 +184,7 @@ class DeviceFaults:
         return problem
 
     def doubt_results(self) -> None:
-        """Put results in doubt that were localized or checked before the arm was in fault.
+        """Put localizations and tool checks from before an arm fault in doubt.
 
         The journal has this before the fault can end, so that no restart loses it.
         """

@@ -1,4 +1,4 @@
-"""The state of a case as events for displays: its order, the upcoming step, devices, the arm's bodies."""
+"""Display events for the state of a case: step order, upcoming step, devices and arm bodies."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def publish_order(engine: Engine) -> None:
 
 
 def publish_waiting(engine: Engine) -> None:
-    """Publish what comes next, and why it may not begin."""
+    """Publish the upcoming step and any reasons why it may not begin."""
     key, name = engine.upcoming, upcoming_name(engine)
     if key is not None:
         unmet = engine.why_refused(key)
@@ -82,7 +82,7 @@ def publish_waiting(engine: Engine) -> None:
 
 
 def upcoming_name(engine: Engine) -> str | None:
-    """Return the upcoming step, or the way home if only that remains; None when the case is over."""
+    """Return the upcoming step, or the way home if only that remains, or None if the case is over."""
     if (key := engine.upcoming) is not None:
         return str(key)
     return HOME if engine.course.over and not engine.over else None
@@ -106,7 +106,7 @@ def _camera_view(name: str, camera: CameraCalibration) -> CameraView:
 
 
 class BodyView:
-    """The arm's bodies at its last commanded joints. Asks no device."""
+    """View of the arm's bodies at its last commanded joints. Asks no device."""
 
     def __init__(self, workcell: Workcell) -> None:
         self._workcell = workcell
@@ -118,7 +118,7 @@ class BodyView:
         self._cameras: tuple[CameraView, ...] = ()
 
     def at(self, pose: Pose) -> Pose:
-        """Return the pose with the place of each moving body, and of the tool if it has cameras."""
+        """Return the pose with the position of each moving body, and of the tool if it has cameras."""
         bodies, joints_rad = self._current(), cast("JointVector", pose.joints_rad)
         places = tuple(_round_points(*segment) for segment in PlacedBodies(bodies, joints_rad))
         changes: dict[str, tuple[object, ...]] = {"bodies_mm": places}
@@ -200,7 +200,7 @@ def _round_points(*points: tuple[float, float, float]) -> tuple[float, ...]:
 
 
 class DeviceWatch:
-    """Publishes state and fault of every device when they change, the age of its reading, and arm poses.
+    """Publisher of device states and faults on change, ages of readings, and arm poses.
 
     It looks in a thread of its own while the `with` block runs, and once more at its end.
     """
@@ -213,7 +213,7 @@ class DeviceWatch:
         period_s: float = PERIOD_S,
         bodies: BodyView | None = None,
     ) -> None:
-        """`devices` by role; `now_s` is the theatre's time, `period_s` the host's.
+        """Watch `devices` (by role), with `now_s` in theatre time and `period_s` in host time.
 
         With `bodies` every pose says where the moving bodies are.
         """
@@ -281,7 +281,7 @@ class DeviceWatch:
             self._look()
 
     def _look(self, *, last: bool = False) -> None:
-        """Look again; a failure is reported once and ends nothing else."""
+        """Check all devices again. A failure is reported once and does not end the watch."""
         try:
             self.look(last=last)
         except Exception as problem:

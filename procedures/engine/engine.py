@@ -1,4 +1,4 @@
-"""Runs steps in their order: intent to the journal, then the work, then the result.
+"""Step engine: journals the intent, does the work, then journals the result.
 
 Work happens here, never in a transition of the state chart. Any early exit from a step stops the arm.
 """
@@ -36,7 +36,7 @@ _log = logger(part="engine")
 
 
 class Engine:
-    """One run of a procedure. A step that fails leaves the case held: the arm at rest, every result standing.
+    """Engine of one procedure run. A failed step holds the case with the arm at rest and all results valid.
 
     `on_ending` is called before the arm is stopped for good; `before_result` returns data for each result.
     """
@@ -55,7 +55,7 @@ class Engine:
         recovering: bool = False,
         latest: StepKey | None = None,
     ) -> None:
-        """`recorders` are closed with the run; `recovering` begins in recovery: see `accept`.
+        """Set up the run; `recorders` are closed with it, `recovering` starts in recovery (see `accept`).
 
         `latest` is the step that was done last, in a resumed run.
         """
@@ -80,16 +80,16 @@ class Engine:
 
     @property
     def upcoming(self) -> StepKey | None:
-        """The step that comes next, or None when nothing remains: see `CaseProgress.upcoming`."""
+        """The next step, or None if no step remains; see `CaseProgress.upcoming`."""
         return self.course.upcoming
 
     @property
     def instrument_in(self) -> str | None:
-        """The trajectory in which an instrument is beyond the entry, or may be."""
+        """Trajectory with an instrument certainly or possibly beyond the entry, or None."""
         return self.setting.workcell.place.instrument_may_be_inside
 
     def why_refused(self, key: StepKey) -> tuple[str, ...]:
-        """Return all obstacles to beginning a step now; empty when it may begin."""
+        """Return all obstacles to starting a step now; empty if it may start."""
         if self.machine.ended:
             return (f"the case has ended: {self.machine.state}",)
         if self.machine.state == RECOVERY:
@@ -102,7 +102,7 @@ class Engine:
         return unusable_inputs(self.case, spec, key) or spec.preconditions(self.context(key))
 
     def run_step(self, key: StepKey) -> Record:
-        """Run one step; raises PRO-001 while it is refused, and the errors of the step."""
+        """Run one step. Raises PRO-001 if it is refused, and the errors of the step."""
         with suppress(RonnaError):  # an arm that reports no joints is where the journal has it
             self.compare_place()
         if unmet := self.why_refused(key):
@@ -152,7 +152,7 @@ class Engine:
 
     @property
     def over(self) -> bool:
-        """Whether nothing remains: no step, nor the way home of an arm that was led to targets."""
+        """Whether no step remains and, in a case with targets, the arm is home."""
         leads = self.order.leads_to_targets
         return self.course.over and not (leads and (self.instrument_in or self.setting.workcell.place.is_out))
 
@@ -162,7 +162,7 @@ class Engine:
             self._show_state()
 
     def run_to(self, last: StepKey | None = None) -> None:
-        """Run the upcoming steps up to and including `last`, or the one that leaves it out; or all."""
+        """Run upcoming steps through `last` or the step that leaves it out; run all if None."""
         while (key := self.upcoming) is not None:
             try:
                 self.run_step(key)
@@ -196,7 +196,7 @@ class Engine:
         return self.questions.ask(question).word
 
     def find(self, text: str, targets: Sequence[str] = (), **more: JournalValue) -> None:
-        """Record a finding for the operator that stops nothing, with the `targets` that it concerns."""
+        """Record a finding for the operator that does not stop the case, with the `targets` concerned."""
         if targets:
             more["targets"] = list(targets)
         self._write(Entry.FINDING, text=text, **more)
@@ -223,7 +223,7 @@ class Engine:
     # Between steps
 
     def retreat_home(self) -> None:
-        """Leave the head and park: the instrument out by hand, the guide back along its axis, then home.
+        """Leave the head and park: have the instrument removed, withdraw the guide along its axis, go home.
 
         Raises PRO-001 for an arm in fault, PRO-002 unless the operator confirms, PRO-004 where they end the
         case on the way, and the errors of motions.
@@ -254,7 +254,7 @@ class Engine:
         self._finish_if_over()
 
     def leave_head(self) -> None:
-        """Retreat and park, unless the arm was never set up and so never moved. Raises as `retreat_home`."""
+        """Retreat and park, unless the arm was never set up. Raises as `retreat_home`."""
         try:
             _ = self.setting.workcell.home_rad
         except StepRefused:
@@ -262,7 +262,7 @@ class Engine:
         self.retreat_home()
 
     def _recheck_tool(self) -> None:
-        """Void a check of the tool that is in doubt, once the tool is away from entry and gauge.
+        """Void a doubtful tool check once the tool is away from entry and gauge.
 
         Before that its result still serves the work at the target, and the way out.
         """
@@ -273,13 +273,13 @@ class Engine:
             self.void(key, ToolUnchecked(TOUCHED, got=fault))
 
     def _forget_latest(self) -> None:
-        """Forget the latest step, unless the one step that may follow it still may."""
+        """Forget the latest step, unless its required successor may still follow."""
         only = self.course.continuation
         if only is None or self.order.spec(only).preconditions(self.context(only)):
             self.course.latest = None
 
     def abort(self) -> None:
-        """End the case between steps as ordered; moves nothing. Raises PRO-001 if it has ended."""
+        """Abort the case between steps without motion. Raises PRO-001 if it has ended."""
         if self.machine.ended:
             raise StepRefused(f"the case has ended: {self.machine.state}", action="Leave with quit.")
         self.machine.abort()
@@ -288,7 +288,7 @@ class Engine:
         _log.warning("case aborted")
 
     def record_seat(self, session: str, name: str, since_s: float | None) -> None:
-        """Record who operates from a console, and since when; an empty name frees the seat."""
+        """Record the console operator's name and start time; an empty name frees the seat."""
         self._write(Entry.SEAT, session=session, by=name, since_s=since_s)
 
     def found(self, findings: Sequence[str], differences: Sequence[str] = ()) -> None:
@@ -306,7 +306,7 @@ class Engine:
 
     @contextmanager
     def _resting(self, state: str, reason: str) -> Iterator[None]:
-        """Rest the case while it is paused or suspended, also on the way home of one that has ended."""
+        """Rest while the case is paused or suspended, also on the way home after its end."""
         try:
             with self.machine.resting(state), self.faults.require_no_acknowledgement():
                 self._write(Entry.RESTED, state=state, reason=reason)
@@ -320,7 +320,7 @@ class Engine:
         self.events.publish(CaseState(state=self.machine.state, reason=reason))
 
     def close(self, outcome: str, problem: RonnaError | None = None) -> None:
-        """End connections and journal; `problem` is what ended the case, if something did."""
+        """Close connections and journal; `problem` is the error that ended the case, if any."""
         now_s = self.setting.clock.now_s()  # the clock ends with its theatre
         with suppress(JournalNotWritable):
             self.faults.doubt_results()
@@ -337,7 +337,7 @@ class Engine:
             self.events.end()
 
     def _store(self, key: StepKey, outcome: Outcome[StepResult], context: StepContext) -> Stored[StepResult]:
-        """Record, journal, accept, in this order: a result that the journal lacks is not valid."""
+        """Record, journal and accept a result, in this order. Without its journal line it is not valid."""
         expected = self.order.spec(key).result
         if type(outcome.result) is not expected:
             raise WrongResult(
@@ -387,7 +387,7 @@ class Engine:
             self._write(Entry.FAILED, step=str(key), code=code, what=str(problem), **files)
 
     def _write_attachments(self, problem: RonnaError) -> list[JournalValue]:
-        """Write the attachments of an error; return the names of files that the disk accepted."""
+        """Write the attachments of an error; return the names of the files written."""
         written_files: list[JournalValue] = []
         for name, text in sorted(problem.attachments.items()):
             try:

@@ -22,7 +22,7 @@ class UnknownStep(RonnaError):
 
 
 class ToolUnchecked(RefusedError):
-    """The mounted tool may have been taken off, exchanged or hit since it was checked."""
+    """The mounted tool may have been removed, exchanged or hit since its check."""
 
     code = "PRO-027"
     action = "It is checked again before it goes to a target."

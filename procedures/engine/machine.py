@@ -45,7 +45,7 @@ class _Triggered(Protocol):
 
 
 class ProcedureMachine:
-    """Begin a step, hold, rest, finish or abort; nothing else changes the state."""
+    """State machine of a procedure. Only its methods change the state."""
 
     state: str  # phase and step, or what is between steps
 
@@ -76,7 +76,7 @@ class ProcedureMachine:
         self._trigger_event("case_accept")
 
     def hold(self) -> None:
-        """Hold the case after a step failed or was left."""
+        """Hold the case after a step failed or was abandoned."""
         self._trigger_event("case_hold")
 
     @contextmanager
@@ -129,7 +129,7 @@ def state_of(step: StepSpec[StepResult]) -> str:
 
 
 def state_chart_mermaid(steps: Steps) -> str:
-    """Return the state chart as mermaid text: the way through a case, and every transition.
+    """Return the state chart as Mermaid text: the normal course of a case and all transitions.
 
     An arrow from or to a phase is one from or to each of its steps.
     """
@@ -146,7 +146,7 @@ def state_chart_mermaid(steps: Steps) -> str:
 
 
 def _arrows(order: CaseOrder) -> Iterator[str]:
-    """Yield the transitions; many states that lead to the same many do so through a junction."""
+    """Yield the transitions as arrows, joining many-to-many transitions at a junction."""
     ways: dict[tuple[str, ...], list[str]] = {}
     for _, sources, destination in _transitions(order):
         ways.setdefault(tuple(sources), []).append(destination)
@@ -161,7 +161,7 @@ def _arrows(order: CaseOrder) -> Iterator[str]:
 
 
 def _fold_phases(states: Sequence[str], steps: Steps) -> list[str]:
-    """Return names in the chart; a phase stands for its steps if all are there."""
+    """Return chart names of states, with a phase in place of its steps if all are included."""
     names = list(states)
     for phase, inside in _phases(steps).items():
         is_whole = inside.keys() <= set(states)
@@ -176,7 +176,7 @@ def _phases(steps: Steps) -> dict[str, dict[str, str]]:
 
 
 def _blocks(steps: Steps) -> list[tuple[str, str]]:
-    """Return first and last step of the work for each trajectory."""
+    """Return the first and last step of each block repeated per trajectory."""
     blocks = []
     for scope, block in groupby(steps, key=lambda step: step.scope):
         if scope is not Scope.CASE:

@@ -1,4 +1,4 @@
-"""Declarations of steps, and the order of a case: derived from its steps and its strategy."""
+"""Step declarations and the step order of a case, derived from its steps and strategy."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ MOST_NEAR = 3  # names of steps that a mistyped one is answered with
 
 
 class Phase(StrEnum):
-    """Part of the case that a step belongs to: the superstates of the state chart."""
+    """Phase of a case: group of steps and superstate in the state chart."""
 
     PREOPERATIVE = "preoperative"
     PREPARATION = "preparation"
@@ -29,7 +29,7 @@ class Phase(StrEnum):
 
 
 class Scope(StrEnum):
-    """How often a step is done in a case."""
+    """Scope of a step: once per case or once per trajectory."""
 
     CASE = "case"  # once
     LOCALIZATION = "localization"  # as often as the strategy localizes: once, or for each trajectory
@@ -38,7 +38,7 @@ class Scope(StrEnum):
 
 @dataclass(frozen=True)
 class Outcome(Generic[R_co]):
-    """The outcome of a step: its result, and one line for the operator."""
+    """Outcome of a step: result and a one-line summary for the operator."""
 
     result: R_co
     summary: str = ""
@@ -46,7 +46,7 @@ class Outcome(Generic[R_co]):
 
 @dataclass(frozen=True)
 class StepSpec(Generic[R_co]):
-    """A step of a procedure.
+    """Declaration of a procedure step.
 
     `reads` are the results it needs and may read, of its own trajectory where they belong to one.
     `continues` says that it may only follow the step before it in the case, for the same trajectory, and that
@@ -78,7 +78,7 @@ class StepSpec(Generic[R_co]):
 
     @property
     def needs(self) -> tuple[str, ...]:
-        """Kinds of the results that must be valid before it can start."""
+        """Kinds of results that must be valid before the step can start."""
         return tuple(model.kind for model in self.reads)
 
 
@@ -87,7 +87,7 @@ Steps = Sequence[StepSpec[StepResult]]
 
 @dataclass(frozen=True)
 class CaseOrder:
-    """The steps of one case in their intended order."""
+    """Steps of one case in their intended order."""
 
     steps: Steps
     trajectories: tuple[str, ...]
@@ -98,7 +98,7 @@ class CaseOrder:
         return next(step for step in self.steps if step.name == key.name)
 
     def find(self, name: str) -> StepKey:
-        """Return the step of that name, such as `registration:T1`; raises PRO-005 with similar names."""
+        """Return a step by name, such as `registration:T1`. Raises PRO-005 with similar names."""
         if not name:
             raise UnknownStep(
                 "no step is named", action="Name one, such as registration:T1; list shows them."
@@ -128,24 +128,24 @@ class CaseOrder:
         return any(step.finishes for step in self.steps)
 
     def without_names(self, text: str) -> str:
-        """Replace names of trajectories by numbers, for the log: a name may be a patient's."""
+        """Replace trajectory names by numbers for the log, since a name may identify a patient."""
         for number, name in enumerate(self.trajectories, start=1):
             text = re.sub(rf"(?<!\w){re.escape(name)}(?!\w)", str(number), text)
         return text
 
     def before(self, key: StepKey) -> tuple[StepKey, ...]:
-        """Return the steps that must be done before `key`, without those of other trajectories."""
+        """Return the steps required before `key`, excluding steps of other trajectories."""
         earlier = self.sequence[: self.sequence.index(key)]
         own = (None, key.trajectory)
         return tuple(one for one in earlier if key.trajectory is None or one.trajectory in own)
 
     def exclusions_at(self, key: StepKey, decisions: Iterable[Exclusion]) -> dict[str, str]:
-        """Return the trajectories that were left out before that step, and why."""
+        """Return the trajectories left out before a step, with reasons."""
         place = self.sequence.index
         return {one.trajectory: one.reason for one in decisions if place(one.by) < place(key)}
 
     def continuation(self, key: StepKey | None) -> StepKey | None:
-        """Return the one step that may follow `key`, if nothing else may come between."""
+        """Return the step that must directly follow `key`, or None."""
         if key is None or key not in self.sequence[:-1]:
             return None
         following = self.sequence[self.sequence.index(key) + 1]
@@ -154,7 +154,7 @@ class CaseOrder:
     def unmet(
         self, key: StepKey, latest: StepKey | None, stands: Callable[[StepKey], bool]
     ) -> tuple[str, ...]:
-        """Return why a step may not come now, after `latest`; empty if its turn may be now.
+        """Return why a step may not directly follow `latest`; empty if it may.
 
         A step may come when everything before it is valid: next in the order, for another trajectory, or
         again.
@@ -174,7 +174,7 @@ class CaseOrder:
 def order_of(
     steps: Steps, trajectories: Sequence[str], *, localizes_per_trajectory: bool = True
 ) -> CaseOrder:
-    """Derive the order of a case: trajectories are worked on one at a time."""
+    """Derive the step order of a case, working on one trajectory at a time."""
 
     def is_repeated(step: StepSpec[StepResult]) -> bool:
         return step.scope is Scope.TRAJECTORY or (

@@ -19,7 +19,7 @@ IN_GAUGE, IN_DIVOT = "the gauge", "the divot"
 
 
 def as_shown(question: Question, number: int) -> Questioned:
-    """Return a question as followers of the case see it."""
+    """Return a question as an event for followers of the case."""
     return Questioned(
         question=number,
         topic=question.name,
@@ -35,7 +35,7 @@ def as_shown(question: Question, number: int) -> Questioned:
 
 
 class Questions:
-    """Asks the operator and the room's staff of a case, and records their answers and readings."""
+    """Questions and tasks of a case, with recording of answers and readings."""
 
     def __init__(self, setting: CaseSetting, journal: Journal, events: EventStream) -> None:
         self._setting = setting
@@ -45,7 +45,7 @@ class Questions:
         self.unanswered_s: float | None = None  # the time limit that the last question exceeded
 
     def ask(self, question: Question) -> Answer:
-        """Return the operator's answer; a word that is no answer counts as silence."""
+        """Ask the operator and return the answer. An invalid word counts as silence."""
         self._count += 1
         asked_s, began_s = self._setting.clock.now_s(), monotonic()
         self._events.publish(as_shown(question, self._count))
@@ -74,13 +74,13 @@ class Questions:
         return answer
 
     def _misread(self, question: Question) -> None:
-        """Record a failed attempt, without what was typed: it may be another patient's."""
+        """Record a failed read-back without the typed text, which may identify another patient."""
         self._journal.write(
             Entry.MISREAD, self._setting.clock.now_s(), topic=question.name, subject=question.subject
         )
 
     def perform_task(self, task: Task) -> tuple[float, ...]:
-        """Assign a task and return its readings; raises PRO-002 if they are missing or no numbers."""
+        """Assign a task and return its readings. Raises PRO-002 if they are missing or not numbers."""
         began_s = self._setting.clock.now_s()
         readings = self._setting.room.work(task)
         if not all(map(math.isfinite, readings)):  # no limit rejects what is no number
@@ -106,7 +106,7 @@ class Questions:
         return readings
 
     def request_instrument_removal(self) -> None:
-        """Have an instrument taken out, if one may be in the guide; raises PRO-002 unless confirmed."""
+        """Request removal of any instrument from the guide. Raises PRO-002 unless confirmed."""
         instrument = self._setting.workcell.instrument
         if (place := instrument.inside) is None:
             return
@@ -132,7 +132,7 @@ class Questions:
 
 
 def removal_words(place: str) -> str:
-    """Describe the manual work before the arm may leave a place."""
+    """Describe the manual work required before the arm may leave a place."""
     if place == IN_DIVOT:
         return f"lower {place} from the guide"
     return f"remove the {_instrument_name(place)} from {place} and from the guide"

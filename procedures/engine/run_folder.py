@@ -1,4 +1,4 @@
-"""The folder of a run: closed with its last line, read back against its records, and drawn as a lineage."""
+"""Run folder: closing, reading with verification against its records, and drawing its lineage."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ SUPERSEDED = "superseded"
 
 @dataclass(frozen=True)
 class RunFolder:
-    """The journal, its records in order, and which of them were superseded."""
+    """Content of a run folder: journal, records in order, and superseded records."""
 
     path: Path
     journal: tuple[Line, ...]
@@ -45,7 +45,7 @@ class RunFolder:
 
     @property
     def opened(self) -> Line:
-        """The first line: theatre, banner, strategy, seed. Empty when there is none."""
+        """First journal line: theatre, banner, strategy, seed. Empty if missing."""
         return self.journal[0] if self.journal else {}
 
     @property
@@ -54,40 +54,40 @@ class RunFolder:
         return str(self.opened.get("run") or self.path.resolve().name)
 
     def lines(self, entry: Entry) -> tuple[Line, ...]:
-        """The journal's lines of one kind."""
+        """Return the journal lines of one kind."""
         return tuple(line for line in self.journal if line["entry"] == entry)
 
     @property
     def valid_records(self) -> tuple[Record, ...]:
-        """The records that nothing superseded, in order."""
+        """Valid records, in order."""
         return tuple(record for record in self.records if record.identifier not in self.superseded)
 
     @property
     def past(self) -> frozenset[str]:
-        """Identifiers of results of finished trajectories that were made before something moved."""
+        """Identifiers of results of finished trajectories from before a move."""
         return without_ancestors(self.valid_records)
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """The valid results of a step, in order. Raises REC-001, REC-003."""
+        """Return the valid results of a step, in order. Raises REC-001, REC-003."""
         return _results_of(model, self.valid_records)
 
     def made(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """All results of a step, in order. Raises REC-001, REC-003."""
+        """Return all results of a step, in order. Raises REC-001, REC-003."""
         return _results_of(model, self.records)
 
 
 def read_run(folder: Path) -> RunFolder:
-    """Read a run; raises PRO-033 if it was changed."""
+    """Read a run. Raises PRO-033 if its files were changed."""
     return run_of(inspect_run(folder).require_unchanged())
 
 
 def run_of(found: Inspection) -> RunFolder:
-    """Return the run that was inspected."""
+    """Return the run folder of an inspection."""
     return RunFolder(found.folder, found.chain.lines, found.records, found.superseded)
 
 
 def parse_record(record: Record, model: type[R]) -> R:
-    """Parse a record's payload as its model. Raises REC-003 for another version, REC-001 for another form."""
+    """Parse a record's payload. Raises REC-003 for another version, REC-001 for an invalid form."""
     if record.version != model.version:
         raise OtherVersion(
             f"{record.identifier} has another version",
@@ -102,13 +102,13 @@ def parse_record(record: Record, model: type[R]) -> R:
 
 
 def step_key(line: Line) -> StepKey:
-    """Return the step that a journal line is about."""
+    """Return the step key of a journal line."""
     name, _, trajectory = str(line.get("step", "")).partition(":")
     return StepKey(name, trajectory or None)
 
 
 def targets_in_doubt(journal: Iterable[Line]) -> dict[str, tuple[str, ...]]:
-    """Return targets that may be off by more than predicted, and why, until an instrument goes in again."""
+    """Return targets in doubt since the last insertion, with reasons: errors may exceed predictions."""
     doubts: dict[str, tuple[str, ...]] = {}
     for line in journal:
         if line["entry"] == Entry.STAGE and line.get("task") == INSERT and line.get("done") is False:
@@ -126,10 +126,10 @@ def _results_of(model: type[R], records: Iterable[Record]) -> tuple[Stored[R], .
 
 
 class Recorder(Protocol):
-    """Writes files of the run alongside the engine."""
+    """Recorder of run files alongside the engine."""
 
     def close(self) -> None:
-        """Write what is left and close the files. Bounded in time; never raises."""
+        """Write pending data and close the files. Bounded in time; never raises."""
         ...
 
 
@@ -141,7 +141,7 @@ def close_run(
     clinical: ClinicalInput | None,
     **more: JournalValue,
 ) -> None:
-    """Write the journal's last line and close it; whatever prevents that is reported by `verify`."""
+    """Write the journal's last line and close it. A failure is left for `verify` to report."""
     try:
         evidence = _evidence(folder, clinical)
         journal.write(Entry.CLOSED, theatre_time_s, outcome=outcome, **more, **evidence)
@@ -152,7 +152,7 @@ def close_run(
 
 
 def _evidence(folder: Path, clinical: ClinicalInput | None) -> dict[str, JournalValue]:
-    """Hashes of the run's files, and of CT, plan and proposed place where they are not in its folder."""
+    """Return hashes of the run's files, and of CT, plan and proposed position outside its folder."""
     inputs = () if clinical is None else (clinical.series, clinical.plan, clinical.place)
     try:
         expected = Manifest(read_chain(folder / JOURNAL_FILE).lines).unvouched_files
@@ -191,7 +191,7 @@ def lineage_text(run: RunFolder) -> str:
 
 
 def lineage_mermaid(run: RunFolder) -> str:
-    """Draw the lineage as a chart: an arrow from each result to those made from it."""
+    """Return the lineage as a Mermaid chart with an arrow from each result to its descendants."""
     number = {record.identifier: place for place, record in enumerate(run.records)}
     lines = ["flowchart TD"]
     for record in run.records:

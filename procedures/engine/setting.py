@@ -1,4 +1,4 @@
-"""Workcell, people, inputs and settings that all steps of a run share."""
+"""Shared workcell, people, inputs and settings of a run's steps."""
 
 from __future__ import annotations
 
@@ -21,13 +21,13 @@ T = TypeVar("T")
 
 
 class CaseMemory:
-    """Holds one object of each type until it is dropped; a step that finds nothing reads the input again."""
+    """Cache of one object per type. A step that finds no object reads the input again."""
 
     def __init__(self) -> None:
         self._kept: dict[type[object], object] = {}
 
     def keep(self, value: object) -> None:
-        """Keep an object in place of another of its type."""
+        """Keep an object, replacing any other of its type."""
         self._kept[type(value)] = value
 
     def find(self, kind: type[T]) -> T | None:
@@ -60,7 +60,7 @@ class ClinicalInput:
 
 
 def now_to_second() -> datetime:
-    """Return the present time as records are dated."""
+    """Return the current time to the second, as used to date records."""
     return datetime.now(UTC).replace(microsecond=0)
 
 

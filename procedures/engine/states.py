@@ -1,4 +1,4 @@
-"""States of a case between steps, by name; `machine` adds those of the steps."""
+"""Names of case states between steps; `machine` adds the states of steps."""
 
 from procedures.operator.checkpoint import PAUSED, SUSPENDED
 

@@ -83,7 +83,7 @@ def calibrate(
 def resume_calibration(
     request: RunRequest, interrupted: InterruptedRun, *, accepted: bool, as_json: bool
 ) -> None:
-    """Finish the looks, compute and write the files; only show a finished calibration.
+    """Resume an interrupted calibration and write its files; show the figures of a finished one.
 
     Raises the errors of `resume`, and those of the calibration itself.
     """
@@ -144,7 +144,7 @@ def check_calibration(
     *,
     as_json: bool,
 ) -> None:
-    """Measure, then write and show the figures from `judge`, even if its verdict raises."""
+    """Run a check, then write and show the figures from `judge`, even if its verdict raises."""
     checked_figures: list[F] = []
 
     def conclude(case: Case) -> None:
@@ -166,7 +166,7 @@ def check_calibration(
 
 
 def bar_observers(bar: ProgressBar) -> RunObservers:
-    """Return observers that show a run's progress in `bar`, which pauses while a question is asked."""
+    """Return observers that show a run's progress in `bar` and pause it during questions."""
 
     def advance(events: Sequence[Event]) -> None:
         for event in events:
@@ -182,7 +182,7 @@ def bar_observers(bar: ProgressBar) -> RunObservers:
 
 
 def show(figures: RecordFigures, folder: Path, *, written: Path | None, as_json: bool) -> None:
-    """Show the figures of a finished calibration, and the theatre file that was `written` with it."""
+    """Show the figures of a finished calibration and the path of the `written` theatre file."""
     if as_json:
         terminal.print_json({**figures.as_json(), "folder": str(folder)})
         return

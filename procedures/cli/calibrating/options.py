@@ -31,7 +31,7 @@ class MeasuringOptions(TheatreOptions):
 
 @dataclass(frozen=True)
 class CalibrationOptions(MeasuringOptions):
-    """Options of a calibration: the source of its measurements, and the use of its records."""
+    """Options of a calibration: measurement source and use of the resulting records."""
 
     recorded: Annotated[
         Path | None,
@@ -44,7 +44,7 @@ class CalibrationOptions(MeasuringOptions):
     ] = None
 
     def source(self, context: typer.Context) -> RunRequest:
-        """Return the theatre to measure in, or of the recorded measurements.
+        """Return the run request for the theatre to measure in, or for recorded measurements.
 
         Raises CLI-001 unless each input has one source.
 
@@ -75,7 +75,7 @@ def _list_other_options(context: typer.Context, names: Set[str]) -> str:
 
 
 def require_finite_ball(ball_mm: Numbers3 | None) -> Numbers3 | None:
-    """Return the given place of a ball. Raises CLI-001 unless it is finite."""
+    """Return the ball position from the options, mm. Raises CLI-001 unless it is finite."""
     if ball_mm is not None and not all(map(math.isfinite, ball_mm)):
         got = " ".join(f"{value:g}" for value in ball_mm)
         raise UsageMistake("--ball needs three finite numbers", got=got)

@@ -1,1 +1,1 @@
-"""A case at the command line: options, displays, prompts, and the person at the terminal."""
+"""Command-line interface of a case: options, displays, prompts, and the person at the terminal."""

@@ -1,4 +1,4 @@
-"""View of a case for a person: step outcomes and present state, from its events."""
+"""Human-readable view of a case, built from its events: step outcomes and current state."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ class Entry:
 
 
 def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
-    """Return the line for the outcome of a step, or for a finding; None for other events.
+    """Return the history line for a step outcome or finding, or None for other events.
 
     Without `errors`, which are shown beside it, a failed step is shown with its code only.
     """
@@ -71,7 +71,7 @@ def entry_of(event: Event, *, errors: bool = True) -> Entry | None:
 
 
 def plain_line_of(event: Event) -> str | None:
-    """Return a plain line for a step done, a voided result or a finding; None for other events."""
+    """Return a plain line for a finished step, voided result or finding, or None for other events."""
     match event.what:
         case StepState(step=step, state="done", summary=summary):
             return f"done {step}: {summary}"
@@ -84,7 +84,7 @@ def plain_line_of(event: Event) -> str | None:
 
 
 def describe_state(case: CaseState) -> str:
-    """Describe a state and its reason, except for a held case: its failed step gave the reason."""
+    """Describe a state and its reason. The reason of a held case is left to its failed step."""
     return f"{case.state} ({case.reason})" if case.reason and case.state != HELD else case.state
 
 
@@ -94,7 +94,7 @@ def describe_loss(lost: SignalsLost) -> str:
 
 
 class CaseView:
-    """Present state: state, step and progress, devices, journal, errors."""
+    """Current view of a case: state, step, progress, devices, journal and errors."""
 
     def __init__(self) -> None:
         self.state = "starting"
@@ -108,7 +108,7 @@ class CaseView:
         self._errors: deque[tuple[str, str]] = deque(maxlen=LAST_ERRORS)  # step and error text
 
     def take_in(self, event: Event) -> None:
-        """Update the view by an event."""
+        """Update the view from an event."""
         match event.what:
             case CaseState() as case:
                 self.state = describe_state(case)
@@ -155,13 +155,13 @@ class CaseView:
         return shown
 
     def _settle(self, step: str) -> None:
-        """Drop errors of a step that is done again."""
+        """Drop earlier errors of a step that has since succeeded."""
         kept_errors = [one for one in self._errors if one[0] != step]
         self._errors.clear()
         self._errors.extend(kept_errors)
 
     def _settle_fault(self, device: str, fault: str) -> None:
-        """Drop a fault that is over, and the refusals that it caused."""
+        """Drop a cleared fault and the refusals that it caused."""
         fault_words = (f"the {device} is in fault", f"{_code_of(fault)}: ")
         kept_errors = [one for one in self._errors if not any(words in one[1] for words in fault_words)]
         self._errors.clear()
@@ -186,7 +186,7 @@ class CaseView:
 
 
 def _code_of(error: str) -> str:
-    """Return the code of an error in words."""
+    """Return the error code at the start of an error text."""
     return error.partition(": ")[0]
 
 
@@ -196,7 +196,7 @@ def _summarize_line(line: Mapping[str, object]) -> str:
 
 
 class EventFollower:
-    """Follows a stream in a thread of its own; `show` is never called by two threads at once."""
+    """Follower of an event stream in its own thread. Calls to `show` never overlap."""
 
     def __init__(self, events: EventStream, show: Show) -> None:
         self._reader = events.subscribe()
@@ -205,12 +205,12 @@ class EventFollower:
         self._thread = threading.Thread(target=self._follow, name="event follower", daemon=True)
 
     def start(self) -> None:
-        """Begin to follow."""
+        """Start following the stream."""
         self._thread.start()
 
     @contextlib.contextmanager
     def quiet(self) -> Iterator[None]:
-        """Show what has happened so far, and nothing more while the block runs."""
+        """Show pending events, then suppress output while the block runs."""
         with self._showing:
             self.catch_up()
             yield

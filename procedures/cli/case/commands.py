@@ -1,4 +1,4 @@
-"""Orders of an operator at a prompt: read from a line, and carried out at once."""
+"""Operator orders at a prompt: parsing and immediate execution."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ Say = Callable[[str], None]
 
 
 def read_command(engine: Engine, command: str, argument: str) -> Order:
-    """Return the order of a command of `COMMANDS`. Raises PRO-005 for a step that does not exist."""
+    """Return the order for a command in `COMMANDS`. Raises PRO-005 for an unknown step."""
     if command == "run" and argument.startswith("to "):
         command, argument = "to", argument.removeprefix("to ").strip()
     order = COMMANDS[command].order
@@ -46,7 +46,7 @@ def read_command(engine: Engine, command: str, argument: str) -> Order:
 
 
 def carry_out(engine: Engine, order: Order, say: Say, by: str = "") -> None:
-    """Carry out an order at a prompt; `by` is the name given with it. Raises the errors of steps."""
+    """Carry out an order from a prompt, given by the person named `by`. Raises the errors of steps."""
     find = engine.order.find
     match order:
         case ListSteps():

@@ -1,4 +1,4 @@
-"""The display of a case while it runs and of its outcome, and Ctrl-C.
+"""Display of a running case and of its outcome, and handling of Ctrl-C.
 
 Ctrl-C on a terminal: once pauses at the next safe point, twice stops the arm, three times ends all. Safe
 points are between steps and before each motion. While a question is open, the second one ends everything.
@@ -45,7 +45,7 @@ AT_QUESTION = b"\nthe arm rests; Ctrl-C again ends the command\n"
 
 
 class Interrupts:
-    """The effect of Ctrl-C on an engine."""
+    """Handler of Ctrl-C for an engine."""
 
     def __init__(self) -> None:
         self._engine: Engine | None = None
@@ -54,12 +54,12 @@ class Interrupts:
         self._prompt = ""
 
     def attach(self, engine: Engine) -> None:
-        """Direct Ctrl-C to this engine; before, it ends the command."""
+        """Direct Ctrl-C to this engine. Until then, Ctrl-C ends the command."""
         self._engine = engine
 
     @contextlib.contextmanager
     def asking(self) -> Iterator[WritePrompt]:
-        """Let Ctrl-C show the prompt again while a question is open, and end the command the second time.
+        """While a question is open, show the prompt again on the first Ctrl-C; end the command on the second.
 
         Nothing moves meanwhile. On Ctrl-C a terminal discards output that it has not shown yet.
         """
@@ -74,7 +74,7 @@ class Interrupts:
         write_prompt(prompt)
 
     def interrupt(self) -> None:
-        """Count one Ctrl-C; raises KeyboardInterrupt when it is to end the command."""
+        """Count one Ctrl-C. Raises KeyboardInterrupt if it must end the command."""
         engine = self._engine
         if engine is None or self._at_question:
             raise KeyboardInterrupt
@@ -168,7 +168,7 @@ def write_lines(write: Callable[[str], None], events: Sequence[Event]) -> None:
 
 
 def show_outcome(outcome: FinishedRun, *, as_json: bool) -> None:
-    """Print the table of target errors, or the whole object as JSON. Exits with 3 for targets in doubt."""
+    """Print the target errors as a table, or the whole outcome as JSON. Exits with 3 for targets in doubt."""
     if as_json:
         empty = {name for name in ("left_out", "in_doubt") if not getattr(outcome, name)}
         print_json(outcome.model_dump(mode="json", exclude=empty))
@@ -211,7 +211,7 @@ def _show_table(outcome: FinishedRun) -> None:
 def follow_case(
     request: RunRequest, out: Path, *, as_json: bool, console: ConsoleRequest | None = None
 ) -> None:
-    """Run a case in a new folder of `out` and show it; with JSON, print one object however it ends."""
+    """Run and show a case in a new folder in `out`. With JSON, print one object whatever the outcome."""
     check_case(request)
     with run_folder(request, out) as folder, hold_run(folder):
         waits = request.config is not None
@@ -251,7 +251,7 @@ def follow(
 def _add_console(
     observers: RunObservers, folder: Path, console: ConsoleRequest | None, *, waits: bool
 ) -> contextlib.AbstractContextManager[RunObservers]:
-    """Add the console that was requested, if any."""
+    """Add the requested console, if any."""
     if console is None:
         return contextlib.nullcontext(observers)
     from procedures.runs.console_link import with_console

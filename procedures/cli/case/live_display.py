@@ -1,4 +1,4 @@
-"""The live picture of a case on a terminal: finished steps scroll by, the present state is below.
+"""Live display of a case on a terminal: finished steps scroll by above the current state.
 
 A module of its own, because it imports rich.
 """
@@ -19,10 +19,10 @@ from ronna_hw.text import printable
 
 
 class LiveDisplay:
-    """Shows events; `shown` keeps it on the terminal, `hidden` takes it away while something else writes."""
+    """Live display of events: visible within `shown`, cleared within `hidden` for other output."""
 
     def __init__(self, console: Console, *, errors: bool) -> None:
-        """With `errors`, show them; otherwise the operator of the case gets them, with advice."""
+        """Show errors if `errors` is set. Otherwise the operator of the case gets them, with advice."""
         self.view = CaseView()
         self._errors = errors
         self._console = console
@@ -36,7 +36,7 @@ class LiveDisplay:
         self._live = self._picture()
 
     def _picture(self) -> Live:
-        """Build a picture that is not on the terminal yet; a reused one would hide later output."""
+        """Build a new live picture, not yet started. Reusing an old one would hide later output."""
         return Live(Group(self._bar, self.view), console=self._console, transient=True)
 
     def status(self, text: str) -> None:
@@ -48,7 +48,7 @@ class LiveDisplay:
         self._console.print(printable(text), soft_wrap=True, markup=False, highlight=False)
 
     def show(self, events: Sequence[Event]) -> None:
-        """Update the display by these events."""
+        """Update the display from these events."""
         for event in events:
             self.view.take_in(event)
             if (entry := entry_of(event, errors=self._errors)) is not None:

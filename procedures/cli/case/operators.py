@@ -34,13 +34,13 @@ MOST_MISREAD = 3  # wrong values at one question that count as no answer
 
 
 class Alarms:
-    """Devices in fault, as last seen, for a person at a question or prompt. Asks no device.
+    """Device faults, as last seen, for the person at a question or prompt. Asks no device.
 
     A person may answer in the belief that the arm can move.
     """
 
     def __init__(self, advice: str = ADVICE) -> None:
-        """`advice` follows the description of a fault."""
+        """Set the `advice` to append to each fault description."""
         self._advice = advice
         self._engine: Engine | None = None
         self._reported: set[str] = set()  # roles, at this question
@@ -50,7 +50,7 @@ class Alarms:
         self._engine = engine
 
     def begin(self) -> None:
-        """Open a question: present faults are shown with it."""
+        """Start a new question, so that all present faults are shown again."""
         self._reported = set()
 
     def take_new_lines(self) -> list[str]:
@@ -71,13 +71,13 @@ class Alarms:
 
 
 def forget_typed() -> None:
-    """Discard input that was typed at the terminal and not read yet."""
+    """Discard unread terminal input."""
     with contextlib.suppress(termios.error):  # the terminal is gone, and its end is read
         termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
 
 def await_input(alarms: Alarms, deadline_s: float | None = None) -> tuple[bool, list[str]]:
-    """Wait at a terminal for a line, the end of time or an alarm; return whether there is a line, and alarms.
+    """Wait for a typed line, the deadline or an alarm; return whether a line is ready, and new alarm lines.
 
     Input typed before an alarm is discarded: it was typed without knowing of it.
     """
@@ -105,7 +105,7 @@ def plain_prompt() -> AbstractContextManager[WritePrompt]:
 def terminal_observers(
     asking: Asking = plain_prompt, opened: Callable[[Engine], None] = lambda _engine: None
 ) -> RunObservers:
-    """Return observers with the person at the terminal, who is told of devices in fault."""
+    """Return observers with the person at the terminal, and device alarms at each question."""
     alarms = Alarms()
 
     def attach_alarms(engine: Engine) -> None:
@@ -120,7 +120,7 @@ def terminal_observers(
 
 
 class TerminalOperator:
-    """A person at the terminal. Without a terminal nobody answers.
+    """Operator at the terminal. Without a terminal nobody answers.
 
     `asking` is held while a question is open, so that nothing else overwrites it. `alarms` are told at once,
     and nothing typed before counts.
@@ -168,7 +168,7 @@ class TerminalOperator:
 
 
 class TerminalRoom:
-    """The person at the terminal as staff of the room."""
+    """Room staff represented by the person at the terminal."""
 
     def __init__(
         self,
@@ -177,7 +177,7 @@ class TerminalRoom:
         simulated: bool = False,
         alarms: Alarms | None = None,
     ) -> None:
-        """In a `simulated` theatre a tool is mounted by a command."""
+        """Set up the prompts; in a `simulated` theatre they name the command that does the work."""
         self._asking = asking
         self._alarms = Alarms() if alarms is None else alarms
         self._simulated = simulated
@@ -198,14 +198,14 @@ class TerminalRoom:
             self._hint(f"stand {holds}")
 
     def _hint(self, command: str) -> None:
-        """Name the command that does this in a simulated room."""
+        """Show the command that does the work in a simulated room."""
         if self._simulated:
             control = "" if os.environ.get(CONTROL) else " --control 'ENDPOINT FROM READY'"
             sys.stderr.write(f"In the simulated room: ronna-sim {command}{control}\n")
         sys.stderr.flush()
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Prompt for the task and its readings; empty without a terminal."""
+        """Prompt for the task and return the typed readings; empty without a terminal."""
         with self._asking() as write:
             sys.stderr.write(f"{printable(task.subject[:1].upper() + task.subject[1:])}.\n")
             numbers = "".join(f" {number:g}" for number in task.numbers)
@@ -216,7 +216,7 @@ class TerminalRoom:
 
 
 def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float, ...]:
-    """Return the typed readings, confirmed if there are several; empty if nobody reads."""
+    """Return the typed readings, confirmed if there are several; empty if nobody enters any."""
     while True:
         readings: list[float] = []
         for what in task.reads:
@@ -241,7 +241,7 @@ def _read_values(write: WritePrompt, task: Task, alarms: Alarms) -> tuple[float,
 def _read_plausible_number(
     write: WritePrompt, what: str, plausible: tuple[float, float] | None, alarms: Alarms, ahead: bool
 ) -> float | None:
-    """Read a number until it is plausible; None if nobody reads it or the terminal ends.
+    """Prompt until a plausible number is typed; return None if nobody enters one or input ends.
 
     `ahead` accepts one of several pasted lines; after one that is refused, the others are discarded.
     """
@@ -258,7 +258,7 @@ def _read_plausible_number(
 
 
 def _number_hint(plausible: tuple[float, float] | None) -> str:
-    """Return the form of a reading, with a possible example."""
+    """Return the expected format of a reading, with a plausible example."""
     low, high = plausible or (0.0, SMALL_MM)
     example = SMALL_MM if low <= SMALL_MM <= high else round(0.5 * (low + high))
     return f"one number in mm, such as {example:g} or {example:g} mm, or {NOBODY_READS!r} to end the step."
@@ -269,7 +269,7 @@ def _say(line: str) -> None:
 
 
 def _emphasize_read_back(question: Question) -> str:
-    """Return the value; on a terminal, the part to be read back is in bold."""
+    """Return the question's value, with the part to be read back in bold on a terminal."""
     value = printable_lines(question.value).replace("\n", "\n  ")
     shown = question.read_back.shown if question.read_back else ""
     return value.replace(shown, style(shown, bold=True), 1) if shown and sys.stderr.isatty() else value

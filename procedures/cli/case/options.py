@@ -1,4 +1,4 @@
-"""Options of a case, of the theatre of a case or calibration, and of the console."""
+"""Command-line options for cases, theatres and the console."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ class SpeedChoice(StrEnum):
 
 @dataclass(frozen=True)
 class TheatreOptions:
-    """A theatre, simulated for this command or of configured endpoints, and a scripted operator in it."""
+    """Options of a theatre, simulated or with configured endpoints, and of a scripted operator."""
 
     sim: Annotated[bool, typer.Option("--sim", help="Start a simulated theatre for this run.")] = False
     config: ConfigOption = None
@@ -77,7 +77,7 @@ class TheatreOptions:
 
     @property
     def choice(self) -> SceneChoice:
-        """The choices from which a simulated theatre is drawn."""
+        """Scene choices for generating a simulated theatre."""
         return SceneChoice(
             self.scene,
             self.seed,
@@ -95,7 +95,7 @@ class TheatreOptions:
         return read_answers(self.answers, self.config)
 
     def theatre(self) -> RunRequest:
-        """Return the theatre of a calibration, without its procedure.
+        """Return a calibration's run request without a procedure.
 
         Raises CLI-001 for conflicting options, CFG-001, CAL-005.
         """
@@ -107,7 +107,7 @@ class TheatreOptions:
         return request
 
     def check(self) -> None:
-        """Raise CLI-001 unless the options name one theatre, and nothing that it does not have."""
+        """Raise CLI-001 unless the options name exactly one theatre and all apply to it."""
         if self.sim and self.config is not None:
             raise UsageMistake("--sim and --config cannot be combined")
         if not self.sim and self.config is None:
@@ -136,7 +136,7 @@ class TheatreOptions:
 
 @dataclass(frozen=True)
 class CaseOptions(TheatreOptions):
-    """Options of a case: `run` runs all of it, `step` by hand."""
+    """Options of a case, shared by the commands `run` and `step`."""
 
     case: Annotated[Path | None, typer.Option(help="Folder with ct/ and plan.toml, with --config.")] = None
     plan: Annotated[
@@ -179,7 +179,7 @@ class CaseOptions(TheatreOptions):
 
     @property
     def choice(self) -> SceneChoice:
-        """The choices from which theatre and phantom are drawn."""
+        """Scene choices for generating the simulated theatre and phantom."""
         return replace(
             super().choice, markers=self.markers, targets=self.targets, fiducials=self.fiducials.value
         )
@@ -212,7 +212,7 @@ class CaseOptions(TheatreOptions):
 
 @dataclass(frozen=True)
 class ConsoleOptions:
-    """A page that shows and operates the case, and whether viewers at other computers may see it."""
+    """Options of the browser console, including access for viewers at other computers."""
 
     console: Annotated[
         bool,

@@ -1,4 +1,4 @@
-"""Lines of a script on standard input, read ahead so that `stop` overtakes the commands before it."""
+"""Script lines from standard input, read ahead so that `stop` overtakes earlier commands."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ TOO_LONG = f"line-of-more-than-{LONGEST_LINE}-bytes"  # in place of a longer lin
 
 
 class PipedLines:
-    """Lines of a script, read ahead so that `stop` overtakes the commands before it; nothing else does."""
+    """Script lines, read ahead so that `stop` (and no other command) overtakes earlier ones."""
 
     def __init__(self) -> None:
         self._changed = threading.Condition()
@@ -28,16 +28,16 @@ class PipedLines:
         self._idle = True  # the case waits for a command, or nothing was read yet
 
     def attach(self, engine: Engine) -> None:
-        """Begin to read, with `stop` for this engine."""
+        """Start reading, directing `stop` to this engine."""
         threading.Thread(target=self._read, args=(engine,), name="standard input", daemon=True).start()
 
     def wait_for_line(self, timeout_s: float) -> bool:
-        """Whether a line, or the end, can be read within that host time."""
+        """Return whether a line or the end of input is readable within `timeout_s` of host time."""
         with self._changed:
             return self._changed.wait_for(lambda: bool(self._lines), timeout_s)
 
     def readline(self) -> str:
-        """Return the next line; empty at the end, however often it is asked for."""
+        """Return the next line, or an empty string on every call after the end of input."""
         with self._changed:
             self._idle = True
             self._changed.wait_for(lambda: bool(self._lines))
@@ -60,7 +60,7 @@ class PipedLines:
 
 
 def lines_from(descriptor: int) -> Iterator[str]:
-    """Yield lines of a descriptor.
+    """Yield lines from a file descriptor.
 
     Not by `sys.stdin`: a thread that waits in it holds a lock that the end of the program needs.
     """

@@ -1,4 +1,4 @@
-"""The prompt: reads commands of an operator and carries them out until they or the case end."""
+"""Prompt that carries out an operator's commands until the input or the case ends."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ NOTHING_DONE = (StepRefused, UnknownStep, UsageMistake)
 
 
 class Prompt:
-    """A prompt for commands. `asking` is held while it waits for one."""
+    """Command prompt. `asking` is held while it waits for input."""
 
     def __init__(
         self,
@@ -60,7 +60,7 @@ class Prompt:
         meanwhile: Callable[[Engine], None] | None = None,
         piped: PipedLines | None = None,
     ) -> None:
-        """`words` is shown on a terminal; `after` is called when a command is done.
+        """Set the prompt text `words`, shown on a terminal, and `after`, called after each command.
 
         `meanwhile` returns when something can be read; until then the case may be operated from elsewhere.
         `piped` supplies the lines when the input is not a terminal.
@@ -84,7 +84,7 @@ class Prompt:
         self._engine = engine
 
     def follow(self, engine: Engine) -> bool:
-        """Carry out commands until `quit` or the end of the input; return whether the case goes on.
+        """Carry out commands until `quit` or the end of input; return whether the case continues.
 
         Failures are shown and leave the case held. With `resumes`, a finished case goes on without further
         commands. Raises the error that ended the case.
@@ -114,7 +114,7 @@ class Prompt:
         return False
 
     def ask(self, question: Question) -> Answer:
-        """Ask at a pause: `resume`, `abort`, or a command that moves nothing. The end of input ends all."""
+        """Ask at a pause for `resume`, `abort` or a command without motion. End of input ends the case."""
         if on_terminal(sys.stdin):  # what was typed before the pause was seen answers nothing
             forget_typed()
         self._say(f"{question.subject}; {question.value}")
@@ -176,7 +176,7 @@ class Prompt:
         self._after()
 
     def tell_held(self, engine: Engine, error: RonnaError) -> None:
-        """Show what holds the case and how to continue; for a device in fault, its present state."""
+        """Show why the case is held and how to continue. For a faulted device, show its current state."""
         faults = engine.faults.descriptions
         fail_with(error, advice="" if faults else None)
         for fault in faults.values():
@@ -187,7 +187,7 @@ class Prompt:
 
     @property
     def _continue_hint(self) -> str:
-        """The command that continues the case here; `next` does everywhere."""
+        """Command that continues the case at this prompt. `next` works at every prompt."""
         return "resume continues, next does one step" if self._resumes else "next continues"
 
     def _print_resume_hint(self, engine: Engine) -> None:
@@ -213,7 +213,7 @@ class Prompt:
             return line or None
 
     def _await_line(self, words: str, write: WritePrompt) -> None:
-        """Show the prompt until a line is typed, and new faults first."""
+        """Show the prompt until a line is typed, repeating it after each new fault."""
         is_typed, news = False, self._alarms.take_new_lines()
         if news:
             forget_typed()
@@ -227,7 +227,7 @@ class Prompt:
 
 
 def _command_of(line: str) -> tuple[str, str]:
-    """Return the command and the argument of a line."""
+    """Split a line into command and argument."""
     name, _, argument = line.strip().partition(" ")
     return "quit" if name == "q" else name, argument.strip()
 

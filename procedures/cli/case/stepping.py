@@ -1,4 +1,4 @@
-"""`ronna-procedure step`: the case by hand, one command per line on standard input."""
+"""`ronna-procedure step`: a case run manually, one command per line on standard input."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def step_through(request: RunRequest, out: Path, console: ConsoleRequest | None = None) -> None:
-    """Read commands until `quit` or the end of the input; failures are shown, and the case is held.
+    """Carry out commands until `quit` or the end of input. A failure is shown and holds the case.
 
     With a console the case is also operated from there, and goes on from there when the input has ended.
     """

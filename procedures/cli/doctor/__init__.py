@@ -1,1 +1,1 @@
-"""`ronna-procedure doctor`: what this computer offers, and what the probes of the drivers find."""
+"""`ronna-procedure doctor`: checks of this computer and results of the driver probes."""

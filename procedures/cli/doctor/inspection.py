@@ -1,4 +1,4 @@
-"""Inspection of each device for the needs of a case, while its driver's probe holds the connection.
+"""Inspection of each device for use in a case, while the driver's probe holds the connection.
 
 The facts come through the typed interfaces of the devices, so they are the same for every driver. Nothing
 moves: an arm is configured, which takes its port, and never activated.
@@ -38,7 +38,7 @@ OF_THIS_ARM = (
 
 
 def camera_endpoint(device: DeviceConfig, side: str) -> str:
-    """Return the endpoint of one side's camera, or the side where cameras share an endpoint."""
+    """Return the endpoint of one side's camera, or the side itself if both cameras share one."""
     return str(device.address(side)) if side in device.endpoints else side
 
 
@@ -80,7 +80,7 @@ def _verdict(
     device: DeviceConfig,
     head: StereoHeadCalibration,
 ) -> str:
-    """Describe the fault of a side's camera; empty if there is none, or if the driver locates it."""
+    """Describe a camera fault on one side; empty without a fault or if the driver already locates it."""
     actual = replied[endpoint]
     recorded = {"left": head.left.serial, "right": head.right.serial}
     configured = str(device.options.get(f"{side}_serial") or recorded[side])
@@ -109,7 +109,7 @@ def _verdict(
 
 
 def _differ_by_a_typing_error(one: str, other: str) -> bool:
-    """Whether one character is wrong, missing or too many, or two neighbours are exchanged."""
+    """Return whether the texts differ by one wrong, missing, extra or transposed character."""
     if len(one) == len(other):
         wrong = [place for place in range(len(one)) if one[place] != other[place]]
         first, last = wrong[0], wrong[-1] + 1
@@ -119,7 +119,7 @@ def _differ_by_a_typing_error(one: str, other: str) -> bool:
 
 
 def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], Iterator[Diagnostic]]:
-    """Return the inspection of that table's device; each refusal becomes a diagnostic."""
+    """Return the inspection function for a device table. Each refusal becomes a diagnostic."""
     calibrations, driver = theatre.calibration, theatre.devices[name].driver
 
     def inspect(device: Device, identity: Identity) -> Iterator[Diagnostic]:
@@ -157,7 +157,7 @@ def inspection(name: str, theatre: TheatreFile) -> Callable[[Device, Identity], 
 def _check_records(
     name: str, device: Device, serial: str, calibrations: Calibrations, theatre: TheatreFile
 ) -> Iterator[Diagnostic]:
-    """Whether the records are of this very device, and the right tool is mounted."""
+    """Check that the records belong to this device and that the right tool is mounted."""
     subject = f"{name}: "
     if isinstance(device, OpticalTracker):
         check_frames = partial(ToolRecords.of(theatre).check_frames, calibrations, device.tools)
@@ -186,7 +186,7 @@ def _check_records(
 
 
 def _check_visibility(subject: str, tracker: OpticalTracker, theatre: TheatreFile) -> Iterator[Diagnostic]:
-    """Diagnose which tools and spheres are in sight now."""
+    """Report which tools and spheres are currently visible."""
     try:
         with tracker.active():
             frames = [tracker.read_frame() for _ in range(FRAMES_LOOKED_AT)]

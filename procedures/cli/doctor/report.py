@@ -1,4 +1,4 @@
-"""Checks of the computer and probes of the drivers: run, judged and shown."""
+"""Computer checks and driver probes: execution, verdicts and display."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ Examination = Callable[[Progress], Sequence[Diagnostic]]
 
 @dataclass(frozen=True)
 class Verdict:
-    """A verdict; `because` names the failed checks in the order in which they are shown."""
+    """Verdict on a device or case; `because` names the failed checks in display order."""
 
     of: str
     ready: bool
@@ -48,7 +48,7 @@ class Verdict:
 
 
 def verdicts(case: Sequence[Diagnostic], devices: Mapping[str, Sequence[Diagnostic]]) -> Iterator[Verdict]:
-    """Return a verdict for each device table of the theatre file, then for the case."""
+    """Yield a verdict for each device table of the theatre file, then one for the case."""
     for name, found in devices.items():
         yield _verdict(name, found)
     needed = [one for name in NEEDED for one in devices.get(name, ())]
@@ -62,7 +62,7 @@ def _verdict(of: str, found: Sequence[Diagnostic]) -> Verdict:
 
 @dataclass(frozen=True)
 class Report:
-    """Findings on the computer, in the theatre file and its records, and at the devices."""
+    """Diagnostics of the computer, the theatre file and its records, and the devices."""
 
     computer: tuple[Diagnostic, ...]
     devices: tuple[Diagnostic, ...]
@@ -72,12 +72,12 @@ class Report:
 
     @property
     def diagnostics(self) -> tuple[Diagnostic, ...]:
-        """All diagnostics in the order of display: an instrument in the head comes first."""
+        """All diagnostics in display order, starting with any instrument in the head."""
         everything = self.computer + self.case + self.calibrations + self.devices
         return tuple(sorted(everything, key=lambda one: one.subject != INSTRUMENT))
 
     def section(self, name: str) -> list[Mapping[str, Any]]:
-        """Return the documents of one section."""
+        """Return the diagnostics of one section as plain documents."""
         return [f.document for f in self.devices if f.section == name and f.document is not None]
 
 
@@ -88,7 +88,7 @@ def examine(
     *,
     out: Path = RUNS,
 ) -> Report:
-    """Look at the computer, at each endpoint, and at every device of a theatre file, for runs in `out`.
+    """Check the computer, each endpoint and every device of a theatre file, for runs in `out`.
 
     Raises CFG-001 for a bad theatre file, CFG-002 for an endpoint that no probe can look at, PRO-043 for one
     of a theatre that a run uses.
@@ -175,7 +175,7 @@ def show_findings(report: Report, *, as_json: bool) -> None:
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
-    """Return the obstacles; for the case only the checks, whose findings stand above."""
+    """Return the reasons for a verdict; for the case only the failed checks, whose findings are shown above."""
     if verdict.of != CASE:
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
@@ -183,7 +183,7 @@ def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
 
 
 def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str, Examination]]:
-    """Return one look for each requested probe, with all its endpoints."""
+    """Yield one examination per requested probe, covering all its endpoints."""
     if not endpoints:
         return
     probes = endpoint_probes()
@@ -203,7 +203,7 @@ def _endpoint_examinations(endpoints: Sequence[Endpoint]) -> Iterator[tuple[str,
 
 
 def _probe(name: str, config: DeviceConfig, theatre: TheatreFile, progress: Progress) -> Sequence[Diagnostic]:
-    """Return the findings of the driver's probe. A failed probe is a diagnostic too: the others follow."""
+    """Return the diagnostics of the driver's probe. A failed probe is itself a diagnostic."""
     try:
         found = load_probe(config.driver)(name, config, progress, inspection(name, theatre))
     except Exception as problem:  # a driver of another package may raise anything

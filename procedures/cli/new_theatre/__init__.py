@@ -1,1 +1,1 @@
-"""`ronna-procedure new-theatre`: begins the theatre file of a laboratory's own devices."""
+"""`ronna-procedure new-theatre`: creation of a theatre file for a laboratory's own devices."""

@@ -1,4 +1,4 @@
-"""The search for devices, and the choice among those found."""
+"""Device search and selection among the results."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ Choose = Callable[[str, Sequence[str]], int | None]  # asks a person; None where
 
 @dataclass(frozen=True)
 class DeviceTable:
-    """One table of the theatre file: a device that was found, or an example of one."""
+    """Device table of a theatre file, for a found device or as an example."""
 
     table: str
     proposal: Proposal
@@ -25,7 +25,7 @@ class DeviceTable:
 
 
 def find_interfaces(names: Iterable[str]) -> tuple[Interface, ...]:
-    """Return the network interfaces of these names or addresses. Raises CLI-001 with those that exist."""
+    """Return network interfaces by name or address. Raises CLI-001 listing the existing ones."""
     every = interfaces()
     chosen: list[Interface] = []
     for name in names:
@@ -65,7 +65,7 @@ ENDPOINT_OPTIONS: Mapping[str, tuple[Callable[[str], Endpoint], str, str]] = {
 
 
 def endpoint_of(option: str, text: str) -> Endpoint:
-    """Return the endpoint that an option gives. Raises CLI-001 with its form and an example."""
+    """Parse the endpoint in an option. Raises CLI-001 with the expected format and an example."""
     read, form, example = ENDPOINT_OPTIONS[option]
     try:
         return read(text)
@@ -75,7 +75,7 @@ def endpoint_of(option: str, text: str) -> Endpoint:
 
 
 def lines(given: Sequence[str] | None) -> tuple[Endpoint, ...]:
-    """Return the lines to ask: given paths or endpoints, else every serial port of this computer.
+    """Return the serial lines to probe: the given ones, else every serial port of this computer.
 
     Raises CLI-001 for anything else.
     """
@@ -93,7 +93,7 @@ def search_all(
     choose: Choose,
     progress: Progress,
 ) -> tuple[DeviceTable, ...]:
-    """Let every finder search, and choose among several. Raises CLI-001 if nobody chooses."""
+    """Search with every finder and choose among multiple results. Raises CLI-001 if nobody chooses."""
     each = sorted(finders, key=lambda finder: finder.table)
     found = []
     for number, finder in enumerate(each):
@@ -113,7 +113,7 @@ def search_all(
 
 
 def _select_pairs(pairs: Sequence[Proposal], cameras: tuple[str | None, str | None]) -> Sequence[Proposal]:
-    """Return pairs with these cameras by serial number or address. Raises CLI-001 for others."""
+    """Select pairs by their cameras' serial numbers or addresses. Raises CLI-001 if none match."""
     every = pairs
     for (side, other), wanted in zip((("left", "right"), ("right", "left")), cameras, strict=True):
         if wanted is None:

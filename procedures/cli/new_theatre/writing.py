@@ -1,4 +1,4 @@
-"""The text of a new theatre file: devices found, every option of their drivers, and what is still missing."""
+"""Text of a new theatre file: found devices, all driver options, and missing entries."""
 
 from __future__ import annotations
 
@@ -102,7 +102,7 @@ def _is_list_of_tables(value: object) -> bool:
 
 
 def _missing_record_lines() -> Iterator[str]:
-    """Return what must be entered by hand before the first calibration, key by key."""
+    """Yield the keys to fill in by hand before the first calibration."""
     makers = ", ".join(f"[calibration.{name}] by {command}" for name, command in MADE_BY_COMMAND.items())
     yield from _comment(f"{NO_RECORDS}{makers}.")
     for name, table in Calibrations.model_fields.items():
@@ -118,7 +118,7 @@ def _comment(text: str) -> Iterator[str]:
 
 
 def _line(key: str, value: Any) -> str:
-    """Return `key = value`, however long; an empty table stays on the line."""
+    """Return `key = value` on one line of any length; an empty table stays on the line."""
     if value == {}:
         return f"{key} = {{}}"
     if isinstance(value, Enum):
@@ -133,7 +133,7 @@ def _toml(content: Mapping[str, Any]) -> str:
 
 
 class _Definition(BaseModel, extra="allow", strict=True):
-    """One tool of a tracker, without further settings of its driver."""
+    """Tool definition of a tracker, without driver-specific settings."""
 
     rom: str = ""
 
@@ -147,21 +147,21 @@ class _Tracker(BaseModel, strict=True):
 
 
 class _TheatrePart(BaseModel, strict=True):
-    """The parts of another theatre file that are read besides its records."""
+    """Parts of another theatre file that are read in addition to its records."""
 
     tracker: _Tracker = _Tracker()
 
 
 @dataclass(frozen=True)
 class CopiedRecords:
-    """The `flange`, the tables of mount and cell, and the tools that the tracker is to see."""
+    """Records copied from another theatre file: flange, mount and cell tables, tracked tools."""
 
     tables: Mapping[str, Any] = field(default_factory=dict)
     tools: Sequence[Mapping[str, Any]] = ()
 
 
 def read_records(source: Path) -> CopiedRecords:
-    """Read a theatre file or a part of one.
+    """Read records to copy from a complete or partial theatre file.
 
     Raises CFG-001 for a file that cannot be read, has mistakes, or has none of the tables.
     """
@@ -193,14 +193,14 @@ def read_records(source: Path) -> CopiedRecords:
 
 
 def with_tools(found: Sequence[DeviceTable], tools: Sequence[Mapping[str, Any]]) -> tuple[DeviceTable, ...]:
-    """Return the tracker with the tool definitions of another theatre file, if that names some."""
+    """Return device tables with the tracker's tool definitions replaced by `tools`, if any."""
     if not tools:
         return tuple(found)
     return tuple(_apply_values(one, {TOOLS: list(tools)}) if one.table == "tracker" else one for one in found)
 
 
 def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[DeviceTable, ...]:
-    """Return devices with options such as `stereo.exposure_us=1500`, values as TOML. Raises CLI-001."""
+    """Apply options such as `stereo.exposure_us=1500` (TOML values) to device tables. Raises CLI-001."""
     changed = list(found)
     for text in given:
         place, equals, value = text.partition("=")
@@ -221,7 +221,7 @@ def with_options(found: Sequence[DeviceTable], given: Sequence[str]) -> tuple[De
 
 
 def _require_fitting(text: str, found: DeviceTable) -> None:
-    """Raise CLI-001 if the driver would not take its options with this one."""
+    """Raise CLI-001 if the driver rejects the options including this one."""
     options = found.proposal.options
     chosen = {option.key: option.value for option in options if option.chosen}
     for model in {option.model for option in options if option.model is not None}:
@@ -243,7 +243,7 @@ def _apply_values(found: DeviceTable, values: Mapping[str, Any]) -> DeviceTable:
 
 
 def _parse_value(text: str) -> Any:
-    """Return a value of TOML, or else the text itself."""
+    """Parse a TOML value, falling back to the text itself."""
     try:
         return parse_toml(f"value = {text}")["value"]
     except ValueError:

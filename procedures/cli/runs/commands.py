@@ -1,4 +1,4 @@
-"""Commands on runs, for the command line. Their work is imported when they are called."""
+"""Command-line commands on runs. Implementations are imported on first call."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from ronna_hw.text import escape_controls
 
 
 def _run_folder(folder: Path) -> Path:
-    """Return the folder if it is that of a run. Raises CLI-005."""
+    """Return the folder. Raises CLI-005 unless it is a run folder."""
     from procedures.runs.folders import require_run
 
     require_run(folder)

@@ -44,7 +44,7 @@ MARKS = {Direction.SENT: "O", Direction.RECEIVED: "I"}  # outbound and inbound, 
 
 
 def verify(folder: Path, *, as_json: bool) -> None:
-    """Print changed, missing and added files; exits with 3 if there are any.
+    """Print changed, missing and added files. Exits with 3 if any.
 
     Exits with 9 if there are none, but files lay unsealed after a kill: a change then would not show.
     """
@@ -166,7 +166,7 @@ def _calibration_input(calibration: CalibrationOpening | None, theatre_file: Pat
 def print_bytes(
     run_folder: Path, link: str | None, from_s: float | None, to_s: float | None, *, as_json: bool
 ) -> None:
-    """Print a window of the traffic by time, after the files that are not as the run left them.
+    """List files changed since the run, then print link traffic within a time window.
 
     Raises CLI-005 without bytes, CLI-001 for a wrong link or window.
     """
@@ -209,7 +209,7 @@ def _as_json(line: LinkLine) -> str:
 
 
 def _as_dump(line: LinkLine) -> str:
-    """Return lines for text2pcap: # begins comments, I and O give directions.
+    """Format traffic as text2pcap input: comments start with #, directions are I and O.
 
     The text after the bytes is for people.
     """

@@ -1,4 +1,4 @@
-"""`ronna-procedure resume`, `home` and `acknowledge`: an interrupted run, its arm, its faults."""
+"""`ronna-procedure resume`, `home` and `acknowledge`: recovery of interrupted runs, arm and faults."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def resume(
     as_json: bool,
     console: ConsoleRequest | None = None,
 ) -> None:
-    """Resume a run and finish it; a finished one is shown.
+    """Resume and finish a run; show the outcome of a finished one.
 
     With a console, nothing is read until someone is in its seat, unless a script accepts. Raises PRO-030 to
     PRO-034, PRO-043, PRO-003 if nothing can be written, and the errors of devices and steps.
@@ -75,7 +75,7 @@ def resume(
 
 
 def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> None:
-    """Have an instrument taken out, then bring the arm home, once the findings are accepted.
+    """After acceptance of the findings, have any instrument removed and bring the arm home.
 
     Raises the errors of `resume`; the run is unchanged and can be resumed.
     """
@@ -100,7 +100,7 @@ def home(folder: Path, *, accept: bool, answers: Path | None, as_json: bool) -> 
 
 
 def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
-    """Raise PRO-032 with the run whose `home` brings the arm there, PRO-043 while that one still runs."""
+    """Raise PRO-032 naming the run that must bring the arm home, or PRO-043 while that run is active."""
     theatre = request.config
     if (
         theatre is not None
@@ -113,7 +113,7 @@ def _require_last_run(interrupted: InterruptedRun, request: RunRequest) -> None:
 def _print_outcome(
     interrupted: InterruptedRun, words: str, *, moved: bool, as_json: bool, home: Literal[True] | None = True
 ) -> None:
-    """Print the outcome; `home` is None if no arm was asked."""
+    """Print the outcome; `home` is None if the arm was not queried."""
     if as_json:
         print_json({"run": interrupted.folder.name, "home": home, "moved": moved})
     else:
@@ -121,7 +121,7 @@ def _print_outcome(
 
 
 def acknowledge_run(folder: Path, by: str | None, *, as_json: bool) -> None:
-    """Acknowledge the faults of a run's devices, in its journal.
+    """Acknowledge the faults of a run's devices and record this in its journal.
 
     Raises the errors of `home` and of `acknowledge_theatre`.
     """
@@ -170,7 +170,7 @@ def acknowledge_theatre(file: Path, by: str | None, *, as_json: bool) -> None:
 
 
 def _require_own_fault(theatre: Path, run: Path | None) -> None:
-    """Raise PRO-044 if another run that can be resumed had the devices last.
+    """Raise PRO-044 if a different, resumable run used the devices last.
 
     Only that run's journal can put its earlier localizations in doubt.
     """
@@ -183,7 +183,7 @@ def _require_own_fault(theatre: Path, run: Path | None) -> None:
 
 
 def _acknowledging_person(by: str | None) -> str:
-    """Return the name of the person acknowledging, typed if not given: a login is no person's name.
+    """Return the acknowledging person's name, prompting if not given. A login is not used as a name.
 
     Raises DEV-006.
     """
@@ -200,7 +200,7 @@ def _recover_all(
     as_json: bool,
     **about: str,
 ) -> None:
-    """Connect to every device, which moves nothing, and recover faults seen then or once configured.
+    """Connect and configure every device without motion, and recover the faults found.
 
     A device that does not respond does not block the others; its error is raised at the end.
     """
@@ -236,7 +236,7 @@ def _print_faults(
     nothing: str = "no device is in fault",
     **about: str,
 ) -> None:
-    """Print the faults that were recovered, or why there was `nothing` to recover."""
+    """Print the recovered faults and any problems, or `nothing` if there was nothing to recover."""
     if as_json:
         unreached = {name: str(problem) for name, problem in problems.items()}
         print_json({**about, "acknowledged": done, "unreached": unreached})

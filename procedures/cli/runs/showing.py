@@ -1,4 +1,4 @@
-"""`ronna-procedure list`, `show`, `lineage` and `watch`: runs, their results and their course."""
+"""`ronna-procedure list`, `show`, `lineage` and `watch`: runs, results and live progress."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def list_runs(folder: Path, *, as_json: bool) -> None:
 
 
 def show_run(folder: Path, *, as_json: bool) -> None:
-    """Print what a run did, how it ended, and the errors at its targets."""
+    """Print the steps of a run, its outcome and its target errors."""
     reading = read_for_report(folder)
     row, missing = _summary(reading, load_truth(folder)), missing_in_raw(folder, tuple(reading.run.journal))
     if as_json:
@@ -88,7 +88,7 @@ def show_run(folder: Path, *, as_json: bool) -> None:
 
 
 def draw_lineage(folder: Path, *, as_mermaid: bool) -> None:
-    """Print results and their ancestors. Raises PRO-033 for a run that was changed."""
+    """Print results and their ancestors. Raises PRO-033 if files of the run were changed."""
     from procedures.engine.run_folder import lineage_mermaid, lineage_text, read_run
 
     run = read_run(folder)
@@ -179,7 +179,7 @@ def _write_lines(followed: FollowedRun, line_of: Callable[[Event], str | None]) 
 
 
 def line_of(event: Event) -> str | None:
-    """Return the line of an event for a person; None for one that only changes the picture."""
+    """Return a readable line for an event, or None if it only updates the display."""
     line = _line(event)
     return line and printable(line)
 

@@ -1,1 +1,1 @@
-"""`ronna-stereo`: commands and what they print."""
+"""`ronna-stereo`: commands and output."""

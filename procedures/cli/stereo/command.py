@@ -1,4 +1,4 @@
-"""`ronna-stereo`: calibrate the stereo head, check that it still holds, look at a ball."""
+"""`ronna-stereo`: calibrate the stereo head, check its calibration, measure a ball."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tables of `ronna-stereo`: a check, one look."""
+"""Output tables of `ronna-stereo` for a check and for a single look."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Tool records between the command line and the theatre file."""
+"""Conversion of tool records between command line and theatre file."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ APART_MM = 0.1
 
 
 def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
-    """Return mean and spread of gauge readings, as fields of the gauge. Raises CLI-001."""
+    """Read gauge readings and return their mean and spread as gauge fields. Raises CLI-001."""
     lines = read_bounded(path, LARGEST_BYTES).decode("utf-8-sig", "replace").splitlines()
     lines_read = [
         _numbers(f"{path.name}:{number}", line) for number, line in enumerate(lines, 1) if line.strip()
@@ -73,7 +73,7 @@ def read_gauge(path: Path, gauge: Gauge) -> dict[str, Any]:
 
 
 def _numbers(source: str, line: str) -> tuple[str, list[float]]:
-    """Return the numbers of one line, named for messages; none may be outside every dial's travel."""
+    """Parse one reading of all dials from a line; return it with its source. Raises CLI-001."""
     try:
         numbers = [float(word) for word in line.split()] if line.isascii() and "_" not in line else []
     except ValueError:
@@ -90,7 +90,7 @@ def _numbers(source: str, line: str) -> tuple[str, list[float]]:
 def record_of(
     config: Path, given: dict[str, Any], name: str, readings: Path | None
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return a record in the form of the file, with flange and tip, and the tables that it lost.
+    """Return a tool record in file format, with flange and tip, and the names of dropped tables.
 
     `readings` are those of its gauge.
 
@@ -136,7 +136,7 @@ def _tip_fields(calibrations: Calibrations) -> dict[str, Any]:
 
 
 def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> UsageMistake | None:
-    """Return why this theatre's arm cannot reach a gauge; nothing without an arm."""
+    """Return why this theatre's arm cannot reach a gauge, or None if it can or there is no arm."""
     config = theatre.robot.get(MASTER)
     arm = (
         None if config is None or joints_deg is None else make_device(f"robot.{MASTER}", config, HostClock())
@@ -159,7 +159,7 @@ def _out_of_range(joints_deg: Sequence[float] | None, theatre: TheatreFile) -> U
 def renew_record(
     config: Path, name: str, signed: dict[str, Any], readings: Path
 ) -> tuple[dict[str, Any], list[str]]:
-    """Return a tool's record for the present tip calibration, and how far it is from the former one.
+    """Renew a tool's record for the current tip calibration; also describe its change from the old one.
 
     `signed` has its new identity, dates and maker, `readings` is the file of dial readings with it. Raises
     TOOL-002, CFG-001, CLI-001.

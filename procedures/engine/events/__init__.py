@@ -1,4 +1,4 @@
-"""The events of a case, as one numbered stream for every reader: journal, terminal, console, links."""
+"""Events of a case in one numbered stream for all readers: journal, terminal, console, links."""
 
 from procedures.engine.events.event_types import (
     Advisory,

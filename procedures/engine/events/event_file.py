@@ -36,7 +36,7 @@ LOOK_AGAIN_S = 0.2  # host time: as often as a person can follow
 
 
 class EventFile:
-    """Writes the events of a program to the file of its run, in a thread of its own."""
+    """Writer of a program's events to its run's event file, in a separate thread."""
 
     def __init__(self, folder: Path, events: EventStream, *, signals_bytes: int = SIGNALS_BYTES) -> None:
         """Start the thread. Never raises: a failure to write is logged, and the case continues."""
@@ -124,7 +124,7 @@ class EventFile:
             self._waiting.append(_line(last.model_copy(update={"what": SignalsLost(count=self._lost)})))
 
     def _write(self) -> None:
-        """Write whole lines or nothing; the rest waits for the next time."""
+        """Write only whole lines; keep the rest for the next call."""
         if self._file is None or not self._waiting:
             self._waiting.clear()
             return
@@ -154,7 +154,7 @@ class EventFile:
 
 
 def _lock(file: int) -> None:
-    """Take the writer's lock; a follower that looks for a writer holds it for an instant."""
+    """Take the writer's lock, waiting briefly since followers hold it while they look for a writer."""
     for _ in range(LOCK_TRIES):
         with contextlib.suppress(BlockingIOError):
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -168,10 +168,10 @@ def _line(event: Event) -> bytes:
 
 
 class FollowedRun:
-    """A run followed by its event file, read-only; any number of programs may do so."""
+    """Read-only follower of a run's event file, for any number of programs at a time."""
 
     def __init__(self, folder: Path, sleep: Callable[[float], None] = time.sleep) -> None:
-        """Raises CLI-005 for a folder without events."""
+        """Open the event file of a run. Raises CLI-005 for a folder without events."""
         self._path = folder / EVENTS_FILE
         if not self._path.is_file():
             raise PathProblem(
@@ -183,7 +183,7 @@ class FollowedRun:
 
     @property
     def over(self) -> bool:
-        """Whether the run's own program has let go of the file, however it ended."""
+        """Whether the run's own program has released the file, whatever the outcome."""
         with self._path.open("rb") as file:
             try:
                 fcntl.flock(file, fcntl.LOCK_SH | fcntl.LOCK_NB)
@@ -192,7 +192,7 @@ class FollowedRun:
         return True
 
     def batches(self, *, whole: bool = False) -> Iterator[Sequence[Event]]:
-        """Yield the present state, or the `whole` course so far, then each event. Raises PRO-018."""
+        """Yield the current state, or all events so far if `whole`, then new events. Raises PRO-018."""
         over = self.over
         course = self._read()
         if whole:
@@ -209,7 +209,7 @@ class FollowedRun:
                 yield events
 
     def _read(self) -> list[Event]:
-        """Return lines written since the last call; an incomplete line waits."""
+        """Return events from whole lines written since the last call."""
         with self._path.open("rb") as file:
             if os.fstat(file.fileno()).st_size > LARGEST_BYTES:
                 raise EventsUnreadable(
@@ -245,7 +245,7 @@ class FollowedRun:
 
 
 def _sort_events(course: Sequence[Event]) -> list[Event]:
-    """Sort events as they happened: signals are written late, and numbers restart when a run is resumed."""
+    """Sort events chronologically: signals are written late, and numbers restart on resume."""
     program, latest, numbered = 0, 0, list[tuple[int, int, Event]]()
     for event in course:
         if not event.what.signal:  # facts are written in their order

@@ -1,4 +1,4 @@
-"""Kinds of events: facts, all of which reach a reader, and signals, of which the latest does.
+"""Event types: facts, all delivered to each reader, and signals, only the latest delivered.
 
 A signal is replaced by the next of the same kind about the same thing (`about`): a slow reader misses poses,
 never a question or a fault.
@@ -33,7 +33,7 @@ class _EventBase(_Plain):
 
     @property
     def about(self) -> str:
-        """Subject of a signal, which replaces the last one of its kind on the same subject."""
+        """Subject of a signal, which replaces the previous signal of its kind on the same subject."""
         return ""
 
 
@@ -177,7 +177,7 @@ class DeviceAge(_EventBase):
 
 
 class Pose(_EventBase):
-    """Position of an arm, at a bounded rate."""
+    """Pose of an arm, published at a bounded rate."""
 
     signal: ClassVar[bool] = True
     kind: Literal["pose"] = "pose"
@@ -221,7 +221,7 @@ class CameraView(_Plain):
 
 
 class Bodies(_EventBase):
-    """The bodies that are checked against each other before and while the arm moves."""
+    """Bodies in the collision check before and during arm motion."""
 
     kind: Literal["bodies"] = "bodies"
     moving: tuple[Body, ...] = Field(description="Links, then parts of the tool.")
@@ -273,7 +273,7 @@ class Refusal(_EventBase):
 
 
 class Fault(_EventBase):
-    """An error as it was shown."""
+    """An error as shown to the operator."""
 
     kind: Literal["fault"] = "fault"
     code: str
@@ -282,14 +282,14 @@ class Fault(_EventBase):
 
 
 class SignalsLost(_EventBase):
-    """A follower of the file sees fewer signals than there were. No fact is ever among them."""
+    """The event file lacks some signals. Facts are never lost."""
 
     kind: Literal["signals_lost"] = "signals_lost"
     count: int = Field(ge=1, description="Signals of this program so far that the file does not hold.")
 
 
 class JournalLine(_EventBase):
-    """A line of the journal as it was written."""
+    """A journal line as written."""
 
     kind: Literal["journal"] = "journal"
     line: dict[str, JsonValue]
@@ -320,7 +320,7 @@ EventContent = Annotated[
 
 
 class Event(_Plain):
-    """One event with its number and its time, as readers receive it and the file of the run stores it."""
+    """One event with number and time, as received by readers and stored in the run's event file."""
 
     version: int = VERSION
     number: int = Field(description="Counts all events of a run from 1.")
@@ -330,12 +330,12 @@ class Event(_Plain):
 
     @property
     def subject(self) -> str:
-        """Kind and subject: of signals with the same one only the latest matters."""
+        """Kind and subject of a signal; only the latest signal for each matters."""
         return f"{self.what.kind} {self.what.about}"
 
 
 def digest_of_question(question: Questioned) -> str:
-    """Return the SHA-256, in hexadecimal, of everything of a question that is decided on.
+    """Return the hexadecimal SHA-256 of all content of a question on which the answer depends.
 
     An answer quotes it, so that nobody confirms what was not shown.
     """

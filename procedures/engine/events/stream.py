@@ -1,4 +1,4 @@
-"""One numbered stream of events with any number of readers, none of which can hold up the engine.
+"""Numbered event stream for any number of readers, none of which can block the engine.
 
 A reader begins with a snapshot (the latest of everything that has a present value) and then gets changes.
 Facts wait for it without limit: a case has some thousands. Of a signal only the latest waits, so that a slow
@@ -38,7 +38,7 @@ LAST_ERROR = "last error"
 
 
 class CurrentState:
-    """The latest event of everything that has a present value, and the last lines of the journal."""
+    """Current state as events: the latest event for each lasting value, and recent journal lines."""
 
     def __init__(self) -> None:
         self._events: dict[str, Event] = {}
@@ -46,11 +46,11 @@ class CurrentState:
 
     @property
     def events(self) -> tuple[Event, ...]:
-        """In the order in which they happened."""
+        """Events of the current state, in chronological order."""
         return tuple(self._events.values())
 
     def take_in(self, event: Event) -> None:
-        """Let an event replace those that it makes obsolete."""
+        """Add an event and drop the events it makes obsolete."""
         match event.what:
             case Answered(question=number):
                 self._events.pop(f"question {number}", None)
@@ -66,7 +66,7 @@ class CurrentState:
             self._events[key] = event
 
     def _key(self, event: Event) -> str | None:
-        """Return the key under which only the latest event holds; None for one that does not last."""
+        """Return the key under which only the latest event is kept, or None for a transient event."""
         match event.what:
             case Questioned(question=number):
                 return f"question {number}"
@@ -89,7 +89,7 @@ class CurrentState:
 
 @dataclass(frozen=True)
 class Batch:
-    """Events since the last read, in order; `lost` signals were replaced meanwhile."""
+    """Events since the last read, in order; `lost` counts signals replaced meanwhile."""
 
     events: tuple[Event, ...]
     lost: int
@@ -97,7 +97,7 @@ class Batch:
 
 
 class Reader:
-    """One reader's place in the stream."""
+    """Reader of the event stream with its own position."""
 
     def __init__(self, snapshot: Sequence[Event]) -> None:
         self._arrived = threading.Condition()
@@ -107,12 +107,12 @@ class Reader:
         self._ended = False
 
     def wait(self, timeout_s: float | None = None) -> None:
-        """Wait for something to happen, or for the end of the stream."""
+        """Wait for an event or the end of the stream."""
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
 
     def read(self, timeout_s: float | None = None) -> Batch:
-        """Wait for something to happen, or for the end of the stream, and return all of it."""
+        """Wait for an event or the end of the stream, and return all new events."""
         with self._arrived:
             self._arrived.wait_for(lambda: bool(self._facts or self._signals or self._ended), timeout_s)
             events = sorted([*self._facts, *self._signals.values()], key=lambda event: event.number)
@@ -121,7 +121,7 @@ class Reader:
             return batch
 
     def deliver(self, event: Event) -> None:
-        """Take an event in; for the stream alone."""
+        """Deliver an event to the reader; called only by the stream."""
         with self._arrived:
             if event.what.signal:
                 self._lost += event.subject in self._signals
@@ -131,17 +131,17 @@ class Reader:
             self._arrived.notify_all()
 
     def end(self) -> None:
-        """End the reading; for the stream alone."""
+        """Mark the end of the stream; called only by the stream."""
         with self._arrived:
             self._ended = True
             self._arrived.notify_all()
 
 
 class EventStream:
-    """The stream to which everything in a case is published, from any thread."""
+    """Event stream of a case. Any thread may publish."""
 
     def __init__(self, now_s: Callable[[], float] = lambda: 0.0) -> None:
-        """`now_s` is the theatre's time."""
+        """Create a stream; `now_s` returns theatre time."""
         self._now_s = now_s
         self._lock = threading.Lock()
         self._count = 0
@@ -150,7 +150,7 @@ class EventStream:
         self._ended = False
 
     def publish(self, what: EventContent) -> Event:
-        """Number an event and hand it to every reader; returns at once, whatever they do."""
+        """Number an event and deliver it to every reader, without waiting for readers."""
         with self._lock:
             self._count += 1
             event = Event(
@@ -162,11 +162,11 @@ class EventStream:
         return event
 
     def journal_line(self, line: bytes) -> None:
-        """Publish a line of the journal, as it was written."""
+        """Publish a journal line as written."""
         self.publish(JournalLine(line=json.loads(line)))
 
     def subscribe(self) -> Reader:
-        """Return a new reader: first a snapshot of the present state, then every change."""
+        """Return a new reader, which gets a snapshot of the current state, then every change."""
         with self._lock:
             reader = Reader(self._current.events)
             self._readers.append(reader)
@@ -175,7 +175,7 @@ class EventStream:
         return reader
 
     def hold_time(self) -> None:
-        """Stop the time of events: the theatre's clock is about to close."""
+        """Freeze the time of events before the theatre's clock closes."""
         now_s = self._now_s()
         self._now_s = lambda: now_s
 

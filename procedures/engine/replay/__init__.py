@@ -1,1 +1,1 @@
-"""Replay: a run computed again from its recorded answers, without devices, and compared with its records."""
+"""Replay of a run from recorded answers, without devices, and comparison with its records."""

@@ -1,4 +1,4 @@
-"""The tape of a run: its sections as written, and the recorded answers of each call of each device."""
+"""Tape of a run: its sections and the recorded answers to every device call."""
 
 from __future__ import annotations
 
@@ -44,14 +44,14 @@ class _Strict(BaseModel):
 
 
 class CalibrationOpening(_Strict):
-    """Steps of a calibration, and the records that were in use."""
+    """Steps of a recorded calibration and the records in use."""
 
     recipe: dict[str, object]
     records: dict[str, object]
 
 
 class Opening(_Strict):
-    """Facts that a replay needs besides the answers. A run of steps alone has few."""
+    """Opening line of a section: facts needed for replay besides the answers."""
 
     theatre_file: str | None = None
     paced: bool = False
@@ -64,7 +64,7 @@ class Opening(_Strict):
 
 
 class _Raised(_Strict):
-    """An error that a call raised."""
+    """Recorded error of a device call."""
 
     code: str
     kind: str = Field(alias="class")
@@ -74,7 +74,7 @@ class _Raised(_Strict):
     got: str | None = None
 
     def to_error(self) -> RonnaError:
-        """Return an error of the class that was raised, if it is known here."""
+        """Rebuild the raised error, in its original class if that is known."""
         known = (one for one in concrete_errors() if (one.code, one.__qualname__) == (self.code, self.kind))
         kind = next(known, DeviceError)
         error = kind.__new__(kind)  # some take other arguments than their base
@@ -83,7 +83,7 @@ class _Raised(_Strict):
 
 
 class _AnswerLine(_Strict):
-    """An answer as a line of the tape."""
+    """Tape line with an answer."""
 
     section: int
     device: str
@@ -96,7 +96,7 @@ class _AnswerLine(_Strict):
 
 
 class _PixelsAt(_Strict):
-    """Place of the pixels of an image."""
+    """Position of an image's pixel data on the tape."""
 
     at: Annotated[int, Field(ge=0, lt=2**63)]
     count: Annotated[Count, Field(alias="bytes")]
@@ -106,7 +106,7 @@ class _PixelsAt(_Strict):
 
 @dataclass(frozen=True)
 class RecordedAnswer:
-    """The value or error of a call, the state it left, and what the device then knew of itself."""
+    """Recorded result of a call: value or error, device state, and other known device data."""
 
     state: Lifecycle
     value: object = None
@@ -116,7 +116,7 @@ class RecordedAnswer:
 
 @dataclass
 class RecordedAnswers:
-    """The answers of the devices of one run; `moment_s` is the theatre time of the last one given."""
+    """Recorded device answers of one run; `moment_s` is the theatre time of the last one returned."""
 
     opening: Opening
     _pixels: Path
@@ -133,7 +133,7 @@ class RecordedAnswers:
 
     @contextmanager
     def peek(self) -> Iterator[None]:
-        """Give answers without using them up, to callers that asked before the step began."""
+        """Return answers without consuming them during the block, for calls before the step began."""
         self.is_peeking = True
         try:
             yield
@@ -141,7 +141,7 @@ class RecordedAnswers:
             self.is_peeking = False
 
     def look(self, device: str, name: str) -> object:
-        """Return the next value of a property, or the last one again, however often it is read.
+        """Return the next value of a property, or repeat the last one if none is left.
 
         Raises PRO-024.
         """
@@ -152,7 +152,7 @@ class RecordedAnswers:
         return self.value_of(device, name, line.answer, RECORDED_PROPERTIES[name])
 
     def next(self, device: str, call: str, kind: object) -> RecordedAnswer:
-        """Return the next answer of that kind to that call. Raises PRO-024."""
+        """Return the next answer of one kind to a call. Raises PRO-024."""
         waiting = self._section.get((device, call))
         if not waiting:
             raise NotRecorded(f"the run has no further answer of {device} to {call} in this step")
@@ -190,7 +190,7 @@ class RecordedAnswers:
 
 
 def read_answers(run: Path) -> RecordedAnswers:
-    """Read a run's tape without a torn last line. Raises PRO-024 if there is none."""
+    """Read a run's tape, ignoring a torn last line. Raises PRO-024 if there is no tape."""
     sections: dict[int, dict[tuple[str, str], deque[_AnswerLine]]] = defaultdict(lambda: defaultdict(deque))
     opening: Opening | None = None
     for line in _read_lines(run / READINGS_FOLDER):
@@ -204,7 +204,7 @@ def read_answers(run: Path) -> RecordedAnswers:
 
 
 class TimedValue(NamedTuple):
-    """An answer that was no error, and its time."""
+    """Answer without an error, with its time."""
 
     theatre_time_s: float
     value: object
@@ -221,7 +221,7 @@ def read_in_order(run: Path) -> Iterator[tuple[int, str, str, TimedValue]]:
 
 
 def _read_lines(folder: Path) -> Iterator[Opening | _AnswerLine]:
-    """Yield openings and answers in order, without a line that was torn by a kill."""
+    """Yield openings and answers in order, skipping a line torn by a kill."""
     try:
         lines = read_json_lines(folder / READINGS_FILE).splitlines(keepends=True)
     except OSError as error:
@@ -256,7 +256,7 @@ def _parse_value(kind: object, plain: object, get: GetPixels) -> object:
 
 
 def section_follower(tape: ReadingTape) -> Callable[[bytes], None]:
-    """Return a function for every line of the journal, called by the thread that runs the steps.
+    """Return a journal-line callback for the thread that runs the steps.
 
     The answers of devices to a step, or on the way home, are one section, numbered by its first line.
     """
@@ -279,7 +279,7 @@ def opening_line(
     began: datetime,
     calibration: Mapping[str, object] | None = None,
 ) -> dict[str, object]:
-    """Return the facts that a replay needs besides the answers; paths inside the run folder are relative.
+    """Return the facts needed for replay besides the answers. Paths in the run folder are relative.
 
     `calibration` has the steps of a calibration and the records that were in use.
     """

@@ -1,4 +1,4 @@
-"""Operator, staff, clock and devices of a replay: they repeat their recorded answers, and do nothing."""
+"""Stand-ins for operator, staff, clock and devices in a replay, which repeat recorded answers."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ READINGS = ("read_frame", "grab_pair", "read_state", "move_joints", "move_linear
 
 
 class RecordedOperator:
-    """Answers question by question as recorded in the journal."""
+    """Operator of a replay, who repeats the answers recorded in the journal."""
 
     def __init__(self) -> None:
         self._confirmations: list[tuple[int, Line]] = []  # after how many motions of the section
@@ -38,7 +38,7 @@ class RecordedOperator:
                 self._confirmations.append((motions, line))
 
     def was_first_motion_asked(self, motions: int) -> bool:
-        """Whether the run's next question was for a first motion, after that many motions of the section."""
+        """Whether the next question after `motions` motions in the section concerned a first motion."""
         for asked_after, line in self._confirmations:
             topic = str(line["topic"]).partition(":")[0]
             if topic not in AT_CHECKPOINTS:
@@ -46,7 +46,7 @@ class RecordedOperator:
         return False
 
     def ask(self, question: Question) -> Answer:
-        """Return the recorded answer to the next question of that name. Raises PRO-024 without one."""
+        """Return the recorded answer to the next question of this name. Raises PRO-024 if there is none."""
         for place, (_, line) in enumerate(self._confirmations):
             if line["topic"] == question.name:
                 del self._confirmations[: place + 1]
@@ -57,7 +57,7 @@ class RecordedOperator:
 
 
 class RecordedRoom:
-    """Staff of a replay, who repeat their readings; the controller's recorded inputs name the tools."""
+    """Room staff of a replay, who repeat recorded readings. Recorded controller inputs name the tools."""
 
     def __init__(self) -> None:
         self._work: list[Line] = []
@@ -76,7 +76,7 @@ class RecordedRoom:
         """Do nothing."""
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Return the readings of the next task of that name. Raises PRO-024 if it was not done."""
+        """Return the recorded readings of the next task of this name. Raises PRO-024 if there are none."""
         for place, line in enumerate(self._work):
             if line["task"] == task.name:
                 del self._work[: place + 1]
@@ -86,7 +86,7 @@ class RecordedRoom:
 
 
 class RecordedClock:
-    """The theatre time of the last answer; waiting takes none."""
+    """Clock of a replay at the theatre time of the last answer. Sleeping takes no time."""
 
     def __init__(self, answers: RecordedAnswers) -> None:
         self._answers = answers
@@ -103,7 +103,7 @@ class RecordedClock:
 
 
 def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
-    """Return a stand-in for a device that is made but not opened: its public names, its recorded answers."""
+    """Return a stand-in with a device's public names and recorded answers. The device stays closed."""
     own = vars(_StandIn)
     names = [name for name in dir(device) if not name.startswith("_") and name not in own]
     calls = list_recorded_calls(device)
@@ -116,7 +116,7 @@ def make_stand_in(device: Device, answers: RecordedAnswers) -> Device:
 
 
 class _StandIn:
-    """A device whose state and newest reading follow the answers."""
+    """Device stand-in with state and latest reading from recorded answers."""
 
     def __init__(self, device: Device, answers: RecordedAnswers) -> None:
         self._device = device
@@ -155,7 +155,7 @@ class _StandIn:
         """Do nothing."""
 
     def answer(self, call: str) -> object:
-        """Return the next recorded answer to that call, or raise its error."""
+        """Return the next recorded answer to a call, or raise the recorded error."""
         given = self._answers.next(self._device.name, call, list_recorded_calls(self._device)[call])
         if self._answers.is_peeking and given.error is None:
             return given.value

@@ -1,4 +1,4 @@
-"""Replay of an ended or killed run: its steps in the journal's order, on its recorded answers."""
+"""Replay of an ended or killed run: steps in journal order, using recorded answers."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class Verdict(StrEnum):
 
 @dataclass(frozen=True)
 class ReplayedRecord:
-    """One record and its verdict; `why` names fields that differ, or the obstacle to its computation."""
+    """Replayed record with verdict; `why` names differing fields or the obstacle to recomputation."""
 
     record: str
     step: str
@@ -71,7 +71,7 @@ class _Difference:
 
 
 def compare_records(step: str, recorded: Record, again: Record) -> ReplayedRecord:
-    """Compare payloads: equal if every bit is, rounded within another processor's arithmetic."""
+    """Compare payloads: equal if bit-identical, rounded if within differences between processors."""
     found = list(_differences(recorded.payload, again.payload, ""))
     real = [one for one in found if not one.rounding]
     verdict = Verdict.DIFFERENT if real else Verdict.ROUNDED if found else Verdict.EQUAL
@@ -109,7 +109,7 @@ def _short(value: object) -> str:
 
 @dataclass(frozen=True)
 class ReplayInput:
-    """Order, inputs and theatre with which a run was begun."""
+    """Step order, inputs and theatre of the original run."""
 
     order: CaseOrder
     clinical: ClinicalInput | None  # of what is no calibration
@@ -124,7 +124,7 @@ def replay(
     answers: RecordedAnswers,
     progress: ShowRecord = lambda _done, _of: None,
 ) -> tuple[ReplayedRecord, ...]:
-    """Return a verdict on every record of the run, in order.
+    """Replay the run and return a verdict on every record, in order.
 
     Later steps read recomputed results, not recorded ones: a difference shows in all that follow. Opens no
     device and writes to a temporary folder only.
@@ -139,7 +139,7 @@ def replay(
 
 
 class _RecordedStops:
-    """Stops of the run's arm between two motions: the next one is a first motion here as well.
+    """Recorded arm stops between motions. The next motion is again a first motion in the replay.
 
     It is asked before each motion, like a guard, and is always met.
     """
@@ -152,7 +152,7 @@ class _RecordedStops:
         self._before = 0
 
     def begin(self) -> None:
-        """Begin the motions of the next section."""
+        """Start counting motions of the next section."""
         self._before = self._workcell.history.motions
 
     def unmet(self) -> None:
@@ -246,14 +246,14 @@ class _Replay:
         return compare_records(step, recorded, again)
 
     def _rest_devices(self) -> None:
-        """Reset every opened device to configured; the next motion is a first one."""
+        """Reset every opened device to configured, so that the next motion is a first motion."""
         for device in self._theatre.devices.values():
             if device.state is not Lifecycle.DISCONNECTED:
                 device.recover("")
         self._engine.setting.workcell.stop()
 
     def _sections(self) -> Iterator[tuple[int, Line, list[Line]]]:
-        """Yield number and first line of each section, and the lines up to the next section."""
+        """Yield number, first line and subsequent lines of each section."""
         lines = self._run.journal
         begins = [place for place, line in enumerate(lines) if line["entry"] in BEGINS]
         for begin, end in zip(begins, [*begins[1:], len(lines)], strict=True):
@@ -261,7 +261,7 @@ class _Replay:
 
 
 def _without_preconditions(step: StepSpec[StepResult], answers: RecordedAnswers) -> StepSpec[StepResult]:
-    """Return the step with preconditions that use up no answers; what they cannot read was met then."""
+    """Return the step with preconditions that consume no answers. Unreadable ones count as met."""
 
     def unmet(context: StepContext) -> tuple[str, ...]:
         try:
