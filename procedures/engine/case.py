@@ -115,7 +115,7 @@ class Case:
 
     @property
     def past_trajectories(self) -> frozenset[str]:
-        """Finished trajectories, whose results stay valid without their ancestors. They get no further steps."""
+        """Finished trajectories: their results stay valid without ancestors, and no step follows."""
         past = self.past
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
