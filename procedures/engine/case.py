@@ -115,13 +115,13 @@ class Case:
 
     @property
     def past_trajectories(self) -> frozenset[str]:
-        """Finished trajectories: their results stay valid without ancestors, and no step follows."""
+        """Trajectories finished before a move, whose results stay valid. They get no further steps."""
         past = self.past
         named = (one.record for one in self._standing.values() if one.record.identifier in past)
         return frozenset(record.trajectory for record in named if record.trajectory is not None)
 
     def accept(self, key: StepKey, stored: Stored[StepResult], finished: Collection[str] = ()) -> None:
-        """Accept a result and remove the results it supersedes; see `records_superseded_by`."""
+        """Accept a result in place of the results it supersedes; see `records_superseded_by`."""
         self.void(key, finished)
         self._standing[key] = stored
 

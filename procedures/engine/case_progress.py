@@ -68,7 +68,7 @@ class CaseProgress:
         return key
 
     def why_not_now(self, key: StepKey) -> tuple[str, ...]:
-        """Return why a step may not run in the present order; empty if it may."""
+        """Return why it is not a step's turn; empty if it may run now."""
         if (reason := self.left_out(key)) is not None:
             return (f"{key.trajectory} was left out: {reason}",)
         if self._all_finished_before:
@@ -120,7 +120,7 @@ class CaseProgress:
         return self.case.records_superseded_by(key, self._other_lasting_trajectories(key))
 
     def accept(self, key: StepKey, stored: Stored[StepResult]) -> None:
-        """Accept a new result and remove the results it supersedes."""
+        """Accept a new result in place of the results it supersedes."""
         self.case.accept(key, stored, self._other_lasting_trajectories(key))
 
     def records_voided_by(self, key: StepKey) -> tuple[Record, ...]:

@@ -1,4 +1,4 @@
-"""Guards of every procedure: disk, clock, robot link, mounted tool, theatre records, in the order asked."""
+"""Guards of every procedure, in order of evaluation: disk, clock, robot link, mounted tool, records."""
 
 from __future__ import annotations
 
@@ -73,7 +73,7 @@ def sight_guard(engine: Engine, void: Void) -> HeadInSight:
 
 @dataclass
 class ArmLink:
-    """The robot link: the arm's pose is fresh, and few cycles since the last checkpoint were late or lost."""
+    """Guard of the robot link: fresh arm pose, and few late or lost cycles since the last checkpoint."""
 
     workcell: Workcell
     name: str = "robot link"
@@ -81,7 +81,7 @@ class ArmLink:
     _verdict: str | None = None
 
     def unmet(self) -> str | None:
-        """Describe an old pose or a bad link."""
+        """Describe a stale pose or a bad link."""
         seen = self.workcell.arm.observe()
         if seen.state not in RUNNING:  # motions report a fault themselves
             self._since = self._verdict = None
@@ -114,14 +114,14 @@ class ArmLink:
 
 @dataclass
 class DiskSpace:
-    """Free space where the run is written: suspend before the journal can no longer be written."""
+    """Guard of free disk space, which suspends the case before the journal becomes unwritable."""
 
     folder: Path
     least_bytes: int = LEAST_FREE_BYTES
     name: str = "disk space"
 
     def unmet(self) -> str | None:
-        """Describe too little free space."""
+        """Describe a lack of free space."""
         try:
             free = shutil.disk_usage(self.folder).free
         except OSError as error:
@@ -136,7 +136,7 @@ class DiskSpace:
 
 @dataclass
 class ToolStillMounted:
-    """The checked tool is still mounted, according to the controller while the arm's stream runs.
+    """Guard of the mounted tool, as reported by the controller while the arm's stream runs.
 
     `doubt_tool` is told when another tool is reported, and may end the step.
     """
@@ -164,7 +164,7 @@ class ToolStillMounted:
 
 
 class WallClock:
-    """A step of the host's clock, against the monotonic one: it dates the records.
+    """Guard that detects steps of the host's wall clock, which dates the records.
 
     No limit depends on the wall clock, so a jump stops nothing: it is a finding.
     """
@@ -182,7 +182,7 @@ class WallClock:
         self._ahead_s = wall_s() - monotonic_s()
 
     def unmet(self) -> None:
-        """Record a step of the clock as a finding; never unmet."""
+        """Record a clock step as a finding. Never unmet."""
         ahead_s = self._wall_s() - self._monotonic_s()
         step_s = ahead_s - self._ahead_s
         if abs(step_s) > LARGEST_STEP_S:
@@ -194,7 +194,7 @@ class WallClock:
 
 
 class UnchangedRecords:
-    """Calibration and tool records in use are still those of the theatre file.
+    """Guard that the calibration and tool records in use still match the theatre file.
 
     A file that nobody touched is not read again; a touched one is compared by content. The way out is not
     held up: it uses the records that brought the arm there.
@@ -203,14 +203,14 @@ class UnchangedRecords:
     name = "calibration and tool records"
 
     def __init__(self, path: Path, began_with: TheatreFile, in_use: Callable[[], bool]) -> None:
-        """`in_use` says whether a step works with them, other than for the way out or home."""
+        """Set up the guard; `in_use` returns whether a step uses them beyond the way out or home."""
         self._path = path
         self._records = _records(began_with)
         self._in_use = in_use
         self._seen: Stamp | None = None  # at the last comparison without difference
 
     def unmet(self) -> str | None:
-        """Name the records that have changed, or why the file cannot be read."""
+        """Name the changed records, or the reason why the file cannot be read."""
         if not self._in_use():
             return None
         try:

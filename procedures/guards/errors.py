@@ -1,4 +1,4 @@
-"""Errors of a guarded room: a cart, a tracker, a head or an input that has changed."""
+"""Errors of guards: a changed cart, tracker, head or input."""
 
 from __future__ import annotations
 

@@ -70,7 +70,7 @@ class HeadFrames:
             self.moved_mm = moved.rms_mm if moved is not None and moved.rms_mm >= LEAST_FAR_MM else None
 
     def _mean_mm(self) -> float | None:
-        """Rms displacement over the spheres with enough readings; None while these are too few.
+        """Return the rms displacement of spheres with enough readings, or None if there are too few.
 
         A head moves as a whole, so the sphere that moved most is left out if three others remain: a hidden
         sphere of the x-shaped frame is reported 1 mm off, and a glint beside a hidden one passes for it.
@@ -87,7 +87,7 @@ class HeadFrames:
 
 
 def _displacements(spheres_mm: Array, places_mm: Sequence[Sequence[float]]) -> Array:
-    """Displacement of each sphere to the nearest point seen (n, 3); NaN if none is near."""
+    """Return the displacement (n, 3) of each sphere to the nearest seen point; NaN if none is near."""
     displacements = np.full(spheres_mm.shape, np.nan)
     if places_mm:
         apart = np.asarray(places_mm)[None] - spheres_mm[:, None]

@@ -1,4 +1,4 @@
-"""Watches the patient with the tracker while the arm moves, and while an instrument is at its target.
+"""Patient watch by the tracker while the arm moves and while an instrument is at its target.
 
 A separate thread reads the tracker. It stops the arm when the spheres on the head have moved, or when a guide
 has approached them unseen for too long. It reads every fourth frame, and every frame while in doubt. The
@@ -45,7 +45,7 @@ UNSEEN = "the tracker has not seen the head for too long"
 
 @dataclass
 class MotionWatch:
-    """Patient watch of a run. `find` and `void` journal; `tell` shows at once, from any thread."""
+    """Patient watch of a run. `find` and `void` journal; `tell` displays immediately from any thread."""
 
     workcell: Workcell
     clock: Clock
@@ -61,7 +61,7 @@ class MotionWatch:
 
     @contextmanager
     def watching(self, what: str, arm_moves: bool) -> Iterator[None]:
-        """Watch during a motion or a wait. Raises PRO-019 or PRO-020 after a move, with the arm at rest."""
+        """Watch the patient during a motion or wait. Raises PRO-019 or PRO-020 with the arm at rest."""
         room = self.memory.find(RoomWatch)
         if room is None or not self._is_wanted:
             yield
@@ -124,7 +124,7 @@ class MotionWatch:
             self.find(f"the tracker has not seen the head for {self._unseen_s:.0f} s, up to {what}")
 
     def _identify_cause(self, room: RoomWatch, moved_mm: float, what: str) -> BaseShifted | PatientMoved:
-        """Name what has moved, by one more reading at rest, which includes the frame on the arm."""
+        """Identify the moved body from another reading at rest, which includes the frame on the arm."""
         found: RonnaError | None
         try:
             with self.beside():
@@ -173,7 +173,7 @@ class _WatchThread:
         self._thread = threading.Thread(target=self._run, name="patient watch", daemon=True)
 
     def begin(self) -> None:
-        """Start; return once the first frame is read and, if it shows a move, the arm is stopped."""
+        """Start; return after the first frame is read and, if it shows a move, the arm is stopped."""
         if self.guide is not None:
             self.guide.begin_watch()
         self._thread.start()
@@ -182,7 +182,7 @@ class _WatchThread:
             self._stopping.join()
 
     def end(self) -> _WatchThread:
-        """Stop looking; the fields hold the findings."""
+        """End the thread; its fields hold the findings."""
         self._ending.set()
         if self._thread.ident is not None:
             self._thread.join()
@@ -252,14 +252,14 @@ class _WatchThread:
             self._raise_alarm(UNSEEN, stop=self.arm_moves)
 
     def _check_late(self) -> None:
-        """Report late replies once; the guard at the next checkpoint suspends the case while they last."""
+        """Report late replies once. The guard at the next checkpoint suspends the case while they persist."""
         late = late_s(self.workcell.tracker) or 0.0
         if late > 0.0 and self.late_s == 0.0:
             self.tell(f"{LATE} by {late:.2f} s")
         self.late_s = max(self.late_s, late)
 
     def _check_push(self, frame: TrackerFrame) -> None:
-        """Report each push once; the guard at the next checkpoint suspends the case while it lasts."""
+        """Report each push once. The guard at the next checkpoint suspends the case while it lasts."""
         if self.guide is None or not self.guide.is_worked_through:
             return
         self.guide.add_frame(frame, self.workcell.calibrations.tracker_frame.tool)
@@ -278,7 +278,7 @@ class _WatchThread:
         self.tell(f"{why} during {self.what}" + (": the arm is stopped" if stop else ""))
 
     def _stop_again(self) -> None:
-        """Repeat a stop that has failed, for example by its time limit, while the arm may still move."""
+        """Repeat a failed stop, for example after its time limit, while the arm may still move."""
         wanted = self._stop_wanted and not self._is_stopping
         if wanted and self.workcell.arm.observe().state is Lifecycle.ACTIVE:
             self._begin_stop()
@@ -294,7 +294,7 @@ class _WatchThread:
         self._stopping = stopping
 
     def _report_silence(self, why: str) -> None:
-        """Report once, and at once: the unwatched motion may still take long."""
+        """Report a silent tracker once, immediately, since the unwatched motion may still take long."""
         if not self._silence_reported:
             self._silence_reported = True
             self.tell(f"the head is not watched: {why}")

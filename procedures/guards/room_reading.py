@@ -1,4 +1,4 @@
-"""One reading of the room by the tracker, with the arm at rest: the frame on the arm, and all spheres.
+"""Tracker reading of the room with the arm at rest: frame on the arm and all spheres.
 
 Some of the spheres are ghosts, where the lines of sight to two different markers cross. Each of the tracker's
 two sensors knows a marker only as a line. Two markers in one plane with both sensors produce, besides their
@@ -37,7 +37,7 @@ LEAST_SHARE = 0.5  # of the frames that must show an averaged marker
 
 @dataclass(frozen=True)
 class RoomReading:
-    """Mean of `frames` of the tracker while the arm rests.
+    """Mean of `frames` tracker frames with the arm at rest.
 
     `robot_from_flange` is the arm's pose, by its calibration if there is one. `frame_mm` (3,) is the frame on
     the arm by the tracker minus that by the arm, robot frame; None while it is not seen. In the tracker's
@@ -59,12 +59,12 @@ class RoomReading:
 
     @property
     def is_comparable(self) -> bool:
-        """Whether another reading of the same pose may show the frame on the arm off by noise only."""
+        """Whether readings of the same pose can differ in the frame on the arm only by noise."""
         return self.is_careful and self.settled
 
     @property
     def head_limit_mm(self) -> float:
-        """Rms displacement of the spheres from which the head has moved."""
+        """Threshold of the spheres' rms displacement above which the head has moved."""
         return HEAD_NOTICEABLE_MM if self.is_careful else PATIENT_LIMIT_MM
 
 
@@ -79,7 +79,7 @@ def read_room(
 def room_reading(
     workcell: Workcell, frames: list[TrackerFrame], robot_from_tracker: Transform
 ) -> RoomReading:
-    """Average these frames, taken with the arm in its present pose."""
+    """Average tracker frames taken at the arm's current pose into one reading."""
     groups = average_strays(frames).groups
     spheres = np.array([group.mean_mm for group in groups]).reshape(-1, 3)
     least, on_arm = round(LEAST_SHARE * len(frames)), workcell.calibrations.tracker_frame.tool
@@ -106,7 +106,7 @@ def room_reading(
 
 
 def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[np.bool_]:
-    """Flag the points (m, 3) that are crossings of lines to known markers; all in the tracker's frame.
+    """Flag points (m, 3) at crossings of sensor lines to known markers. All in the tracker's frame.
 
     The lines lead to the spheres (n, 3) and to the other markers (k, 3). Two lines to others are held to the
     narrow limit: with the wide one, too much of the room about the head would count as crossings.
@@ -121,7 +121,7 @@ def find_ghosts(spheres_mm: Array, others_mm: Array, seen_mm: Array) -> NDArray[
 
 
 def _distance_from_lines_mm(eye_mm: Array, markers_mm: Array, points_mm: Array) -> Array:
-    """Distance of each point (m, 3) from a sensor's line to each marker (n, 3), before or behind it.
+    """Return the distance of each point (m, 3) from a sensor's line to each marker (n, 3).
 
     Less the uncertainty of the sensor's position.
     """

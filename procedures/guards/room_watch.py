@@ -1,4 +1,4 @@
-"""Whether anything has moved since the localization, by the frame on the arm and the patient's spheres.
+"""Detection of moves since the localization, from the frame on the arm and the patient's spheres.
 
 The frame on the arm is compared by the difference of its places according to tracker and arm. As the mount is
 some millimetres off its drawing, this difference depends on the arm's orientation, so it is compared with
@@ -66,7 +66,7 @@ class BaseShift:
 
 @dataclass(frozen=True)
 class RoomLook:
-    """Comparison of a reading: displacement of head and base, None if not seen.
+    """Result of a comparison: displacements of head and base, each None if not seen.
 
     `moved` is the error that names what has moved, or what hides it; `findings` stop nothing.
     """
@@ -79,11 +79,11 @@ class RoomLook:
 
     @property
     def in_place(self) -> bool:
-        """Whether head and base were seen unmoved; the tracker may have moved a little."""
+        """Whether head and base were seen and unmoved. The tracker may have moved slightly."""
         return self.moved is None and self.head_mm is not None and self.base is not None
 
     def require(self) -> tuple[str, ...]:
-        """Raise `moved`, or return the findings.
+        """Return the findings. Raises `moved` if set.
 
         Raises PRO-019 if cart or tracker was moved, PRO-020 if the head has, PRO-022 if a sphere near the
         head is at no known position.
@@ -95,7 +95,7 @@ class RoomLook:
 
 @dataclass
 class Approach:
-    """A guide near the head; `excused_s` is when the operator last continued without sight.
+    """Approach of a guide to the head; `excused_s` is when the operator last continued without sight.
 
     The time without sight is bounded only while it is under way: nothing holds up the way out.
     """
@@ -107,7 +107,7 @@ class Approach:
 
 @dataclass
 class RoomWatch:
-    """Spheres and frame as found by one global localization, and the readings since."""
+    """Watch over the spheres and frame of one global localization, with the readings since."""
 
     localization: str  # identifier of the record
     robot_from_tracker: Transform
@@ -120,30 +120,30 @@ class RoomWatch:
         self._localized_mm = self.spheres_mm
 
     def follow(self, spheres_mm: Array | None) -> None:
-        """Expect the spheres (n, 3) there from now on; None for where they were localized."""
+        """Set the expected sphere positions (n, 3); None restores the localized positions."""
         expected_mm = self._localized_mm if spheres_mm is None else spheres_mm
         if not np.array_equal(expected_mm, self.spheres_mm):
             self.spheres_mm = expected_mm
 
     def add_reference(self, frame_mm: Array | None) -> None:
-        """Add the frame (3,) as seen before a restart, with the arm home and every joint settled."""
+        """Add the frame position (3,) seen before a restart, with the arm home and all joints settled."""
         home = self.references[0].robot_from_flange
         if frame_mm is not None:
             nothing = np.empty((0, 3))
             self.references.append(RoomReading(home, frame_mm, nothing, frames=CAREFUL_FRAMES, settled=True))
 
     def unseen_s(self, now_s: float) -> float:
-        """Theatre time since the head was seen, or since the operator continued without sight."""
+        """Return the theatre time since the head was seen or the operator continued without sight."""
         excused_s = -math.inf if self.approach is None else self.approach.excused_s
         return now_s - max(self.seen_s, excused_s)
 
     def excuse(self) -> None:
-        """Continue without sight: the time starts again with the next motion or wait."""
+        """Continue without sight; the unseen time restarts with the next motion or wait."""
         if self.approach is not None:
             self.approach.excused_s = math.inf
 
     def begin_motion(self, now_s: float) -> None:
-        """Note that a motion or a wait begins."""
+        """Record the start of a motion or wait."""
         if self.approach is not None:
             self.approach.excused_s = min(self.approach.excused_s, now_s)
 
@@ -162,7 +162,7 @@ class RoomWatch:
         return self.approach is not None and self.approach.arm_hides_head()
 
     def compare(self, reading: RoomReading, now_s: float = 0.0) -> RoomLook:
-        """Compare a reading with those before, and keep it unless something has moved."""
+        """Compare a reading with earlier ones, and keep it unless something has moved."""
         base, head = self.base_shift(reading), measure_shift(self.spheres_mm, reading.spheres_mm)
         head_mm = None if head is None else self.robot_from_tracker.rotation_matrix @ head.mean_mm
         agree = _moved_alike(head, head_mm, base, reading.head_limit_mm)
@@ -188,7 +188,7 @@ class RoomWatch:
         *,
         agree: bool,
     ) -> BaseShifted | PatientMoved | PatientUnseen | None:
-        """Return the error that names a move, or hidden spheres; None if nothing has moved.
+        """Return the error for a move or hidden spheres, or None if nothing has moved.
 
         `head_mm` (3,) is the displacement of the head in the robot frame. If arm and head `agree`, only the
         tracker has moved.
@@ -209,7 +209,7 @@ class RoomWatch:
     def _find_motion_by_few(
         self, reading: RoomReading, *, tracker_excluded: bool
     ) -> PatientMoved | PatientUnseen | None:
-        """Return the error from fewer than three known spheres; None if none of them has moved."""
+        """Return the error found from fewer than three known spheres, or None if none has moved."""
         few = measure_shift_of_few(self.spheres_mm, reading.spheres_mm)
         if few is not None and few.rms_mm >= FEW_LIMIT_MM:
             few_mm = self.robot_from_tracker.rotation_matrix @ few.mean_mm
@@ -223,7 +223,7 @@ class RoomWatch:
         return None
 
     def base_shift(self, reading: RoomReading) -> BaseShift | None:
-        """Return a shift beyond its limit, else the one with the narrowest; None without a reference."""
+        """Return a shift beyond its limit, else the one with the tightest limit; None without reference."""
         if reading.frame_mm is None:
             return None
         shifts = [
@@ -234,7 +234,7 @@ class RoomWatch:
         return min(shifts, key=lambda shift: (shift.moved_mm < shift.limit_mm, shift.limit_mm), default=None)
 
     def _count_unknown(self, reading: RoomReading) -> int:
-        """Count points near the head at no known position: it may have moved, with its other spheres hidden.
+        """Count points near the head at unknown positions, which may be moved spheres.
 
         Ghosts do not count.
         """
@@ -245,7 +245,7 @@ class RoomWatch:
         return int(((apart >= FEW_LIMIT_MM) & (apart < NEAR_HEAD_MM) & ~ghosts).sum())
 
     def _references(self, reading: RoomReading) -> list[tuple[RoomReading, float, bool]]:
-        """Earlier readings to compare with, the limit of each, and whether the pose is the same.
+        """Return earlier readings for comparison, each with its limit and whether its pose is the same.
 
         In the same pose: the oldest, so that a slow drift adds up, and the oldest that may differ by noise
         only. Otherwise the nearest in the same orientation, and the newest of those equally near.
@@ -272,7 +272,7 @@ def check_now(
     void: Callable[[RonnaError], None],
     count: int = FRAMES,
 ) -> RoomLook:
-    """Look now and raise as `RoomLook.require`. A move first `void`s results, then ends the watch."""
+    """Look now and raise as `RoomLook.require`. A move voids results, then ends the watch."""
     look = room.compare(read_room(workcell, clock, room.robot_from_tracker, count), clock.now_s())
     if isinstance(look.moved, BaseShifted | PatientMoved):
         void(look.moved)  # first: the watch goes on until this is written
@@ -297,7 +297,7 @@ def _angle_between_rad(one: Transform, other: Transform) -> float:
 def _moved_alike(
     head: PointShift | None, head_mm: Array | None, base: BaseShift | None, limit_mm: float
 ) -> bool:
-    """Whether spheres and frame moved alike, to an rms below the limit; a turn leaves their mean in place."""
+    """Whether spheres and frame moved alike, to an rms below the limit that includes any rotation."""
     if head is None or head_mm is None or base is None:
         return False
     turned_mm2 = max(0.0, head.rms_mm**2 - float(head.mean_mm @ head.mean_mm))

@@ -1,4 +1,4 @@
-"""Guards of the tracker: it replies in time, sees the frame on the arm, and sees the head.
+"""Guards of the tracker: reply delay, visibility of the frame on the arm and of the head.
 
 A late frame shows a head, or a hand, as it was before. A head that moves while every sphere is covered is
 noticed only when one is seen again; `HeadInSight` bounds how long that may take while a guide approaches or
@@ -44,7 +44,7 @@ PATIENCE_S = 20.0  # theatre time for a hand or a drape to go; none if the arm i
 
 
 def late_s(tracker: OpticalTracker) -> float | None:
-    """Delay of the replies if it is too long; None also for a tracker that does not report it."""
+    """Return the reply delay if too long, else None. None also if the tracker does not report it."""
     if not isinstance(tracker, TimedTracker):
         return None
     last_s = tracker.replies_s[-JUDGED:]
@@ -54,7 +54,7 @@ def late_s(tracker: OpticalTracker) -> float | None:
 
 @dataclass
 class TrackerLink:
-    """Guard of the delay of replies, whoever read them; while they are late it reads itself."""
+    """Guard of the tracker's reply delay. While replies are late, it reads frames itself."""
 
     tracker: OpticalTracker
     memory: CaseMemory
@@ -63,7 +63,7 @@ class TrackerLink:
     _looked_s: float = -math.inf
 
     def unmet(self) -> str | None:
-        """Describe late replies, while a step reads or a guide approaches the head or is held there."""
+        """Describe late replies while a step reads, or a guide approaches or is held at the head."""
         if not self._in_use or late_s(self.tracker) is None:
             return None
         if self.now_s() - self._looked_s >= BETWEEN_LOOKS_S:
@@ -80,14 +80,14 @@ class TrackerLink:
 
     @property
     def _in_use(self) -> bool:
-        """Whether the tracker is needed now; nothing holds up the way out."""
+        """Whether the tracker is needed now. It is not needed for the way out."""
         if self.tracker.state is Lifecycle.CONFIGURED:
             room = self.memory.find(RoomWatch)
             return room is not None and room.is_approached
         return self.tracker.state is Lifecycle.ACTIVE
 
     def _look(self) -> None:
-        """Read until one reply is late again, or enough are not."""
+        """Read frames until one reply is late or enough are on time."""
         with self.tracker.active() as tracker:
             for _ in range(JUDGED):
                 tracker.read_frame()
@@ -97,7 +97,7 @@ class TrackerLink:
 
 @dataclass
 class LineOfSight:
-    """Guard of the sight of the reference frame; while it is lost, it reads frames itself."""
+    """Guard of the line of sight to the reference frame. While it is lost, the guard reads frames itself."""
 
     tracker: OpticalTracker
     frame: str  # the tracker's name for the reference frame
@@ -106,7 +106,7 @@ class LineOfSight:
     _lost_since_s: float | None = None
 
     def unmet(self) -> str | None:
-        """Describe why the frame has no pose, once that has lasted."""
+        """Describe why the frame has had no pose for too long."""
         if self.tracker.state is not Lifecycle.ACTIVE or self._validity() is Validity.OK:
             self._lost_since_s = None
             return None
@@ -132,7 +132,7 @@ class LineOfSight:
 
 @dataclass
 class HeadInSight:
-    """Guard of the sight of the head; it looks itself once the time is over. `void` ends a localization."""
+    """Guard of the line of sight to the head. Looks itself on timeout; `void` ends a localization."""
 
     workcell: Workcell
     clock: Clock
@@ -148,7 +148,7 @@ class HeadInSight:
         return 0.0 if room is not None and room.arm_hides_head else PATIENCE_S
 
     def unmet(self) -> str | None:
-        """Describe why the head is unseen, once that has lasted. Raises PRO-019, PRO-020, PRO-022."""
+        """Describe why the head has been unseen for too long. Raises PRO-019, PRO-020, PRO-022."""
         room = self.memory.find(RoomWatch)
         if room is None or not room.is_overdue(self.clock.now_s()):
             return None

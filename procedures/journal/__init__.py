@@ -1,1 +1,1 @@
-"""The journal of a run: written before anything happens, and again when it has happened."""
+"""Journal of a run: each action is written before it begins and after it ends."""

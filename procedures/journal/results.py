@@ -1,4 +1,4 @@
-"""Results of steps: one frozen, versioned model for each step, kept as JSON.
+"""Step results: one frozen, versioned model per step, stored as JSON.
 
 A step declares its model in its own module. Other steps import the model and ask the context for it; that
 makes it a parent of their own result.
@@ -25,7 +25,7 @@ class Values(BaseModel):
 
 
 class StepResult(Values):
-    """Base of the results. `kind` names the step; `version` rises when a field changes its meaning."""
+    """Base of step results. `kind` names the step; `version` rises when a field's meaning changes."""
 
     kind: ClassVar[str]
     version: ClassVar[int]
@@ -35,11 +35,11 @@ class StepResult(Values):
         cls.kind, cls.version = kind, version
 
     def leaves_out(self) -> Mapping[str, str]:
-        """Return the trajectories that this result leaves out of the case, and why."""
+        """Return the trajectories left out of the case by this result, with reasons."""
         return {}
 
     def names_series(self) -> str | None:
-        """Return the DICOM UID of the CT series, for the result that selects it."""
+        """Return the DICOM UID of the CT series if this result selects it, else None."""
         return None
 
 

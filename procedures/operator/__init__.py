@@ -1,1 +1,1 @@
-"""The operator, who decides; the room's staff, who act; and the points at which a case waits for them."""
+"""Operator decisions, tasks of the room's staff, and checkpoints at which a case waits."""

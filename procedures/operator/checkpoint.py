@@ -1,4 +1,4 @@
-"""Checkpoints of a case: between steps, before each motion, and wherever a motion was stopped.
+"""Checkpoints of a case: between steps, before each motion, and after a stopped motion.
 
 The operator asks for a rest from any thread, by `pause` or `abort`; the engine's own thread rests at the next
 checkpoint. A watch stops the arm by itself, and its error is raised when the motion that `watching` holds has
@@ -25,7 +25,7 @@ PATIENCE_S = 20.0  # theatre time for a guard to be met by itself before the ope
 
 
 class Guard(Protocol):
-    """A condition that must hold while the arm works."""
+    """Condition that must hold while the arm works."""
 
     @property
     def name(self) -> str:
@@ -33,7 +33,7 @@ class Guard(Protocol):
         ...
 
     def unmet(self) -> str | None:
-        """Look, and return why the case cannot go on now, in plain words, or None.
+        """Check the condition; return why the case cannot continue, in plain words, or None.
 
         No query: a guard may read devices for a second, record findings, void results and put a check of the
         tool in doubt. Raises only what ends the step.
@@ -43,7 +43,7 @@ class Guard(Protocol):
 
 @runtime_checkable
 class DispensableGuard(Guard, Protocol):
-    """A guard that the operator may excuse for a while."""
+    """Guard that the operator may excuse for a while."""
 
     @property
     def topic(self) -> Topic:
@@ -66,7 +66,7 @@ class DispensableGuard(Guard, Protocol):
 
 
 class Checkpoint:
-    """Rests a case on request or while a guard is unmet, and asks before anything goes on."""
+    """Checkpoint that rests a case on request or for an unmet guard, and asks before it continues."""
 
     def __init__(
         self,
@@ -75,7 +75,7 @@ class Checkpoint:
         clock: Clock,
         guards: Sequence[Guard] = (),
     ) -> None:
-        """`rest` is held, with state and reason, while the case rests."""
+        """Set up the checkpoint; the context `rest(state, reason)` is held while the case rests."""
         self.guards = list(guards)
         self.beside: Callable[[], AbstractContextManager[None]] = nullcontext  # held while guards look
         # Held, with what is done and whether the arm moves, also while an instrument is at its target.
@@ -91,13 +91,13 @@ class Checkpoint:
         self._abort = False
 
     def pause(self, reason: str = "the operator asked for a pause", *, firm: bool = False) -> None:
-        """Rest at the next checkpoint; a `firm` one, as after a stop, is not withdrawn."""
+        """Request a rest at the next checkpoint. A `firm` one, as after a stop, cannot be withdrawn."""
         with self._lock:
             self._pause = reason
             self.firm = self.firm or firm
 
     def withdraw_pause(self) -> bool:
-        """Withdraw a pause; False if there was none, or it is firm."""
+        """Withdraw a pause; return False if there is none or it is firm."""
         with self._lock:
             if self.firm:
                 return False
@@ -127,7 +127,7 @@ class Checkpoint:
                 self._meet(guard, point)
 
     def rest_after_stop(self, what: str, redo: str) -> None:
-        """Rest after somebody else stopped a motion; return when it is to be planned anew.
+        """Rest after an external stop of a motion; return when the motion is to be replanned.
 
         Raises PRO-004, PRO-017.
         """

@@ -1,4 +1,4 @@
-"""Questions to the operator, tasks for the room's staff, and who answers and acts.
+"""Questions to the operator, tasks for the room's staff, and the interfaces of both.
 
 A question shows the value that is being decided on and is recorded with it. Silence is the last answer, which
 never continues. Only one of the listed words answers; anything else is asked again.
@@ -18,7 +18,7 @@ from ronna_hw.text import strip_unit
 
 
 class Topic(StrEnum):
-    """Topics of questions; with a trajectory where one belongs to it, such as `approach:T1`."""
+    """Topics of questions, combined with a trajectory where applicable, such as `approach:T1`."""
 
     PATIENT = "patient"  # that this is the patient and the plan
     RESUME = "resume"  # what was found again after a restart
@@ -84,7 +84,7 @@ FOR_A_PERSON = DELIBERATE | {Topic.DEPTH_STOP, Topic.SKIN, Topic.DRILL, Topic.DU
 
 
 class Evidence(BaseModel):
-    """A table on which a question is decided, as shown: text, with its units."""
+    """Table of evidence for a question, as displayed text with units."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -99,7 +99,7 @@ READ, NOBODY = "read", "nobody"  # to a question for readings
 
 @dataclass(frozen=True)
 class ReadBack:
-    """A value to type after the first answer, known only to somebody who looked.
+    """Value to type after the first answer as proof of having read it.
 
     `what` asks for it, such as `how many mm it moves`. `value` may be the patient's: no record has it.
     `wrong` follows another value that was typed; `shown` is its text in the question, if it is there. The
@@ -113,7 +113,7 @@ class ReadBack:
     unit: str = ""
 
     def fits(self, typed: str) -> bool:
-        """Whether the value was typed, ignoring case and surrounding space."""
+        """Whether the typed text matches the value, ignoring case and surrounding space."""
         return strip_unit(typed, self.unit).casefold() == self.value.strip().casefold()
 
 
@@ -123,7 +123,7 @@ def _record_nothing() -> None:
 
 @dataclass(frozen=True)
 class Signature:
-    """The person who answered at a console, and the digest of what was shown."""
+    """Signature of a console answer: the person's name and the digest of the displayed question."""
 
     by: str
     session: str
@@ -132,7 +132,7 @@ class Signature:
 
 @dataclass(frozen=True)
 class Answer:
-    """An answer: its word, and what came with it."""
+    """Answer to a question: its word and accompanying data."""
 
     word: str
     typed: str | None = None  # what was read back
@@ -142,7 +142,7 @@ class Answer:
 
 @dataclass(frozen=True)
 class Question:
-    """A question. The first of `answers` goes on, the last is what silence means.
+    """Question to the operator. The first of `answers` continues; the last is assumed on silence.
 
     `timeout_s` is host time; None waits until someone answers. The operator calls `misread` each time a wrong
     value was read back. `number` counts the questions of a run; `evidence` is shown with the value. With
@@ -164,21 +164,21 @@ class Question:
 
     @property
     def name(self) -> str:
-        """Stable name, for answer files: the topic, and the trajectory if there is one."""
+        """Stable name for answer files: topic and, if any, trajectory."""
         return f"{self.topic}:{self.trajectory}" if self.trajectory else str(self.topic)
 
     @property
     def deliberate(self) -> bool:
-        """Whether the answer that goes on moves the arm or accepts a result: no slip may give it."""
+        """Whether the continuing answer moves the arm or accepts a result, so no slip may give it."""
         return self.topic in DELIBERATE
 
     @property
     def silence(self) -> str:
-        """The answer that silence means."""
+        """Answer assumed on silence."""
         return self.answers[-1]
 
     def is_misread(self, answer: Answer) -> bool:
-        """Whether the answer that goes on came with another value than the one to be read back."""
+        """Whether a continuing answer came with a wrong read-back value."""
         typed = answer.typed if answer.word == self.answers[0] else None
         return self.read_back is not None and bool(typed) and not self.read_back.fits(typed or "")
 
@@ -199,22 +199,22 @@ class Question:
 
 
 class Operator(Protocol):
-    """The person or script who decides."""
+    """Operator interface: the person or script that decides."""
 
     def ask(self, question: Question) -> Answer:
-        """Return an answer to the question; the last one also if none came in time."""
+        """Return the answer to a question, or its last answer on timeout."""
         ...
 
 
 def join_answers(answers: Sequence[str]) -> str:
-    """Return the answers as a person reads them: `yes or no`; those of several words are quoted."""
+    """Join answers for display, such as `yes or no`, quoting answers of several words."""
     *others, last = [f"'{answer}'" if " " in answer else answer for answer in answers]
     return f"{', '.join(others)} or {last}" if others else last
 
 
 @dataclass(frozen=True)
 class Task:
-    """A task for the room's staff, by its name in `ronna_hw.wire.room_tasks`, and the readings after it.
+    """Task for the room's staff, named as in `ronna_hw.wire.room_tasks`, with the readings it yields.
 
     `numbers` are needed for it; `reads` names each reading, such as `depth stop in mm`, and `plausible_mm` is
     its possible range.
@@ -229,7 +229,7 @@ class Task:
 
 
 def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
-    """Return why a reading must have been mistyped; empty if it may be right."""
+    """Return why a reading must be mistyped; empty if it is plausible."""
     low, high = plausible_mm or (-math.inf, math.inf)
     if low <= reading <= high:
         return ""
@@ -238,20 +238,20 @@ def misread(reading: float, plausible_mm: tuple[float, float] | None) -> str:
 
 
 class Room(Protocol):
-    """The room's staff: change tools, work on the patient, and hear which step is running."""
+    """Interface of the room's staff, who change tools, work on the patient and follow the steps."""
 
     def announce(self, step: str) -> None:
-        """Hear which step runs now, such as `at_target:T1`."""
+        """Announce the running step, such as `at_target:T1`."""
         ...
 
     def change_tool(self, number: int, description: str) -> None:
-        """Mount another tool; the step then has it confirmed and reads the controller's inputs."""
+        """Mount another tool. The step then requests confirmation and reads the controller's inputs."""
         ...
 
     def prepare_stand(self, holds: str) -> None:
-        """Put the ball or the divot on the calibration stand; the step then has it confirmed."""
+        """Put the ball or divot on the calibration stand. The step then requests confirmation."""
         ...
 
     def work(self, task: Task) -> tuple[float, ...]:
-        """Do the task and return its readings; empty if nobody does. The step has it confirmed."""
+        """Do the task and return its readings, empty if nobody does it. The step requests confirmation."""
         ...

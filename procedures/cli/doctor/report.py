@@ -175,7 +175,7 @@ def show_findings(report: Report, *, as_json: bool) -> None:
 
 
 def _reasons(verdict: Verdict, report: Report) -> Sequence[str]:
-    """Return the reasons for a verdict; for the case only the failed checks."""
+    """Return the reasons for a verdict; for the case only the failed checks, as their findings are above."""
     if verdict.of != CASE:
         return verdict.because
     failed = (one.subject for one in report.diagnostics if f"{one.subject}: {one.seen}" in verdict.because)
