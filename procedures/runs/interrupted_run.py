@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from itertools import dropwhile
 from pathlib import Path
 
 from procedures.engine.case import Case, StepKey, Stored
@@ -76,10 +77,11 @@ class InterruptedRun:
 
     @property
     def untouched(self) -> bool:
-        """Whether the run begins anew: it has no result and moved nothing, not even by a torn line."""
+        """Whether the run begins anew: no result, no motion, no torn line and no record without a line."""
         lines = self.run.journal
         torn = bool(lines and self.chain.torn)
-        return not torn and not any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
+        done = any(line["entry"] in (Entry.RESULT, Entry.MOTION) for line in lines)
+        return not (torn or done or self.orphans)
 
     @property
     def latest(self) -> StepKey | None:
@@ -105,6 +107,16 @@ class InterruptedRun:
         named = {record.identifier for record in self.run.records}
         folder = self.folder / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
+
+    def list_unrecorded_work(self, order: CaseOrder, step: str) -> tuple[str, ...]:
+        """List the trajectories with a record without a line from this step or a later one."""
+        without_number = {name.partition("-")[2] for name in self.orphans}
+
+        def is_recorded(trajectory: str) -> bool:
+            keys = dropwhile(lambda key: key != StepKey(step, trajectory), order.sequence)
+            return any(f"{key.name}-{trajectory}" in without_number for key in keys)
+
+        return tuple(filter(is_recorded, order.trajectories))
 
     def restore_case(self, order: CaseOrder) -> Case:
         """Restore the case. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""

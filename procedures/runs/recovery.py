@@ -30,6 +30,7 @@ from procedures.runs.way_out import (
     surround,
 )
 from procedures.steps.calibration.tip_readings import ObservedStand, TipReadings
+from procedures.steps.clinical.at_target import ReachedTarget
 from procedures.steps.clinical.results import Relocalization
 from procedures.steps.clinical.set_up import CheckedSetUp
 from procedures.steps.clinical.tool_change import MountedGuide
@@ -51,6 +52,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
     comparison = Comparison()
     compare_inputs(engine, comparison, previous.plan_sha256)
     _doubt_tool(engine, comparison)
+    _doubt_work(engine, previous, comparison)
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
@@ -83,6 +85,14 @@ def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
         comparison.note(
             f"the mounted tool may have been touched meanwhile: {key} is repeated before it is used"
         )
+
+
+def _doubt_work(engine: Engine, previous: InterruptedRun, comparison: Comparison) -> None:
+    """Put the work in doubt where a record without a line says that a target was reached."""
+    if previous.orphans:
+        comparison.warn(f"records that the journal does not name, not used: {', '.join(previous.orphans)}")
+    for trajectory in previous.list_unrecorded_work(engine.order, ReachedTarget.kind):
+        engine.setting.workcell.instrument.stages.record_doubt(trajectory)
 
 
 def bring_home(engine: Engine, previous: InterruptedRun) -> bool:
@@ -138,6 +148,8 @@ def _restore_arm(
     elif workcell.instrument.inside is None and is_guide_at_divot(engine):
         workcell.instrument.record_assumed(IN_DIVOT)
         comparison.warn("the guide is at the divot, which is assumed to be raised")
+    if workcell.place.assumed and workcell.instrument.inside in engine.order.trajectories:
+        workcell.instrument.stages.record_doubt(str(workcell.instrument.inside))
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:

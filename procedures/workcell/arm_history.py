@@ -194,6 +194,7 @@ class ArmHistory:
     under_way: str | None = None  # the motion without a result yet
     instrument_out: bool = False  # confirmed since the guide was last brought to its axis
     stages: Stages = field(default_factory=dict)  # of the work through the guide
+    doubted: frozenset[str] = frozenset()  # trajectories where more may have been done than the journal says
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
     def with_line(self, line: Line) -> ArmHistory:
@@ -300,6 +301,8 @@ class ArmHistory:
 
     def _with_stage(self, line: Line) -> ArmHistory:
         trajectory, stop = str(line["trajectory"]), line.get("stop")
+        if line.get("doubted") is True:
+            return replace(self, doubted=self.doubted | {trajectory})
         if isinstance(stop, Mapping):
             return replace(self, stops={**self.stops, trajectory: stop})
         tasks = {**self.stages.get(trajectory, {}), str(line["task"]): bool(line["done"])}

@@ -154,6 +154,14 @@ class WorkedStages:
         """Whether each stage begun at a trajectory was confirmed as done, by task."""
         return self._log.history.stages.get(trajectory, {})
 
+    def is_doubted(self, trajectory: str) -> bool:
+        """Whether more may have been done at a trajectory than the journal says."""
+        return trajectory in self._log.history.doubted
+
+    def may_have_begun(self, trajectory: str) -> bool:
+        """Whether work at a trajectory has begun, or may have."""
+        return bool(self.tasks_at(trajectory)) or self.is_doubted(trajectory)
+
     def stop_at(self, trajectory: str) -> Stop | None:
         """Last setting of the depth stop at a trajectory, or None."""
         return self._log.history.stops.get(trajectory)
@@ -161,6 +169,11 @@ class WorkedStages:
     def record_stop(self, trajectory: str, stop: Stop) -> None:
         """Record that the depth stop was set, read and confirmed."""
         self._log.write(Entry.STAGE, trajectory=trajectory, stop=stop)
+
+    def record_doubt(self, trajectory: str) -> None:
+        """Record that more may have been done there than the journal says: its last lines may be lost."""
+        if not self.is_doubted(trajectory):
+            self._log.write(Entry.STAGE, trajectory=trajectory, doubted=True)
 
     def record_begin(self, trajectory: str, task: str) -> None:
         """Record that a stage begins."""

@@ -165,7 +165,9 @@ def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
     """Targets with work begun or done since the last look that showed no change."""
     confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
-    return tuple(name for name in context.trajectories if stages.tasks_at(name) and name not in confirmed)
+    return tuple(
+        name for name in context.trajectories if stages.may_have_begun(name) and name not in confirmed
+    )
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:

@@ -22,6 +22,7 @@ from ronna_hw.wire.room_tasks import DEPTH_STOP
 
 # A vernier has steps of 0.05 mm: beyond twice that it is set wrong.
 STOP_LIMIT_MM = 0.1
+UNRECORDED = "more may have been done: the end of the journal may be lost"
 BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 
@@ -109,35 +110,44 @@ def work_progress(context: StepContext) -> WorkProgress:
     return work_so_far
 
 
-def describe_work(known: Mapping[str, bool]) -> str:
-    """Describe the work done."""
-    stages = [stage for stage in STAGES if stage.task in known]
-    return ", ".join(
+def describe_work(known: Mapping[str, bool], *, doubted: bool = False) -> str:
+    """Describe the work done at a target; `doubted` if more may have been done than is known."""
+    done = [
         stage.done_statement if known[stage.task] else f"begun and not confirmed: {stage.instruction}"
-        for stage in stages
-    )
+        for stage in STAGES
+        if stage.task in known
+    ]
+    return ", ".join((*done, UNRECORDED) if doubted else done)
 
 
 def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
     """Describe the work begun at each unfinished target."""
     finished = engine.course.finished
     stages = engine.setting.workcell.instrument.stages
-    names = [name for name in engine.order.trajectories if name not in finished and stages.tasks_at(name)]
-    return tuple(f"work has begun at {name}: {describe_work(stages.tasks_at(name))}" for name in names)
+    return tuple(
+        f"work {'has' if (known := stages.tasks_at(name)) else 'may have'} begun at {name}: "
+        + describe_work(known, doubted=stages.is_doubted(name))
+        for name in engine.order.trajectories
+        if name not in finished and stages.may_have_begun(name)
+    )
 
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
     """Return the tasks not to repeat, as the operator chooses; all of them if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
-    if not (known := stages.tasks_at(context.trajectory)):
+    trajectory = context.trajectory
+    if not stages.may_have_begun(trajectory):
         return ()
+    known, doubted = stages.tasks_at(trajectory), stages.is_doubted(trajectory)
     # The instrument is out, and goes in again whatever was done with it.
     first = next((number for number, task in enumerate(tasks) if not known.get(task)), len(tasks) - 1)
     first = min(first, len(tasks) - 1)
-    finished = all(known.get(task) for task in tasks) and stages.stop_at(context.trajectory) is not None
-    trajectory, offered = context.trajectory, [stage_answer(task) for task in reversed(tasks[: first + 1])]
+    finished = all(known.get(task) for task in tasks) and stages.stop_at(trajectory) is not None
+    later = tasks[first + 1 :] if doubted else []  # after what the journal supports
+    offered = {stage_answer(task): task for task in (*reversed(tasks[: first + 1]), *later)}
     question = WORK_BEGUN.question(
-        f"work was already begun at {trajectory}: {describe_work(known)}",
+        f"work {'was' if known else 'may have been'} already begun at {trajectory}: "
+        + describe_work(known, doubted=doubted),
         f"{BESIDE}; check, then choose the stage to continue from",
         trajectory,
         (*((FINISHED,) if finished else ()), *offered, HOLD),
@@ -150,7 +160,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
             f"nobody chose the stage to continue from at {trajectory}",
             action="Nothing was done. Repeat the step, or send the arm home.",
         )
-    return tuple(tasks[: len(offered) - 1 - offered.index(answer)])
+    return tuple(tasks[: tasks.index(offered[answer])])
 
 
 class DepthStop(Values):

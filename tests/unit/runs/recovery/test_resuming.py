@@ -24,6 +24,7 @@ from procedures.operator.question import Topic
 from procedures.runs.interrupted_run import InterruptedRun
 from procedures.runs.recovery import bring_home, recover
 from procedures.steps.clinical.at_target import ReachedTarget
+from procedures.steps.clinical.results import Relocalization
 from ronna_hw.arm.errors import NotClear
 from ronna_hw.arm.pose import radians6
 from ronna_hw.devices.capabilities import Fact
@@ -190,6 +191,35 @@ def test_work_done_before_a_kill_is_asked_about_once_the_guide_is_back(
     assert asked.answers[0] == "from dura"
     assert "the skin is open, the skull is drilled, begun and not confirmed: open the dura" in asked.subject
     assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
+
+
+@pytest.mark.hazard(44)
+@pytest.mark.branch("WORK_BEGUN")
+def test_work_of_which_the_journal_has_lost_every_line_is_asked_about(cell: ClinicalCell) -> None:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find(f"positioning:{FIRST}"))
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    assert "work may have begun at T1: more may have been done" in again.operator.asked[0].value
+    again.operator.answers[Topic.WORK_BEGUN] = "from dura"
+    engine.run_to()
+    (asked,) = [one for one in again.operator.asked if one.topic is Topic.WORK_BEGUN]
+    assert asked.answers == ("from skin", "from drill", "from dura", "from insert", "hold")
+    assert again.case.get(ReachedTarget, FIRST).result.done_before == ("skin", "drill")
+
+
+@pytest.mark.hazard(44)
+def test_a_record_without_a_line_of_a_target_reached_puts_the_work_there_in_doubt(cell: ClinicalCell) -> None:
+    order = case_order(cell)
+    cell.engine(order).run_to(order.find("tool_change"))
+    cell.case.store(order.find(f"retreat:{FIRST}"), cell.case.get(Relocalization, FIRST).result, ())
+    broken_off(cell)
+    again, engine, left = opened_again(cell, order)
+    recover(engine, left)
+    (orphan,) = left.orphans
+    for said in (f"records that the journal does not name, not used: {orphan}", "work may have begun at T1"):
+        assert said in again.operator.asked[0].value
 
 
 @pytest.mark.hazard(44)
