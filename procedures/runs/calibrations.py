@@ -120,7 +120,7 @@ class CalibrationKind(Generic[Looks, Result]):
 
 
 def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
-    """Compute a calibration from its looks. Raises CAL-020 for another theatre's looks, and fitting errors."""
+    """Compute a calibration from its looks. Raises CAL-020 for looks of another theatre."""
     theatre = None if request.config is None else read_theatre_file(request.config).calibration
     if theatre is not None:
         require_same_theatre(looks, theatre)  # a computation may take minutes
