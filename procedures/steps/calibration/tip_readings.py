@@ -64,7 +64,7 @@ class ObservedStand(StepResult, kind="stand_ball"):
 
 
 def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
-    """Measure the stand's ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 if not found."""
+    """Measure the stand's ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without it."""
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
     plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
@@ -250,7 +250,7 @@ class _Reading:
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
-        """Return the pose ROBOT <- TOOL of the guide with its tip at the measured ball."""
+        """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
         head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)

@@ -200,7 +200,7 @@ def _planned_joints_rad(context: StepContext, fiducials: Sequence[int]) -> Array
 
 
 def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """Return displacements (n, 3, 3) mm of the spheres, robot frame, by one sigma of each tool frame error."""
+    """Return sphere displacements (n, 3, 3) mm, robot frame, by one sigma of each tool frame error."""
     planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
     sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)

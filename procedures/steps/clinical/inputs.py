@@ -29,7 +29,7 @@ Stamps = tuple[Stamp, ...]
 
 
 class UnchangedInputs:
-    """Guard of CT, plan and cart position. A change ends the step and voids all results based on the input."""
+    """Guard of CT, plan and cart position. A change ends the step and voids all results based on it."""
 
     name = "CT, plan and cart position"
 

@@ -297,7 +297,7 @@ class PathSearch:
     _tried: dict[str, set[str]] = field(default_factory=dict)
 
     def find_paths(self, trajectories: Sequence[Trajectory]) -> TurnedPaths:
-        """Find paths for the remaining trajectories. Raises PLAN-007 if one is out of reach, unless agreed."""
+        """Find paths of the remaining trajectories. Raises PLAN-007 for one out of reach, unless agreed."""
         self.setting = choose_best_strategies(self.setting, trajectories, self.centres_mm, self.sight)
         while True:
             remain = [one for one in trajectories if one.identifier not in self.left_out]

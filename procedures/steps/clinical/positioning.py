@@ -150,7 +150,7 @@ def _stands_still(workcell: Workcell, at_rad: JointVector) -> bool:
 
 
 def _require_registration(context: StepContext) -> RegisteredRobot:
-    """Return the registration. Raises PRO-007 if the arm has since had a fault and the operator declines it."""
+    """Return the registration. Raises PRO-007 if it is older than an arm fault and not kept."""
     registered = context.result(RegisteredRobot)
     fault = context.doubt(RegisteredRobot)
     if fault is not None:
