@@ -27,9 +27,10 @@ CANDIDATES: tuple[Strategy, ...] = (
 
 @dataclass(frozen=True)
 class StrategyByTrajectory:
-    """Combination of strategies: `others` by trajectory name, `usual` for the rest. Each localizes separately.
+    """Combination of strategies: `others` by trajectory name, `usual` for the rest.
 
-    For a strategy that otherwise localizes once, the poses serve that one trajectory.
+    Each trajectory is localized separately: for a strategy that otherwise localizes once, the poses serve that
+    one trajectory.
     """
 
     usual: Strategy

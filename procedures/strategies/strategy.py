@@ -75,7 +75,7 @@ class ArmInBranch:
 
 
 class Strategy(Protocol):
-    """Strategy for tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; it keeps no state."""
+    """Strategy for tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
 
     @property
     def name(self) -> str:
@@ -140,7 +140,7 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 def arrival_signs(
     kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
 ) -> tuple[int, ...]:
-    """Return the direction (+1 or -1) in which each joint arrives at a pose ROBOT <- TOOL, joints `at_rad`."""
+    """Return the direction (+1 or -1) in which each joint arrives at a pose ROBOT <- TOOL (`at_rad`)."""
     before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
     branch = kinematics.branch_of(at_rad)
     joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)

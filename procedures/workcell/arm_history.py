@@ -197,7 +197,7 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
     def with_line(self, line: Line) -> ArmHistory:
-        """Return the history with one more line. Raises LookupError, TypeError or ValueError for a foreign one."""
+        """Return the history with one more line. Raises LookupError, TypeError, ValueError for a bad one."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
             return self.with_restart(torn=bool(line.get("torn_bytes")))

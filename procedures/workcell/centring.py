@@ -189,7 +189,7 @@ def search_poses(
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Make a motion. Return any refusal from before the arm moved, otherwise None. Raises if the arm trips."""
+    """Make a motion. Return a refusal from before the arm moved, otherwise None. Raises if the arm trips."""
     try:
         move()
     except LimitError as error:

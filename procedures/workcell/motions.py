@@ -73,7 +73,7 @@ class MotionFacts:
         return self.describe(", ", self.clearances())
 
     def describe(self, apart: str, clearances: Sequence[str]) -> str:
-        """State the moving tool and its travel and, after the separator `apart`, the rest with `clearances`."""
+        """State the moving tool and its travel, then, after the separator `apart`, duration and clearances."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
@@ -87,7 +87,7 @@ class MotionFacts:
         )
 
     def clearances(self) -> list[str]:
-        """Return statements of the closest pair of bodies and, unless it is implied, the distance from the head."""
+        """Return statements of the closest pair of bodies and, unless implied, the distance from the head."""
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]

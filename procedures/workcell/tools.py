@@ -121,7 +121,7 @@ class CarriedTool:
     flange_from_tool: Transform
 
     def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Return the tool's pose at joint angles. `arrived` is the side that each joint came from, if known."""
+        """Return the tool's pose at joint angles. `arrived` is the side each joint came from, if known."""
         return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:

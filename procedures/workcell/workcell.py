@@ -112,7 +112,7 @@ class Workcell:
         return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Return the device of table `[device.NAME]` as `interface`. Raises DEV-007; DEV-008, also for an arm."""
+        """Return the device of table `[device.NAME]` as `interface`. Raises DEV-007; DEV-008 also for arms."""
         device = self._theatre.device(name, interface)
         if isinstance(device, RobotArm):
             raise WrongKind(
@@ -258,7 +258,7 @@ class Workcell:
     def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> PlannedMotion:
-        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present branch."""
+        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present."""
         commanded = self._commanded_pose(pose, arriving, near_rad)
         return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
@@ -274,7 +274,7 @@ class Workcell:
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither way is clear."""
+        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is clear."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def go_home(self) -> ArmReading:
