@@ -53,7 +53,7 @@ class ConsoleLink:
         say: Callable[[str], None] = tell,
         viewers: ViewersAddress | None = None,
     ) -> None:
-        """Start the console process without waiting for it. Port 0 is any free one; `say` reports it."""
+        """Start the console process without waiting for it. Port 0 is any free port; `say` tells which."""
         self._station = station
         self._say = say
         self._ending = False

@@ -81,7 +81,7 @@ def note_path(theatre: Path) -> Path:
 
 
 def _controller_key(theatre: Path) -> str:
-    """Return a key for the arm: addresses of a real one, identity of a simulated one; otherwise empty."""
+    """Return a key for the arm: addresses if real, theatre identity if simulated, empty if unknown."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it

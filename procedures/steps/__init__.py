@@ -1,1 +1,1 @@
-"""Steps of the procedures: one module per clinical step, and one per calibration for its steps."""
+"""Steps of the procedures: one module for each clinical step, and one for the steps of each calibration."""

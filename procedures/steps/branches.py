@@ -45,7 +45,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True)
 class Branch:
-    """One row of the table. `errors` are those that hold the case, directly or after the answer no."""
+    """Row of the table of branches. `errors` hold the case, immediately or if the operator disagrees."""
 
     event: str
     detected_by: str

@@ -29,8 +29,8 @@ CANDIDATES: tuple[Strategy, ...] = (
 class StrategyByTrajectory:
     """Combination of strategies: `others` by trajectory name, `usual` for the rest.
 
-    Each trajectory is localized separately: for a strategy that otherwise localizes once, the poses serve that
-    one trajectory.
+    Each trajectory is localized separately. For a strategy that otherwise localizes once, the poses serve
+    that trajectory alone.
     """
 
     usual: Strategy

@@ -107,7 +107,7 @@ class JointDisplacementMinimization:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with joints near those at the target.
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with the joints nearest the target's.
 
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.

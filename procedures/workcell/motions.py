@@ -73,7 +73,7 @@ class MotionFacts:
         return self.describe(", ", self.clearances())
 
     def describe(self, apart: str, clearances: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after the separator `apart`, duration and clearances."""
+        """State the moving tool and its travel, then, after the separator `apart`, time and clearances."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)

@@ -103,7 +103,7 @@ class Workcell:
 
     @property
     def devices(self) -> Mapping[str, DeviceView]:
-        """Devices by role, in the order of connection. Other kinds are listed by their tables."""
+        """Devices by role in the order of connection; additional devices as `device.NAME`."""
         return {**self._devices, "arm": self.arm}
 
     @property
@@ -112,7 +112,10 @@ class Workcell:
         return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """Return the device of table `[device.NAME]` as `interface`. Raises DEV-007; DEV-008 also for arms."""
+        """Return the device of table `[device.NAME]` as `interface`.
+
+        Raises DEV-007 without such a table, DEV-008 for a device of another kind and for an arm.
+        """
         device = self._theatre.device(name, interface)
         if isinstance(device, RobotArm):
             raise WrongKind(
