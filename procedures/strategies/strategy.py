@@ -122,7 +122,7 @@ class Strategy(Protocol):
 
 
 def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
-    """Return distinct turns within half a step of each of `turns_rad`, nearest first, without these.
+    """Return distinct turns a quarter and half a step from each of `turns_rad`, the nearest first.
 
     A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
     clearance that a motion needs, so an angle that passes may be between two that do not. Quarter steps are
