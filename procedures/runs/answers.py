@@ -1,4 +1,4 @@
-"""Scripted operators: a file of answers, and a script that gives every first answer.
+"""Scripted operators: one that answers from a file, and one that always gives the first answer.
 
 A file of answers is a scripted operator, for rehearsals, tests and demonstrations:
 
@@ -30,7 +30,7 @@ OTHER_FILES = {"trajectories": "a plan", "theatre": "a theatre file"}  # by a ke
 
 
 class Answers(BaseModel):
-    """Content of a file of answers. Keys are a topic, or a topic and a trajectory, such as `approach:T1`."""
+    """Content of a file of answers. Each key is a topic or `topic:trajectory`, such as `approach:T1`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -38,12 +38,12 @@ class Answers(BaseModel):
     answers: dict[str, str] = {}
 
     def answer_for(self, question: Question) -> str | None:
-        """Return the answer for the trajectory of a question if there is one, else for its topic."""
+        """Return the file's answer to a question, or None. An answer for its trajectory takes precedence."""
         word = self.answers.get(question.name, self.answers.get(str(question.topic)))
         return word if word in question.answers else None
 
     def check_trajectories(self, trajectories: Sequence[str]) -> None:
-        """Raise PRO-026 for answers about trajectories that the plan does not have."""
+        """Raise PRO-026 if an answer names a trajectory that is not in the plan."""
         named = {key: key.partition(":")[2] for key in self.answers if ":" in key}
         if unknown := [key for key, name in named.items() if name not in trajectories]:
             raise AnswersUnfit(
@@ -52,12 +52,12 @@ class Answers(BaseModel):
 
 
 def is_rehearsal(config: Path | None) -> bool:
-    """Whether all devices are simulated, by a scene or by this theatre file. Raises CFG-001, OSError."""
+    """Whether a scene or the theatre file simulates all devices. Raises CFG-001, OSError."""
     return config is None or is_simulated(read_theatre_file(config))
 
 
 def read_answers(path: Path, config: Path | None = None) -> Answers:
-    """Read a file of answers; `config` is the theatre file of the devices, if they are not of a scene.
+    """Read a file of answers. `config` is the theatre file; None means that a scene simulates the devices.
 
     Raises PRO-026 with everything in it that does not fit, also for real devices, CFG-001, OSError.
     """
@@ -96,7 +96,7 @@ def _find_mistake(key: str, word: str) -> str | None:
 
 
 class ScriptedOperator:
-    """Gives the first answer to every question.
+    """Operator that gives the first answer to every question.
 
     A guard's question that comes again after a wait is left: nobody can restore its condition.
     """
@@ -105,7 +105,7 @@ class ScriptedOperator:
         self._waited_for: set[tuple[str, str]] = set()  # guard and place
 
     def ask(self, question: Question) -> Answer:
-        """Return the first answer, or silence to a guard after a wait in vain."""
+        """Return the first answer, or silence if a guard asks again after a wait."""
         if question.topic in (Topic.GUARD, Topic.HEAD_UNSEEN):
             what = (question.subject.partition(":")[0], question.value)
             if what in self._waited_for:
@@ -115,15 +115,15 @@ class ScriptedOperator:
 
 
 class SilentOperator:
-    """An operator who is silent on every question, which never continues."""
+    """Operator who answers no question. Silence never lets a case continue."""
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer that silence means."""
+        """Return the answer that stands for silence."""
         return Answer(question.silence)
 
 
 class OperatorByTopic:
-    """An operator with a separate operator for each topic."""
+    """Operator that delegates each topic to its own operator."""
 
     def __init__(self, operators: Mapping[Topic, Operator]) -> None:
         self._operators = operators
@@ -134,16 +134,16 @@ class OperatorByTopic:
 
 
 class AnsweringOperator:
-    """Answers from a file; `fallback` answers the rest, and `person` the questions for a person."""
+    """Operator that answers from a file. `person` answers what no script may, `fallback` the rest."""
 
     def __init__(self, answers: Answers, fallback: Operator, person: Operator | None = None) -> None:
-        """Without a `person`, as in a simulated theatre, the file answers these questions as well."""
+        """Without `person`, as in a simulated theatre, the file also answers the questions for a person."""
         self._answers = answers
         self._person = person
         self._otherwise = ScriptedOperator() if answers.default == "first" else fallback
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer in the file, else that of the operator in its place."""
+        """Return the file's answer if it applies, otherwise that of the person or the fallback operator."""
         for_a_person = question.topic in FOR_A_PERSON or question.read_back is not None
         if for_a_person and self._person is not None:
             return self._person.ask(question)

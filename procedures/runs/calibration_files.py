@@ -1,4 +1,4 @@
-"""Files of a calibration: its records, its figures, and a theatre file with the new records.
+"""Files that a calibration writes: records, figures, and a theatre file with the new records.
 
 OUT/<id>/calibration.toml    the new records, to put into the theatre file
 OUT/<id>/result.json         the output of `--json`
@@ -25,7 +25,7 @@ CALIBRATION_FILE = "calibration.toml"
 
 
 def write_records(records: dict[str, Any], folder: Path) -> None:
-    """Write the new records by their names in the theatre file."""
+    """Write new calibration records to `calibration.toml`, keyed by their names in the theatre file."""
     import tomli_w
 
     write_atomically(folder / CALIBRATION_FILE, tomli_w.dumps({"calibration": records}).encode())
@@ -61,7 +61,7 @@ def read_finished_figures(folder: Path) -> RecordFigures:
 
 
 def write_theatre(source: Path, target: Path, records: dict[str, Any], measured: datetime) -> None:
-    """Write the theatre file `source` with new calibration records as `target`; comments stay.
+    """Copy the theatre file `source` to `target` with new calibration records, keeping the comments.
 
     A record that was only moved, not `measured` then, keeps its dates from `source`. Records of tools stay
     as they are: a person must say that a tool's gauge still fits its new tip.
@@ -84,7 +84,7 @@ def write_theatre(source: Path, target: Path, records: dict[str, Any], measured:
 
 
 def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str, Any]]) -> None:
-    """Write the theatre file `source` with new entries in its tables as `target`; comments stay."""
+    """Copy the theatre file `source` to `target` with new entries in its tables, keeping the comments."""
     require_same_folder(source, target)
     content = read_bounded(source, LARGEST_TOML_BYTES)
     parse_toml_bytes(content, source.name, BadTheatreFile)
@@ -93,7 +93,7 @@ def write_theatre_tables(source: Path, target: Path, tables: dict[str, dict[str,
 
 
 def require_same_folder(source: Path, target: Path) -> None:
-    """Raise CAL-005 if a theatre file is to be written elsewhere than next to its source."""
+    """Raise CAL-005 unless `target` is in the same folder as the theatre file `source`."""
     if target.resolve().parent != source.resolve().parent:
         raise BadObservations(
             f"{target} is not in the folder of {source.name}, which its relative paths refer to",
@@ -108,7 +108,7 @@ def _keep_former_date(former: dict[str, Any], record: dict[str, Any]) -> dict[st
 
 
 def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
-    """Return the text with these entries of tables, in the place of the former ones or else at the end.
+    """Return TOML text with these table entries in place of the former ones, or appended at the end.
 
     The outcome is compared with the intended content: if these tables have no headers of their own, comments
     are lost.
@@ -129,7 +129,10 @@ def with_tables(text: str, tables: Mapping[str, Mapping[str, Any]]) -> str:
 
 
 def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
-    """Yield the lines without replaced tables, but with comments in front of the next header."""
+    """Yield the lines of TOML text with the `new` tables in place of the former ones or at the end.
+
+    Comments in front of the next header are kept.
+    """
     to_write = dict(new)
     skipping, remarks = False, list[str]()
     for line in text.splitlines(keepends=True):
@@ -152,7 +155,7 @@ def _remove_tables(text: str, new: dict[TablePath, str]) -> Iterator[str]:
 
 
 def _parse_header(line: str) -> TablePath | None:
-    """Return the table whose header a line is."""
+    """Return the path of the table whose header the line is; None for any other line."""
     if not line.lstrip().startswith("["):
         return None
     try:

@@ -89,24 +89,24 @@ class CalibrationKind(Generic[Looks, Result]):
     keep: Callable[[Looks, Result, Path], None] = lambda _looks, _result, _folder: None
 
     def observed(self, case: Case) -> Looks:
-        """Return the looks of a case whose steps are done."""
+        """Return the looks taken by a completed calibration case."""
         looks: Looks = case.get(self.observed_by).result.observed
         return looks
 
     def remarks(self, case: Case) -> tuple[str, ...]:
-        """Return the remarks of a case whose steps are done."""
+        """Return the remarks for the operator from a completed calibration case."""
         remarks = case.get(self.remarked_by or self.observed_by).result.remarks
         return (*remarks, self.last_remark) if self.last_remark else tuple(remarks)
 
     def records_of(self, result: Result) -> dict[str, Any]:
-        """Return the new records by their names in the theatre file."""
+        """Return the new records, keyed by their names in the theatre file."""
         made = {name: getattr(result, name) for name in self.records}
         return {
             name: record.model_dump(exclude_none=True) for name, record in made.items() if record is not None
         }
 
     def read_looks(self, path: Path) -> Looks:
-        """Read stored looks from their file or folder. Raises CAL-005, PRO-033 if their run was changed."""
+        """Read stored looks from a file or its folder. Raises CAL-005; PRO-033 if their run was changed."""
         file = path / self.looks_file if path.is_dir() else path
         looks = read_strict(self.looks_type, file)
         if (file.parent / JOURNAL_FILE).exists():
@@ -115,12 +115,12 @@ class CalibrationKind(Generic[Looks, Result]):
         return looks
 
     def write_looks(self, looks: Looks, folder: Path) -> None:
-        """Keep the looks, before anything is computed from them."""
+        """Store the looks before anything is computed from them."""
         write_atomically(folder / self.looks_file, looks.model_dump_json(by_alias=True, indent=1).encode())
 
 
 def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks) -> Result:
-    """Compute from the looks. Raises CAL-020 for looks of another theatre, and errors of the computation."""
+    """Compute a calibration from its looks. Raises CAL-020 for looks of another theatre."""
     theatre = None if request.config is None else read_theatre_file(request.config).calibration
     if theatre is not None:
         require_same_theatre(looks, theatre)  # a computation may take minutes
@@ -138,7 +138,7 @@ def compute_calibration(kind: CalibrationKind[Looks, Result], request: RunReques
 def write_calibration_files(
     kind: CalibrationKind[Looks, Result], request: RunRequest, looks: Looks, result: Result, folder: Path
 ) -> None:
-    """Write the files of a calibration, and the theatre file with its records."""
+    """Write the files of a calibration and, if requested, a theatre file with its records."""
     kind.keep(looks, result, folder)
     write_records(kind.records_of(result), folder)
     write_figures(kind.figures(result), folder)
@@ -147,7 +147,7 @@ def write_calibration_files(
 
 
 def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Case, folder: Path) -> None:
-    """Report the remarks of a calibration whose steps are done, keep its looks, compute, and write its files.
+    """Conclude a completed calibration: report its remarks, store its looks, compute, and write its files.
 
     Remarks come first: the computation may fail for the same reason.
     """
@@ -161,7 +161,7 @@ def conclude(kind: CalibrationKind[Looks, Result], request: RunRequest, case: Ca
 def finish_calibration(
     kind: CalibrationKind[Looks, Result], request: RunRequest, interrupted: InterruptedRun
 ) -> None:
-    """Conclude a calibration of which every look was taken; moves nothing and asks no device."""
+    """Conclude an interrupted calibration whose looks are complete, without moving or querying any device."""
     case = interrupted.restore_case(order_of(Recipe.read(request.calibration.recipe).steps, ()))
     try:
         conclude(kind, request, case, interrupted.folder)
@@ -172,13 +172,13 @@ def finish_calibration(
 
 
 def has_every_look(request: RunRequest, interrupted: InterruptedRun) -> bool:
-    """Whether only the computation of a calibration is missing."""
+    """Whether all looks of an interrupted calibration are taken, so that only the computation remains."""
     order = order_of(Recipe.read(request.calibration.recipe).steps, ())
     return not interrupted.untouched and all(map(interrupted.restore_case(order).stands, order.sequence))
 
 
 def write_baseline(observed: ObservationSet, result: HeadResult, folder: Path) -> None:
-    """Write the self-check's observations and their stereo head to `baseline.json`, if there are enough."""
+    """Write the self-check's observations and stereo head to `baseline.json`, if there are enough looks."""
     baseline = Baseline(
         created=observed.created,
         stereo_head=result.stereo_head,
@@ -200,7 +200,7 @@ def _dates(record: DatedRecord) -> dict[str, Any]:
 
 
 def head_figures(result: HeadResult) -> HeadFigures:
-    """Return the figures of a calibration."""
+    """Return the figures of a stereo head calibration."""
     fit, head = result.fit, result.stereo_head
     return HeadFigures(
         **_dates(head),
@@ -225,7 +225,7 @@ def head_figures(result: HeadResult) -> HeadFigures:
 
 
 def head_check_figures(result: CheckResult, baseline: Baseline) -> HeadCheckFigures:
-    """Return the figures of a check."""
+    """Return the figures of a stereo head check."""
     return HeadCheckFigures(
         calibration=baseline.stereo_head.identifier,
         baseline_created=baseline.created.isoformat(),
@@ -252,7 +252,7 @@ STEREO_HEAD = CalibrationKind(
 
 
 def arm_figures(result: ArmResult) -> ArmFigures:
-    """Return the figures of a calibration."""
+    """Return the figures of an arm calibration."""
     fit, held = result.fit, result.validation
     return ArmFigures(
         **_dates(result.arm),
@@ -289,7 +289,7 @@ ARM = CalibrationKind(
 
 
 def frame_figures(result: FrameResult) -> FrameFigures:
-    """Return the figures of a calibration."""
+    """Return the figures of a reference frame calibration."""
     fit, record = result.fit, result.tracker_frame
     return FrameFigures(
         **_dates(record),
@@ -332,7 +332,7 @@ TRACKER_FRAME = CalibrationKind(
 
 
 def tip_figures(result: TipResult) -> TipFigures:
-    """Return the figures of a calibration."""
+    """Return the figures of a tool tip calibration."""
     fit, record = result.fit, result.tool_tip
     missed = [math.hypot(*miss) ** 2 for miss in result.misses_mm.tolist()]
     return TipFigures(

@@ -21,12 +21,12 @@ if TYPE_CHECKING:
 
 
 def case_folder(case: CaseProcedure, folder: Path) -> Path:
-    """Return the folder of CT and plan of the run in `folder`."""
+    """Return the folder with the CT and plan of the run in `folder`."""
     return case.case or folder / "case"
 
 
 def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = None) -> ClinicalInput:
-    """Return CT, plan and strategy of a run, with the hash of its plan as held."""
+    """Return CT, plan and strategy of a run, with the hash of the locked plan if given."""
     from procedures.engine.setting import ClinicalInput
     from procedures.strategies.catalogue import find_strategy
 
@@ -41,7 +41,10 @@ def clinical_input(case: CaseProcedure, folder: Path, plan: LockedPlan | None = 
 
 
 def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = None) -> CaseOrder:
-    """Return the steps of a run, by its plan as held and its strategy. Raises errors of reading the plan."""
+    """Return the step order of a case from its strategy and its plan: the locked one, or else the file.
+
+    Raises the errors of reading the plan.
+    """
     from procedures.planning.plan_file import parse_plan_bytes, read_plan
 
     file = case_folder(case, folder) / "plan.toml"
@@ -49,7 +52,7 @@ def order_of_case(case: CaseProcedure, folder: Path, held: LockedPlan | None = N
 
 
 def restore_order(case: CaseProcedure, interrupted: InterruptedRun) -> CaseOrder:
-    """Return the steps of an interrupted run by the plan that it checked, whatever became of the file since.
+    """Return the step order of an interrupted run from the plan it checked, even if the file has changed.
 
     Raises REC-001, REC-003.
     """
@@ -78,7 +81,7 @@ def prepare_case(
     resumption: Resumption | None,
     held: contextlib.ExitStack,
 ) -> EngineInput:
-    """Prepare the steps of a case; `held` holds its plan."""
+    """Prepare the engine input of a case, and keep its plan locked until `held` closes."""
     from procedures.calibration.validity import options_of, require_valid
     from procedures.engine.setting import now_to_second
     from procedures.planning.plan_lock import lock_plan

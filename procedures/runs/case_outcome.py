@@ -1,4 +1,4 @@
-"""Run or resume a case to its end; its outcome by its records, and by the truth if there is one."""
+"""Running or resuming a case to its end, and its outcome from the records and, if known, the truth."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ if TYPE_CHECKING:
 def run_case(
     request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
 ) -> FinishedRun:
-    """Run a whole case, or what remains of it, without its report.
+    """Run a case, or the rest of an interrupted one, without writing its report.
 
     Raises the errors of steps, PRO-032 if it is not resumed, PRO-013 from the verifier.
     """
@@ -46,7 +46,7 @@ def run_case(
 def finish_case(
     request: RunRequest, interrupted: InterruptedRun, observers: RunObservers, *, accepted: bool
 ) -> FinishedRun:
-    """Finish an interrupted case; if only its last line is missing, no theatre is needed."""
+    """Finish an interrupted case. No theatre is needed if only the journal's last line is missing."""
     from procedures.engine.case_progress import CaseProgress
     from procedures.runs.interrupted_run import Resumption
     from procedures.runs.reopening import close_completed_run
@@ -61,7 +61,7 @@ def finish_case(
 
 
 def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> FinishedRun:
-    """Return the outcome of a finished case from its folder, with its report if any."""
+    """Return the outcome of a finished case as recorded in its folder, with its report if any."""
     from procedures.reporting.files import load_truth
     from ronna_hw.evidence.manifest import is_sealed
 
@@ -79,7 +79,7 @@ def outcome_as_recorded(request: RunRequest, interrupted: InterruptedRun) -> Fin
 
 
 def with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
-    """Name the report of a run in its outcome, if there is one."""
+    """Return the outcome with the path of the run's report, if there is one."""
     from ronna_hw.evidence.manifest import REPORT_FILE
 
     report = folder / REPORT_FILE
@@ -87,7 +87,7 @@ def with_report(outcome: FinishedRun, folder: Path) -> FinishedRun:
 
 
 def wall_time_s(journal: Sequence[Line]) -> float:
-    """Return the host time of the programs of a run, by the dates in its journal."""
+    """Return the host time in seconds that the programs of a run took, from the dates in its journal."""
     total_s, began, last = 0.0, None, None
     for line in journal:
         if line["entry"] == Entry.RESTARTED and began is not None and last is not None:
@@ -99,7 +99,7 @@ def wall_time_s(journal: Sequence[Line]) -> float:
 
 
 def build_unfinished_outcome(request: RunRequest, folder: Path, problem: BaseException) -> UnfinishedRun:
-    """Return the outcome of a run that `problem` ended."""
+    """Return the outcome of a run that ended with `problem`."""
     from procedures.reporting.outcome import UnfinishedRun
 
     return UnfinishedRun(
@@ -119,7 +119,7 @@ def build_finished_outcome(
     wall_s: float,
     truth: Truth | None = None,
 ) -> FinishedRun:
-    """Return the outcome of a finished case, by the kept `truth` if given. Raises PRO-013 of the verifier."""
+    """Return the outcome of a finished case; without `truth`, ask the verifier. Raises its PRO-013."""
     from procedures.reporting.files import store_truth
     from procedures.reporting.outcome import FinishedRun, RegistrationOutcome, TargetOutcome, Truth
     from procedures.reporting.run_reading import registrations_of

@@ -48,7 +48,7 @@ FOR_MOTION = ("arm", "stereo_head", "tool_tip")  # calibrations that determine w
 
 @dataclass
 class Comparison:
-    """Findings in plain words. A difference is refused, whatever the operator answers."""
+    """Findings in plain words. Any difference prevents resuming, whatever the operator answers."""
 
     warnings: list[str] = field(default_factory=list)  # potential harm: read first
     notes: list[str] = field(default_factory=list)
@@ -73,15 +73,15 @@ class Comparison:
         self.warnings.append(text)
 
     def add_difference(self, what: str, recorded: object, found: object) -> None:
-        """Add an item that is not as recorded."""
+        """Add an item that differs from its record."""
         self.differences.append(f"{what}: recorded {recorded}, found {found}")
 
     def refuse(self, text: str) -> None:
-        """Add another reason not to resume the run."""
+        """Add a reason not to resume the run, in plain words."""
         self.differences.append(text)
 
     def compare(self, what: str, recorded: BaseModel | None, found: BaseModel | None) -> None:
-        """Add an item as unchanged, or as different with the fields that differ."""
+        """Compare an item with its record, and add it as unchanged or add the fields that differ."""
         if recorded == found:
             self.add_unchanged(what)
         elif recorded is None or found is None:
@@ -97,7 +97,7 @@ class Comparison:
             )
 
     def format_lines(self, order: Sequence[str]) -> str:
-        """Return warnings, the work in `order` and the remarks; unchanged items are only counted."""
+        """Return the findings as text: warnings, the work in `order`, remarks, number of unchanged items."""
         as_recorded = [format_count(len(self.unchanged), "item") + " as recorded"] if self.unchanged else []
         return "\n".join((*self.warnings, *order, *self.notes, *as_recorded))
 
@@ -105,7 +105,7 @@ class Comparison:
 def _find_differences(
     recorded: BaseModel, found: BaseModel, within: str = ""
 ) -> Iterator[tuple[str, object, object]]:
-    """Yield dotted names of differing fields with both values; for sequences, the number of entries."""
+    """Yield the dotted name of each differing field with both values; for sequences, with both lengths."""
     for name in type(recorded).model_fields:
         then, now = getattr(recorded, name), getattr(found, name, None)
         if then == now:
@@ -130,7 +130,7 @@ def compare_devices(
     exchange_begun: bool,
     only_leaving: bool = False,
 ) -> None:
-    """Connect and configure every device and compare it with the set-up.
+    """Connect and configure every device, and compare each with the recorded set-up.
 
     `exchange_begun` says that a tool exchange began and did not end. With `only_leaving` only the arm is
     needed, and the age of records does not matter. Raises the error of a needed device that does not respond.
@@ -204,7 +204,7 @@ def _compare_calibrations(
 
 
 def _compare_theatre_file(engine: Engine, recorded: CheckedSetUp, comparison: Comparison) -> None:
-    """Compare the devices, and the sources of depths, clearances and predictions in the theatre file."""
+    """Compare the theatre file with the record: devices, tools, flange, cell and procedure settings."""
     setting, tools = engine.setting, engine.setting.workcell.tools
     for role in sorted(recorded.identities.keys() - setting.workcell.devices.keys()):
         comparison.add_difference(role, _describe_device(recorded.identities[role]), "none")
@@ -245,7 +245,7 @@ def _compare_tool(engine: Engine, comparison: Comparison, *, exchange_begun: boo
 
 
 def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | None = None) -> None:
-    """Read CT, plan and proposed position again from their recorded paths; unreadable ones differ.
+    """Reread CT, plan and proposed position and compare them. An unreadable input counts as a difference.
 
     `plan_sha256` is the hash of the plan when the run was opened; it applies until the plan was checked.
     """
@@ -294,7 +294,10 @@ def compare_inputs(engine: Engine, comparison: Comparison, plan_sha256: str | No
 
 
 def compare_room(engine: Engine, comparison: Comparison) -> bool:
-    """Compare patient and robot base; False if the tracker sees too little of the head. Raises its errors."""
+    """Compare patient and robot base. Return False if the tracker sees too little of the head.
+
+    Raises the errors of the tracker.
+    """
     stored = engine.case.find(GlobalLocalization, None)
     if stored is None:
         what = "patient" if engine.setting.clinical is not None else "stand"

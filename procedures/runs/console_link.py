@@ -1,4 +1,4 @@
-"""Link to the console's process: events out, orders in. Whatever happens to it, the case continues."""
+"""Link to the console's process: events out, orders in. The case continues whatever happens to it."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ REQUIRED_MODULES = ("nicegui", "skimage")  # of the extra `console`
 
 
 class ConsoleLink:
-    """One console for one run, with two threads of its own; neither holds up the engine."""
+    """Link between one run and one console. Its two threads never hold up the engine."""
 
     def __init__(
         self,
@@ -53,7 +53,7 @@ class ConsoleLink:
         say: Callable[[str], None] = tell,
         viewers: ViewersAddress | None = None,
     ) -> None:
-        """Start the process without waiting for it; port 0 is any free one, `say` tells its address."""
+        """Start the console process without waiting for it. Port 0 is any free port; `say` tells which."""
         self._station = station
         self._say = say
         self._ending = False
@@ -80,7 +80,7 @@ class ConsoleLink:
         self._start(self._beat_until_followed, "console beats")
 
     def follow(self, events: EventStream) -> None:
-        """Send all events from now on."""
+        """Send all further events to the console."""
         self._followed.set()
         self._feed = self._start(lambda: self._send_all(events), "console feed")
 
@@ -92,14 +92,14 @@ class ConsoleLink:
         self._answered.wait(READY_S)
 
     def show_looks(self, workcell: Workcell) -> None:
-        """Send the pictures of the stereo head from now on."""
+        """Send the stereo head's pictures to the console from now on."""
 
         pictures = LivePictures(self._send, self._over)
         workcell.on_look = pictures.look
         self._start(pictures.send_all, "console pictures")
 
     def close(self) -> None:
-        """Let the console say that the run has ended, and end it. Never raises."""
+        """Let the console report the end of the run, then end the console. Never raises."""
         self._ending = True
         self._followed.set()
         self._over.set()
@@ -142,7 +142,7 @@ class ConsoleLink:
         self._on_console_gone()
 
     def _beat_until_followed(self) -> None:
-        """Heartbeats keep the console alive while the theatre opens and there are no events yet."""
+        """Send heartbeats that keep the console alive until the theatre is open and events follow."""
         while not self._followed.wait(BEAT_S) and self._send(BEAT):
             pass
 
@@ -177,7 +177,7 @@ class ConsoleLink:
 
 
 class LivePictures:
-    """Draws the latest pair of the stereo head now and then, in a thread of its own; `look` takes no time."""
+    """Sends the latest stereo pair now and then from its own thread, so that `look` takes no time."""
 
     def __init__(self, send: Callable[[str], bool], ending: threading.Event) -> None:
         """`send` takes one line and returns whether more can be sent; `ending` ends the thread."""
@@ -187,12 +187,12 @@ class LivePictures:
         self._arrived = threading.Event()
 
     def look(self, seen: Look) -> None:
-        """Note the latest pair."""
+        """Keep the latest stereo pair for the next transmission."""
         self._newest = seen
         self._arrived.set()
 
     def send_all(self) -> None:
-        """Draw and send until `ending`."""
+        """Draw and send the latest stereo pair now and then, until `ending` is set."""
         while not self._ending.wait(PICTURE_PERIOD_S):
             if not self._arrived.is_set():
                 continue
@@ -202,7 +202,7 @@ class LivePictures:
 
 
 def picture_line(seen: Look) -> str:
-    """Return a pair of pictures as the line that the console reads."""
+    """Return a stereo pair as the JSON line that the console reads."""
     from procedures.workcell.stereo_look import pair_picture
 
     content = base64.b64encode(pair_picture(seen, HEIGHT_PX)).decode()
@@ -211,7 +211,7 @@ def picture_line(seen: Look) -> str:
 
 @dataclass(frozen=True)
 class ConsoleRequest:
-    """A console at a loopback port, 0 for any free one, and the address for viewers at other computers."""
+    """Request for a console: loopback port, 0 for any free one, and address for viewers elsewhere."""
 
     port: int = 0
     viewers: ViewersAddress | None = None
@@ -224,7 +224,7 @@ def check_console() -> None:
 
 
 def check_port(port: int) -> None:
-    """Raise CLI-001 for a port in use, before anything of the case is opened."""
+    """Raise CLI-001 if the port is in use, before any part of the case is opened."""
     with socket.socket() as probe:
         probe.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         try:
@@ -240,7 +240,7 @@ def check_port(port: int) -> None:
 def serve_console(
     executor: OrderExecutor, folder: Path, console: ConsoleRequest, say: Callable[[str], None] = tell
 ) -> Iterator[ConsoleLink]:
-    """Serve the console of a run while the block runs; `say` tells its address."""
+    """Serve the console of a run for the duration of the block. `say` announces its address."""
     link = ConsoleLink(folder, executor.station, console.port, say, console.viewers)
     try:
         yield link

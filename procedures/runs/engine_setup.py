@@ -1,4 +1,4 @@
-"""Builds the engine of a run over a theatre file, with its journal, its recorders and its guards."""
+"""Construction of a run's engine on a theatre file, with its journal, recorders and guards."""
 
 from __future__ import annotations
 
@@ -68,7 +68,7 @@ class EngineInput:
     recipe: Recipe | None = None
 
     def as_plain(self, in_use: Calibrations) -> dict[str, object] | None:
-        """Return the recipe and the records in use, for a replay."""
+        """Return the recipe and the records in use for a replay; None without a recipe."""
         if self.recipe is None:
             return None
         records = in_use.model_dump(mode="json", exclude_none=True)
@@ -88,7 +88,7 @@ def build_engine(
     opening: Mapping[str, JournalValue],
     arm_not_home: str | None = None,
 ) -> Engine:
-    """Build the engine with its journal in `folder`, unconnected; `stack` ends its recorders.
+    """Build an engine, not yet connected, with its journal in `folder`. `stack` closes its recorders.
 
     `prepare` is called with the theatre before the journal is opened: its errors leave no journal.
     `opening` goes into the journal's first line; `arm_not_home` says that another run left the arm away.
@@ -184,14 +184,14 @@ def build_engine(
 
 
 def theatre_inputs(folder: Path, previous: InterruptedRun | None) -> dict[str, JournalValue]:
-    """Return hashes of the theatre in a run's folder, without files changed or added since its end."""
+    """Return hashes of the theatre files in a run's folder, except those changed or added since its end."""
     known = () if previous is None else previous.not_as_left
     hashes = hash_inputs(folder, list_theatre_files(folder))
     return {name: sha256 for name, sha256 in hashes.items() if name not in known}
 
 
 def add_guards(engine: Engine, file: Path, theatre: TheatreFile, *, only_leaving: bool = False) -> None:
-    """Add the guards of a calibration, or of a case whose theatre file had this content when it began.
+    """Add the guards of a run. `theatre` is the content of its theatre file when the run began.
 
     With `only_leaving` the inputs are not compared: whatever has changed, the arm may go home.
     """
@@ -232,7 +232,10 @@ class MovedCart:
         self._moves = 0
 
     def continues_by_consent(self, problem: RonnaError) -> bool:
-        """Whether a case stopped by this problem continues by itself. Raises the errors of the way home."""
+        """Return whether the operator lets a case with a moved cart continue; if so, bring the arm home.
+
+        Raises the errors of the way home.
+        """
         engine = self._engine
         if not isinstance(problem, BaseShifted) or self._moves == MOST_MOVES or engine.machine.ended:
             return False

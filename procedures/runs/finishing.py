@@ -1,4 +1,4 @@
-"""The end of a run, for any cause: its report, its seal and advice. None of these hides the cause."""
+"""End of a run, whatever its cause: report, seal and advice. A failure in these never hides the cause."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ NOT_INTO_IT = "The folder was not changed; with --out DIR a report shows what ca
 
 @dataclass
 class Finalized:
-    """The report of a run that has ended, once it is written."""
+    """Path of the report of a run that has ended, once it is written."""
 
     report: Path | None = None
 
@@ -72,7 +72,7 @@ def finalize_run(folder: Path, *, with_truth: bool = True, name_report: bool = T
 
 
 def end_unfinished_run(folder: Path, problem: BaseException) -> Path | None:
-    """Write report and seal of a run that `problem` ended; remove the folder if it never began."""
+    """Write report and seal of a run that ended with `problem`. Remove the folder if the run never began."""
     remove_if_refused(folder, problem)
     remove_if_empty(folder)
     report = write_final_report(folder, as_run_error(problem))
@@ -83,7 +83,7 @@ def end_unfinished_run(folder: Path, problem: BaseException) -> Path | None:
 
 @contextlib.contextmanager
 def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
-    """Write report and seal, after the block, of a finished run that was killed before its seal."""
+    """After the block, write report and seal of a finished run that was killed before it was sealed."""
     from procedures.runs.reopening import prepare_folder, rewrite_end
 
     if is_sealed(interrupted.folder):
@@ -96,7 +96,7 @@ def complete_seal(interrupted: InterruptedRun) -> Iterator[InterruptedRun]:
 
 
 def begin_report(folder: Path) -> None:
-    """Write a page for an unfinished run, in case it is killed.
+    """Write a provisional report page, in case the run is killed.
 
     A failure is not reported: nothing depends on it, and the end of the run writes there too.
     """
@@ -108,7 +108,7 @@ def begin_report(folder: Path) -> None:
 def write_final_report(
     folder: Path, error: RunError | None = None, *, with_truth: bool = False, tell_path: bool = True
 ) -> Path | None:
-    """Write the report of a run that has ended; None without a folder, or if it cannot be written.
+    """Write the report of an ended run and return its path; None if the folder is missing or writing fails.
 
     Asking the verifier for the truth takes a second.
     """
@@ -128,7 +128,7 @@ def write_final_report(
 
 
 def rebuild_report(run: Path, out: Path | None = None, *, after: PostoperativeResult | None = None) -> Path:
-    """Rebuild the report of any run folder; `after` adds the check after the operation.
+    """Rebuild the report of any run folder. `after` adds the postoperative check.
 
     Raises without `out` PRO-030 where another program has it open, PRO-033 for one that was changed; OSError.
     """
@@ -171,7 +171,7 @@ def as_run_error(problem: BaseException) -> RunError | None:
 
 
 def seal_run(folder: Path, *, at_once: bool = False) -> None:
-    """Seal the files of a run, its report included; failures are told, not raised.
+    """Seal the files of a run, including its report. Failures are reported, not raised.
 
     Slow work is skipped if the end must come `at_once`, or when it is interrupted.
     """
@@ -196,7 +196,7 @@ def _wants_raw(folder: Path) -> bool:
 
 
 def _keep_raw(folder: Path, *, at_once: bool) -> None:
-    """Write pictures and frames as files, after each program of a run; former ones stay until then."""
+    """Write a run's raw pictures and frames as files. Earlier files stay until the new ones are complete."""
     way = f"ronna-procedure raw {shlex.quote(str(folder))} --out DIR"
     later = f"the last raw readings were not written; to write them: {way}"
     if at_once:
@@ -223,7 +223,7 @@ def _keep_raw(folder: Path, *, at_once: bool) -> None:
 
 
 def _tidy(beside: Path, kept: Path) -> None:
-    """Put former readings back if a process was stopped between two renames."""
+    """Restore the earlier raw readings if a process was stopped between two renames."""
     with contextlib.suppress(OSError):
         if not kept.exists():
             (beside / FORMER).rename(kept)
@@ -232,7 +232,7 @@ def _tidy(beside: Path, kept: Path) -> None:
 
 
 def tell_next_commands(folder: Path, problem: BaseException) -> None:
-    """Tell where the arm is and which commands continue, after an interruption or failure away from home."""
+    """After an interruption or failure away from home, tell where the arm is and which commands continue."""
     if not (folder / REQUEST_FILE).exists():
         return
     from procedures.workcell.arm_history import fold_history
@@ -274,7 +274,7 @@ def _has_other_run_left_arm_away(folder: Path) -> bool:
 
 
 def _take_over(source: Path, run: Path) -> None:
-    """Move a report into a run. The seal goes first: a run killed meanwhile is whole, and lacks only it."""
+    """Move a rebuilt report into a run. The seal goes first: a run killed meanwhile lacks only its seal."""
     if is_sealed(run):
         (run / SEAL_FILE).unlink()
     for path, *_ in sorted(walk(source)):

@@ -1,4 +1,4 @@
-"""Folders of runs: creation, search, and the lock of one program at a time."""
+"""Run folders: creation, search, and a lock that admits one program at a time."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ RUN_PARTS = (REQUEST_FILE, JOURNAL_FILE, RECORDS_FOLDER, LOG_FILE, EVENTS_FILE, 
 
 
 def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Path:
-    """Make `OUT/<id>`, with the request in it if the run can be resumed.
+    """Create the folder `OUT/<id>`, with the request in it if the run can be resumed.
 
     The id is the moment, the seed of a simulated case and four random hex digits, after the kind if given.
     """
@@ -49,7 +49,7 @@ def new_run_folder(request: RunRequest | None, out: Path, kind: str = "") -> Pat
 
 @contextmanager
 def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
-    """Make a new case's folder for the block; if the block removes it, remove its new parents as well."""
+    """Create a new case's folder for the block. If the block removes it, remove its new parents as well."""
     made = [path for path in (out, *out.parents) if not path.exists()]
     folder = new_run_folder(request, out)
     try:
@@ -63,7 +63,7 @@ def run_folder(request: RunRequest, out: Path) -> Iterator[Path]:
 
 @contextmanager
 def hold_run(folder: Path) -> Iterator[None]:
-    """Hold a run's folder for this program; raises PRO-030 while another one does."""
+    """Lock a run folder for this program. Raises PRO-030 while another program holds it."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         try:
@@ -81,7 +81,7 @@ def hold_run(folder: Path) -> Iterator[None]:
 
 
 def find_run_holder(folder: Path) -> PortUser | None:
-    """Return the program that holds a run, if it can be seen; locks nothing."""
+    """Return the program that holds a run folder, or None, without locking anything."""
     file = os.open(folder, os.O_RDONLY | os.O_CLOEXEC)
     try:
         return find_lock_holder(file)
@@ -90,14 +90,14 @@ def find_run_holder(folder: Path) -> PortUser | None:
 
 
 def find_runs(folder: Path) -> list[Path]:
-    """Return the runs of a folder, oldest first. Raises CLI-005 without such a folder."""
+    """Return the runs in a folder, oldest first. Raises CLI-005 if the folder does not exist."""
     if not folder.is_dir():
         raise PathProblem(f"{folder} is not a folder", expected="a folder of runs")
     return sorted(path for path in folder.iterdir() if path.is_dir() and is_run(path))
 
 
 def require_run(folder: Path) -> None:
-    """Raise CLI-005 for a folder that is not a run, naming the runs in it."""
+    """Raise CLI-005 if a folder is not a run, naming the runs in it."""
     if is_run(folder):
         return
     if folder.is_dir() and (held := [run.name for run in find_runs(folder)]):
@@ -109,12 +109,12 @@ def require_run(folder: Path) -> None:
 
 
 def is_run(folder: Path) -> bool:
-    """Whether a folder is that of a run, however little of it is left."""
+    """Whether a folder belongs to a run, however little of it is left."""
     return any((folder / name).exists() for name in RUN_PARTS)
 
 
 def remove_if_refused(folder: Path, problem: BaseException) -> None:
-    """Remove a run folder that was refused before its journal had a line."""
+    """Remove the folder of a run that was refused before its journal had a line."""
     from procedures.workcell.errors import AnotherArm
 
     refused = isinstance(problem, AnotherArm | ConfigurationError | DataError | TheatreNotNoted) or (

@@ -1,4 +1,4 @@
-"""A run that has ended or was killed: its valid results, its last step, and an unfinished step."""
+"""A run that has ended or was killed: its valid results, last step and unfinished step."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from ronna_hw.records import BadRecord, Record
 
 @dataclass(frozen=True)
 class InterruptedRun:
-    """The folder of a run that has ended or was killed, as read back to resume it."""
+    """A run that has ended or was killed, read back from its folder to be resumed."""
 
     run: RunFolder
     chain: Chain
@@ -32,7 +32,7 @@ class InterruptedRun:
 
     @property
     def folder(self) -> Path:
-        """The folder of the run."""
+        """Folder of the run."""
         return self.run.path
 
     @property
@@ -41,7 +41,7 @@ class InterruptedRun:
         return (self.folder / JOURNAL_FILE).exists()
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Return the unfinished parts, for the continued journal."""
+        """Return the unfinished parts of the run as plain values for the continued journal."""
         plain: dict[str, JournalValue] = {
             "begun": None if self.begun is None else str(self.begun),
             "torn_bytes": len(self.chain.torn),
@@ -52,23 +52,23 @@ class InterruptedRun:
 
     @property
     def arm(self) -> ArmHistory:
-        """History of arm and instrument at its end. Raises PRO-011 for a line of another version."""
+        """History of arm and instrument up to the run's end. Raises PRO-011 for a line of another version."""
         return fold_history(self.chain)
 
     @property
     def finished(self) -> bool:
-        """Whether it was closed with every step done."""
+        """Whether the run was closed with every step done."""
         last = self.run.journal[-1] if self.run.journal else {}
         return last.get("entry") == Entry.CLOSED and last.get("outcome") == "done"
 
     @property
     def parked(self) -> bool:
-        """Whether it is finished, and its arm home."""
+        """Whether the run is finished and its arm is home."""
         return self.finished and not self.arm.place.is_out
 
     @property
     def why_home_needs_no_device(self) -> str | None:
-        """Why the way home needs no device; None if it does."""
+        """Reason why bringing the arm home needs no device; None if it needs one."""
         if self.parked:
             return "the run is finished: its arm is parked"
         if not self.run.lines(Entry.MOTION) and not self.chain.torn:
@@ -85,25 +85,25 @@ class InterruptedRun:
 
     @property
     def latest(self) -> StepKey | None:
-        """The last completed step; a step that may only follow it can still run."""
+        """Last completed step, or None. A step that may only follow it directly can still run."""
         done = self.run.lines(Entry.RESULT)
         return step_key(done[-1]) if done else None
 
     @property
     def plan_sha256(self) -> str | None:
-        """Hash of the plan when the run was last opened; None if no line says it."""
+        """Hash of the plan when the run was last opened; None if no line records it."""
         hashes = [line["plan_sha256"] for line in self.run.journal if line.get("plan_sha256") is not None]
         return str(hashes[-1]) if hashes else None
 
     @property
     def begun(self) -> StepKey | None:
-        """The step that was running when the program was killed."""
+        """Step that was running when the program was killed, or None."""
         course = [line for line in self.run.journal if line["entry"] in (Entry.INTENT, *ENDS_OF_A_STEP)]
         return step_key(course[-1]) if course and course[-1]["entry"] == Entry.INTENT else None
 
     @property
     def orphans(self) -> tuple[str, ...]:
-        """Records without a line in the journal: not valid, but kept."""
+        """Identifiers of records without a line in the journal: kept, but not valid."""
         named = {record.identifier for record in self.run.records}
         folder = self.folder / RECORDS_FOLDER
         return tuple(sorted(path.stem for path in folder.glob("*.json") if path.stem not in named))
@@ -119,7 +119,7 @@ class InterruptedRun:
         return tuple(filter(is_recorded, order.trajectories))
 
     def restore_case(self, order: CaseOrder) -> Case:
-        """Restore the case. Raises REC-001, REC-003 for a record, PRO-011 for a contradiction."""
+        """Restore the case from its records. Raises REC-001, REC-003, and PRO-011 for a contradiction."""
         case = Case(self.folder, self.run.name)
         course = CaseProgress(order, case)
         records = iter(self.run.records)
@@ -142,7 +142,7 @@ class InterruptedRun:
 
 @dataclass(frozen=True)
 class Resumption:
-    """An interrupted run that is resumed; `accepted` if a script accepts the findings.
+    """Resumption of an interrupted run. `accepted` means that a script accepts the findings.
 
     With `only_leaving` no step is run: the arm goes home, or devices are acknowledged, which `asks` nothing.
     """
@@ -154,7 +154,7 @@ class Resumption:
 
 
 def read_interrupted_run(folder: Path, *, only_leaving: bool = False) -> InterruptedRun:
-    """Read a run that is to be resumed.
+    """Read a run in order to resume it.
 
     Raises PRO-033 if it was changed; with `only_leaving`, if its journal, request or records were.
     """

@@ -47,7 +47,7 @@ OPEN_FILES = 96  # a case was measured to have 41 open at once; the rest is room
 def open_run(
     request: RunRequest, folder: Path, observers: RunObservers, resumption: Resumption | None = None
 ) -> Iterator[Engine]:
-    """Open the engine of a run, ready for its first step; everything is closed with the block.
+    """Open the engine of a run, ready for its first step. Everything is closed at the end of the block.
 
     With `resumption` the folder is that of the interrupted run. The plan of a case is held meanwhile.
     """
@@ -91,7 +91,7 @@ def _prepare(
 
 
 def _find_missing_patient(case: CaseProcedure, folder: Path, resumption: Resumption | None) -> Path | None:
-    """Return the folder for a missing simulated patient; remove an incomplete one."""
+    """Return the folder for making a missing simulated patient, or None. Remove an incomplete patient."""
     from procedures.runs.case import case_folder
 
     patient = case_folder(case, folder)
@@ -110,7 +110,7 @@ def open_engine(
     resumption: Resumption | None = None,
     phantom: Path | None = None,
 ) -> Iterator[Engine]:
-    """Open a theatre and the engine of the steps that `prepare` returns for it; see `open_run`.
+    """Open a theatre, and an engine for the steps that `prepare` returns; see `open_run`.
 
     A simulated patient is made in the folder `phantom`.
     """
@@ -172,7 +172,7 @@ def _hold_configured_theatre(
     resumption: Resumption | None,
     stack: contextlib.ExitStack,
 ) -> tuple[str | None, Room]:
-    """Hold the devices of a theatre file; return which run left the arm away from home, and the staff."""
+    """Lock the devices of a theatre file. Return the staff, and any warning of an arm left away from home."""
     from procedures.runs.theatre_lock import hold_theatre
     from procedures.runs.theatre_note import arm_not_home
     from ronna_hw.config import read_theatre_file
@@ -193,7 +193,7 @@ def _start_simulated(
     phantom: Path | None,
     stack: contextlib.ExitStack,
 ) -> tuple[SimulatedTheatre, Room]:
-    """Start the theatre of a run, with its patient, in the run's folder."""
+    """Start a simulated theatre and its patient in the run's folder."""
     simulated = stack.enter_context(
         SimulatedTheatre(
             request,
@@ -220,7 +220,7 @@ def _start_simulated(
 
 
 def _build_device_watch(engine: Engine, *, fast: bool) -> contextlib.AbstractContextManager[object]:
-    """Publish the devices and the arm's body while the block runs; `fast` enough to see it move."""
+    """Return a context that publishes the devices and the arm's body; `fast` shows the arm's motion."""
     from procedures.engine.display_feed import PERIOD_S, SEEN_MOVING_S, BodyView, DeviceWatch
 
     workcell = engine.setting.workcell
@@ -242,7 +242,7 @@ def run_steps(
     resumption: Resumption | None = None,
     conclude: Callable[[Engine], None] = lambda _engine: None,
 ) -> tuple[Engine, float]:
-    """Run every step without a valid result, then `conclude`; return the engine and the theatre time.
+    """Run every step without a valid result, then `conclude`. Return the engine and the theatre time in s.
 
     An error of `conclude` ends the run. With `resumption`, nothing moves until the findings are
     accepted. Raises the errors of steps, and PRO-032 for a run that is not resumed.
@@ -261,7 +261,7 @@ def run_steps(
 
 
 def run_to_end(engine: Engine, observers: RunObservers) -> None:
-    """Run to the end; the person at the prompt, if any, decides about a failed step.
+    """Run the case to its end. If a step fails, the person at the prompt, if any, decides how to continue.
 
     A case refused only because of a device in fault ends with that fault.
     """
@@ -292,7 +292,7 @@ def run_to_end(engine: Engine, observers: RunObservers) -> None:
 
 
 def leave_head_if_agreed(engine: Engine) -> None:
-    """Take the arm out and home after an abort, if the operator agrees; failures are shown."""
+    """After an abort, retreat and bring the arm home if the operator agrees. Failures are shown."""
     try:
         engine.leave_head()
     except RonnaError as error:

@@ -1,4 +1,4 @@
-"""People and displays in a run, and the operator of each of its questions."""
+"""People and displays that follow a run, and the choice of the operator for each topic."""
 
 from __future__ import annotations
 
@@ -44,21 +44,21 @@ class HeldPrompt(Protocol):
         ...
 
     def follow(self, engine: Engine) -> bool:
-        """Carry out commands; whether the case continues."""
+        """Carry out commands, and return whether the case continues."""
         ...
 
 
 class UnattendedRoom:
-    """A room without staff: nobody acts, and nothing is read off."""
+    """Room without staff: nobody performs tasks or reads anything off."""
 
     def announce(self, step: str) -> None:
-        """Nobody listens."""
+        """Do nothing, because nobody listens."""
 
     def change_tool(self, number: int, description: str) -> None:
-        """Nobody mounts it; the step has it confirmed."""
+        """Do nothing: the step itself has the mounted tool confirmed."""
 
     def prepare_stand(self, holds: str) -> None:
-        """Nobody prepares it; the step has it confirmed."""
+        """Do nothing: the step itself has the prepared stand confirmed."""
 
     def work(self, task: Task) -> tuple[float, ...]:
         """Return no readings."""
@@ -67,7 +67,7 @@ class UnattendedRoom:
 
 @dataclass(frozen=True)
 class RunObservers:
-    """People and displays that follow a run while it runs."""
+    """People and displays that follow a run."""
 
     status: Callable[[str], None] = lambda _text: None  # of what is done before there is an engine
     announce: Callable[[str], None] = lambda _text: None  # a simulated theatre's control port and pendant
@@ -82,7 +82,7 @@ class RunObservers:
 def operator_selection(
     request: RunRequest, observers: RunObservers, resumption: Resumption | None = None
 ) -> Operator:
-    """Select the operator of each topic, and of the topics that a file of answers does not list.
+    """Select the operator for each topic, including topics that a file of answers does not list.
 
     On real devices the person answers deliberate and read-back questions, whatever the file says. While the
     console is in charge, its operator replaces all of them.
@@ -122,7 +122,7 @@ def operator_selection(
 
 
 def _apply_rules(rules: Iterable[Rule]) -> Operator:
-    """Return an operator that answers each topic by the first rule for it."""
+    """Return an operator that answers each topic by the first rule that covers it."""
     present = [(operator, topics) for operator, topics, applies in rules if operator is not None and applies]
     return OperatorByTopic(
         {topic: next(one for one, topics in present if topic in topics) for topic in Topic}

@@ -47,10 +47,10 @@ NONCES_KEPT = 4096  # at the ten orders a second that the console lets through: 
 
 
 class Seat:
-    """The operator's seat: one lease, taken under a name, kept by renewing it. Not thread-safe by itself."""
+    """The operator's seat: a lease taken under a name and kept by renewal. Not thread-safe by itself."""
 
     def __init__(self, now_s: Callable[[], float] = time.monotonic) -> None:
-        """`now_s` is the host's time."""
+        """`now_s` returns host time in seconds."""
         self._now_s = now_s
         self._session = self._name = ""
         self._renewed_s = 0.0
@@ -63,11 +63,11 @@ class Seat:
 
     @property
     def has_lapsed(self) -> bool:
-        """Whether the lease of a holder has run out."""
+        """Whether a holder's lease has run out."""
         return bool(self._name) and not self.holder
 
     def claim(self, session: str, name: str) -> str:
-        """Take the seat; return why that is refused, or nothing."""
+        """Take the seat. Return the reason if refused, otherwise an empty string."""
         if self.holder and session != self._session:
             return f"the seat is taken by {self.holder}"
         self._session, self._name, self._renewed_s = session, name, self._now_s()
@@ -75,11 +75,11 @@ class Seat:
         return ""
 
     def is_held_by(self, session: str) -> bool:
-        """Whether that session holds the seat."""
+        """Whether a session holds the seat."""
         return bool(self.holder) and session == self._session
 
     def renew(self, session: str) -> None:
-        """Renew the lease of that session's holder; else change nothing."""
+        """Renew the lease if the session holds the seat; otherwise change nothing."""
         if self.is_held_by(session):
             self._renewed_s = self._now_s()
 
@@ -90,7 +90,7 @@ class Seat:
 
 @dataclass(frozen=True)
 class PendingOrder:
-    """An order to be carried out between steps, and who gave it."""
+    """Order to be carried out between steps, with the person who gave it."""
 
     order: Next | RunTo | Resume | Abort | Acknowledge
     by: str
@@ -114,10 +114,10 @@ class _OpenQuestion:
 
 
 class OperatorStation:
-    """The operator at the console as the engine sees him. Every method is thread-safe."""
+    """The console operator as seen by the engine. Every method is thread-safe."""
 
     def __init__(self, *, waits: bool, now_s: Callable[[], float] = time.monotonic) -> None:
-        """With `waits`, nothing is done and nothing answered before somebody has taken the seat."""
+        """With `waits`, no step runs and no question is answered before somebody has taken the seat."""
         self._changed = threading.Condition()
         self._now_s = now_s
         self._seat = Seat(now_s)
@@ -140,7 +140,7 @@ class OperatorStation:
                 engine.events.publish(SeatEvent(holder=name))
 
     def leave(self) -> None:
-        """Mark the console as gone: other operators take over."""
+        """Mark the console as gone, so that other operators take over."""
         with self._changed:
             self._gone = True
             self._seat.free()
@@ -148,25 +148,25 @@ class OperatorStation:
 
     @property
     def in_charge(self) -> bool:
-        """Whether the console lives and somebody has taken its seat, or must."""
+        """Whether the console is alive and its seat has been taken, or must be."""
         with self._changed:
             return not self._gone and (self._waits or self._seat.ever_taken)
 
     @property
     def stopped(self) -> bool:
-        """Whether somebody at the console stopped the arm, and nobody in its seat has answered since."""
+        """Whether the arm was stopped from the console and nobody in the seat has answered since."""
         with self._changed:
             return self._stopped
 
     @property
     def waiting_for(self) -> str | None:
-        """The upcoming step while the engine waits between steps for an order."""
+        """Upcoming step while the engine waits between steps for an order; None at other times."""
         with self._changed:
             return self._waiting_for
 
     @property
     def open_question(self) -> tuple[int, str] | None:
-        """Number of the open question, and the digest of what is shown; None without one."""
+        """Number of the open question and digest of what is shown; None without an open question."""
         with self._changed:
             current = self._question
             return None if current is None else (current.question.number, current.shown)
@@ -183,7 +183,7 @@ class OperatorStation:
             return self._gone
 
     def changes_of_seat(self) -> list[tuple[str, str, float | None]]:
-        """Return session, name and theatre time of each change of the seat since the last call.
+        """Return session, name and theatre time (s) of each change of the seat since the last call.
 
         Without a name the seat became free; the time is None before the theatre was open.
         """
@@ -194,14 +194,14 @@ class OperatorStation:
             return changes
 
     def free_silent_seat(self) -> None:
-        """Free the seat of an operator whose page is silent, also while the engine is busy."""
+        """Free the seat of an operator whose page has gone silent, even while the engine is busy."""
         with self._changed:
             self._notice_lapse()
 
     # The thread that reads orders
 
     def take(self, sent: SentOrder) -> str:
-        """Take an order; returns why it is refused, or nothing."""
+        """Take an order. Return the reason if refused, otherwise an empty string."""
         with self._changed:
             if sent.nonce in self._nonces:
                 return "this order was already given"
@@ -223,7 +223,7 @@ class OperatorStation:
         return CaseActivity.RUNNING if self._waiting_for is None else WAITING
 
     def _find_refusal(self, sent: SentOrder) -> str:
-        """Return why an order is refused whatever it asks for, by who gave it and in which state."""
+        """Return why an order's sender or the current state forbids it; empty if neither does."""
         rule, state = RULE_OF[type(sent.order)], self._state
         if rule.seat and not self._seat.is_held_by(sent.session):
             return "you are not in the operator's seat"
@@ -325,7 +325,7 @@ class OperatorStation:
             self._vacate(f"the operator's page has not responded for {LEASE_S:g} s")
 
     def _vacate(self, reason: str) -> None:
-        """Free the seat and cancel the pending order, except abort."""
+        """Free the seat and cancel the pending order, unless it is an abort."""
         self._seat.free()
         self._vacated += 1
         if self._pending is not None and not self._pending.aborts:
@@ -374,7 +374,7 @@ class OperatorStation:
         return current.answer
 
     def await_seat(self) -> None:
-        """Wait, if required, until someone is in the seat or the console has ended."""
+        """Wait, if required, until someone has taken the seat or the console has ended."""
         with self._changed:
             while self._waits and not self._seat.holder and not self._gone:
                 self._changed.wait(LOOK_AGAIN_S)
@@ -401,12 +401,12 @@ class OperatorStation:
 
     @property
     def aborting(self) -> bool:
-        """Whether the end of the case was ordered."""
+        """Whether an abort of the case is pending."""
         with self._changed:
             return self._pending is not None and self._pending.aborts
 
     def is_occupied_since(self, times_vacated: int) -> bool:
-        """Whether somebody is in the seat, and it became free no more than `times_vacated` times."""
+        """Whether the seat is taken and has become free no more than `times_vacated` times."""
         with self._changed:
             self._notice_lapse()
             return bool(self._seat.holder) and self._vacated == times_vacated

@@ -30,7 +30,7 @@ def _input_is_ready(timeout_s: float) -> bool:
 
 
 class ConsoleOperator:
-    """Asks at the console while it is in charge, else the operator without it.
+    """Operator that asks at the console while it is in charge, and otherwise asks the fallback.
 
     A script does not answer after a person stopped the arm: that waits for somebody in the seat.
     """
@@ -44,7 +44,7 @@ class ConsoleOperator:
         self._script_at_pause = script_at_pause
 
     def ask(self, question: Question) -> Answer:
-        """Return the answer; if the console ends meanwhile, that of its replacement."""
+        """Return the console's answer, or the fallback's if the console is not in charge or ends."""
         self._executor.note_seat()
         waits = self._script_at_pause and question.topic is Topic.PAUSE and self._station.stopped
         if waits:
@@ -63,7 +63,7 @@ class OrderExecutor:
     def __init__(
         self, station: OperatorStation, *, runs: bool, input_ready: Callable[[float], bool] = _input_is_ready
     ) -> None:
-        """With `runs` the case goes on by itself until the operator says otherwise.
+        """With `runs`, the case continues by itself until the operator orders otherwise.
 
         `input_ready` says whether something can be read from the standard input within that host time.
         """
@@ -83,7 +83,7 @@ class OrderExecutor:
         return self.station.in_charge
 
     def operator(self, fallback: Operator, *, script_at_pause: bool = False) -> Operator:
-        """Return the operator of the case; with `script_at_pause` no person is there without the console."""
+        """Return the operator of the case. `script_at_pause`: without the console a script answers pauses."""
         return ConsoleOperator(self.station, fallback, self, script_at_pause=script_at_pause)
 
     def staff(self, fallback: Room) -> Room:
@@ -91,7 +91,7 @@ class OrderExecutor:
         return ConsoleRoom(fallback, self)
 
     def read(self, task: Task) -> tuple[float, ...] | None:
-        """Return the readings that the operator at the console types; None without a console.
+        """Return the readings typed by the operator at the console; None without a console.
 
         Empty if nobody reads them off.
         """
@@ -127,18 +127,18 @@ class OrderExecutor:
         self.station.attach(engine)
 
     def note_seat(self) -> None:
-        """Write changes of the seat since the last call into the journal."""
+        """Record in the journal each change of the seat since the last call."""
         for session, name, since_s in self.station.changes_of_seat():
             if self._engine is not None:
                 self._engine.record_seat(session, name, since_s)
 
     def await_operator(self) -> None:
-        """Wait until someone is in a seat that must be taken, or the console has ended."""
+        """Wait until a seat that must be taken is taken, or the console has ended."""
         self.station.await_seat()
         self.note_seat()
 
     def run_to_end(self, engine: Engine) -> None:
-        """Run the case as ordered, and home.
+        """Run the case as ordered, then bring the arm home.
 
         If the console ends, a case that does not continue by itself is left. One that waits for the operator
         rests until it is continued without the console. Raises OperatorAborted, and the errors of steps and
@@ -159,7 +159,7 @@ class OrderExecutor:
             self._run_step(engine, name)
 
     def follow_until_typed(self, engine: Engine) -> None:
-        """Carry out orders until something is typed on the standard input, or that ends."""
+        """Carry out orders until something is typed on standard input, or standard input ends."""
         self._publish_waiting(engine)
         while not self._input_is_ready(0.0):
             self.note_seat()
@@ -220,7 +220,7 @@ class OrderExecutor:
             self._publish_waiting(engine)
 
     def _continue_by_consent(self, engine: Engine, error: RonnaError) -> tuple[RonnaError, bool]:
-        """Return whether the case continues by consent, and else the error of the step or of the way on."""
+        """Return the error to report, and whether the case continues by consent."""
         try:
             return error, engine.goes_on(error)
         except OperatorAborted:  # on the way home that was agreed

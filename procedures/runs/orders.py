@@ -1,4 +1,4 @@
-"""Orders of an operator to a case: one vocabulary for prompt, script and page. `RULES` says which count when.
+"""The operator's orders to a case, shared by prompt, script and page. `RULES` says when each is accepted.
 
 A session of the console sends an order with the state that it saw. If that is out of date, nothing is done;
 only a stop needs no state. Each order sent has its own nonce and is carried out once.
@@ -35,7 +35,7 @@ Nonce = Annotated[str, Field(min_length=8, max_length=64, pattern=r"^[0-9A-Za-z_
 
 
 def _require_visible_name(name: str) -> str:
-    """Refuse control and format characters: they can make a name read as another person's."""
+    """Refuse control and format characters, which can make a name look like another person's."""
     if any(category(letter) in HIDDEN for letter in name if letter not in JOINERS):
         raise ValueError("a name has only characters that are shown")
     return name
@@ -78,20 +78,20 @@ class Next(Order):
 
 
 class Run(Order):
-    """Run a step that can start, or repeat one that is done."""
+    """Run a step that can start, or repeat a completed one."""
 
     step: str
 
 
 class RunTo(Order):
-    """Run the steps up to and including one."""
+    """Run the steps up to and including a given step."""
 
     kind: Literal["run_to"] = "run_to"
     step: Short
 
 
 class Repeat(Order):
-    """Run a step again that is done."""
+    """Repeat a completed step."""
 
     step: str
 
@@ -101,13 +101,13 @@ class Home(Order):
 
 
 class Pause(Order):
-    """Rest at the next safe point."""
+    """Pause at the next safe point."""
 
     kind: Literal["pause"] = "pause"
 
 
 class Resume(Order):
-    """Run to the end of the case; at a prompt also continue a paused one.
+    """Run to the end of the case. At a prompt, also continue a paused case.
 
     A page ends a pause by the answer to its question instead.
     """
@@ -116,7 +116,7 @@ class Resume(Order):
 
 
 class Stop(Order):
-    """Bring the arm to rest now, as well as the link allows; then rest."""
+    """Stop the arm now, as well as the link allows, then pause."""
 
     kind: Literal["stop"] = "stop"
 
@@ -128,7 +128,7 @@ class Abort(Order):
 
 
 class Acknowledge(Order):
-    """Recover the devices that are in fault, in the name of who gives the order; moves nothing."""
+    """Recover devices in fault, in the name of the person giving the order. Nothing moves."""
 
     kind: Literal["acknowledge"] = "acknowledge"
 
@@ -153,13 +153,13 @@ class ListSteps(Order):
 
 
 class Why(Order):
-    """Show why a step cannot start, and what it asks; without a step, the next one."""
+    """Show why a step, by default the next one, cannot start, and what it asks."""
 
     step: str | None = None
 
 
 class DryRun(Order):
-    """Show the motions of a step; without a step, those of the next one."""
+    """Show the motions of a step, by default of the next one."""
 
     step: str | None = None
 
@@ -173,7 +173,7 @@ class Quit(Order):
 
 
 class CaseActivity(Enum):
-    """Activities of a case in which an order may arrive."""
+    """Activity of a case while an order may arrive."""
 
     OPENING = auto()  # the theatre is not open yet
     WAITING = auto()  # between steps
@@ -191,7 +191,7 @@ NEVER: frozenset[CaseActivity] = frozenset()
 
 @dataclass(frozen=True)
 class Rule:
-    """The command of an order, and the states in which it counts at a prompt and from the console.
+    """Rule for an order: its command, and the states in which the prompt and the console accept it.
 
     From the console it needs the operator's seat, unless `seat` says otherwise. An argument in brackets may
     be omitted.
@@ -259,7 +259,7 @@ ConsoleOrder = (
 
 
 class SentOrder(BaseModel):
-    """An order as a session sends it. In JSON the order's own fields stand beside the others."""
+    """An order as sent by a session. In JSON, the order's own fields are on the same level as the others."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -298,7 +298,7 @@ def read_order(line: bytes | str) -> SentOrder:
 
 
 class Reply(BaseModel):
-    """The reply to an order."""
+    """Reply to an order."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 

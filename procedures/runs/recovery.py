@@ -45,14 +45,13 @@ LOOKS = (Relocalization.kind, ObservedStand.kind)  # steps that the head must ha
 
 
 def recover(engine: Engine, previous: InterruptedRun) -> None:
-    """Bring an engine in recovery to the start of its next step.
+    """Bring a recovering engine to the start of its next step.
 
     Raises PRO-032 for a difference, or if the operator does not accept, and errors of devices and motions.
     """
     comparison = Comparison()
     compare_inputs(engine, comparison, previous.plan_sha256)
     _doubt_tool(engine, comparison)
-    _doubt_work(engine, previous, comparison)
     stored = engine.case.find(CheckedSetUp, None)
     seen = True
     if stored is not None:
@@ -62,6 +61,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
             comparison.note(
                 "patient and robot base: not visible to the tracker; compared once the arm is home"
             )
+    _doubt_work(engine, previous, comparison)  # after the arm's history is restored
     _require_acceptance(
         engine, comparison, "resume the run", (*_list_first_moves(engine), _describe_remaining_steps(engine))
     )
@@ -78,7 +78,7 @@ def recover(engine: Engine, previous: InterruptedRun) -> None:
 
 
 def _doubt_tool(engine: Engine, comparison: Comparison) -> None:
-    """Put the checks of the tool in doubt: the controller reports its number, not whether it was touched."""
+    """Put the tool checks in doubt: the controller reports the tool's number, not whether it was touched."""
     for key in engine.order.checks_of_tool:
         engine.case.doubt(key, UNATTENDED)
     for key in engine.course.checks_in_doubt:
@@ -123,7 +123,7 @@ def _restore_arm(
     *,
     only_leaving: bool = False,
 ) -> None:
-    """Restore the arm's history, compare every device, and look for an instrument at the guide's position."""
+    """Restore the arm's history, compare every device, and look for an instrument where the guide is."""
     workcell = engine.setting.workcell
     workcell.restore_history(previous.arm, set_up.home_rad)
     inside = workcell.place.instrument_may_be_inside
@@ -153,7 +153,7 @@ def _restore_arm(
 
 
 def _compare_last_to_move(engine: Engine, comparison: Comparison) -> None:
-    """Refuse an arm left away by another run: only that run knows its instrument and its way home.
+    """Refuse an arm left away from home by another run: only that run knows its instrument and its way home.
 
     An arm that is at this run's home has been jogged there since.
     """
@@ -188,7 +188,7 @@ def _require_acceptance(engine: Engine, comparison: Comparison, subject: str, or
 
 
 def _require_ready(engine: Engine) -> None:
-    """Raise PRO-001 if a device reports that no motion can begin, before the operator is asked in vain."""
+    """Raise PRO-001 if a device is not ready for motion, before the operator is asked in vain."""
     seen = [(role, device.observe()) for role, device in engine.setting.workcell.devices.items()]
     blocking = [(role, fact) for role, known in seen for fact in known.says if not fact.ready]
     if not blocking:
@@ -217,7 +217,7 @@ def _conclude(engine: Engine, comparison: Comparison, action: str | None = None)
 
 
 def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
-    """Whether a tool change was requested without a result that confirms it.
+    """Whether a tool change was requested but not confirmed by a result.
 
     If the journal's end is lost and every sphere is localized, the lost lines may have requested it.
     """
@@ -230,7 +230,7 @@ def _has_exchange_begun(engine: Engine, previous: InterruptedRun) -> bool:
 
 
 def _list_first_moves(engine: Engine) -> tuple[str, ...]:
-    """Return the moves that come before any step."""
+    """Return descriptions of the moves that come before any step."""
     workcell = engine.setting.workcell
     first = []
     if (place := engine.instrument_in) is not None:

@@ -1,4 +1,4 @@
-"""Reopening of a run: its request, the lock and repair of its folder, and a missing end."""
+"""Reopening of a run: reading its request, locking and repairing its folder, completing a missing end."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ PROBE_BYTES = 64 * 1024  # more than the journal lines of a whole recovery
 def read_reopened_request(
     folder: Path, *, accept: bool = False, answers: Path | None = None, reuse_answers: bool = False
 ) -> RunRequest:
-    """Read the request of a run with these answers; without any, with the run's own if `reuse_answers`.
+    """Read the request of a run, to be answered by `answers` or, if `reuse_answers`, by the run's own file.
 
     Raises CLI-001, CFG-001, PRO-026, 031 and 034.
     """
@@ -58,7 +58,7 @@ def read_reopened_request(
 
 @contextmanager
 def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterator[InterruptedRun]:
-    """Hold the folder of an interrupted run for this program, and read it.
+    """Lock the folder of an interrupted run for this program, and read the run.
 
     With `only_leaving` a change of files on which the way home does not depend is only reported. Raises
     PRO-030 while another program has the run open, PRO-033 if it was changed.
@@ -72,13 +72,13 @@ def hold_interrupted_run(folder: Path, *, only_leaving: bool = False) -> Iterato
 
 
 def require_free_devices(request: RunRequest) -> None:
-    """Raise PRO-043 while another program has the real devices of this run."""
+    """Raise PRO-043 while another program uses the real devices of this run."""
     if request.config is not None:
         require_free_theatre(request.config)
 
 
 def resumable_run(theatre: Path, run: Path | None = None) -> Path | None:
-    """Return the resumable run that had the devices of a theatre file last; None if that is `run`."""
+    """Return the last resumable run on a theatre file's devices; None if there is none or it is `run`."""
     for last in list_last_runs(theatre):
         if last == run:
             return None
@@ -105,7 +105,7 @@ def prepare_folder(interrupted: InterruptedRun) -> None:
 
 
 def _check_writable(folder: Path) -> None:
-    """Raise PRO-003 before anything is started in a folder that cannot be written."""
+    """Raise PRO-003 if a folder cannot be written, before anything is started in it."""
     probe = folder / PROBE_FILE
     try:
         try:
@@ -120,7 +120,7 @@ def _check_writable(folder: Path) -> None:
 
 
 def _remove_half_written(folder: Path) -> None:
-    """Remove files that a killed program had not finished writing: they were never part of the run."""
+    """Remove files that a killed program left half-written: they were never part of the run."""
     for path, is_folder, _ in list(walk(folder)):
         if not (path.name.startswith(".") and path.name.endswith(PARTIAL)):
             continue
@@ -133,7 +133,7 @@ def _remove_half_written(folder: Path) -> None:
 def close_completed_run(
     interrupted: InterruptedRun, clinical: ClinicalInput | None, outcome: str = "done", **more: JournalValue
 ) -> InterruptedRun:
-    """Write the end of a run whose every step is valid; moves nothing and asks no device."""
+    """Write the end of a run whose steps are all valid, without moving or querying any device."""
     moment_s = theatre_time_s(interrupted.run.journal[-1])
     folder = interrupted.folder
     journal = Journal.reopen_run(folder, interrupted.chain)
@@ -143,7 +143,7 @@ def close_completed_run(
 
 
 def rewrite_end(interrupted: InterruptedRun) -> InterruptedRun:
-    """Write the end of a closed but unsealed run again, with the names of its unconfirmed files."""
+    """Rewrite the end of a closed but unsealed run, with the names of its unconfirmed files."""
     last = interrupted.run.journal[-1]
     journal = Journal.reopen_run(interrupted.folder, interrupted.chain)
     journal.write(Entry.RESTARTED, theatre_time_s(last), **interrupted.as_plain())

@@ -1,4 +1,4 @@
-"""The request of a run: its theatre and its procedure. Commands import it at their start, so no pydantic."""
+"""The request of a run: its theatre and procedure. No pydantic here: commands import it at start-up."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class SceneChoice:
     records: tuple[Path, ...] = ()  # folders of calibrations, instead of the theatre's own records
 
     def check(self) -> None:
-        """Raise CLI-001 for a scene that is neither named nor a file; its reader checks the content."""
+        """Raise CLI-001 if the scene is neither a known name nor a file. The content is not checked."""
         if self.scene not in PATIENT_SCENES and not Path(self.scene).is_file():
             close_matches = get_close_matches(self.scene, PATIENT_SCENES, n=1)
             raise UsageMistake(
@@ -52,7 +52,7 @@ class SceneChoice:
             )
 
     def arguments(self) -> list[str]:
-        """Return the options of `ronna-sim theatre` and `ronna-sim phantom`."""
+        """Return the options for `ronna-sim theatre` and `ronna-sim phantom`."""
         options = ["--scene", self.scene, "--seed", str(self.seed)]
         for name, value in (("--markers", self.markers), ("--targets", self.targets)):
             if value is not None:
@@ -60,7 +60,7 @@ class SceneChoice:
         return options if self.fiducials == FREE else [*options, "--fiducials", self.fiducials]
 
     def theatre_arguments(self) -> list[str]:
-        """Return the options of `ronna-sim theatre` alone."""
+        """Return all options for `ronna-sim theatre`."""
         options = self.arguments()
         if self.calibrated:
             options.append("--calibrated")
@@ -72,7 +72,7 @@ class SceneChoice:
 
     @property
     def scene_seed(self) -> int:
-        """Seed of the drawing; a scene file holds its own, and its reader checks the rest of it."""
+        """Random seed of the scene. A scene file holds its own; the rest of the file is not checked here."""
         path = Path(self.scene)
         if not path.suffix:
             return self.seed
@@ -86,7 +86,7 @@ class SceneChoice:
 
 @dataclass(frozen=True, kw_only=True)
 class CaseProcedure:
-    """A clinical case, or the same on a phantom."""
+    """A clinical case, on a patient or a phantom."""
 
     strategy: str = "ocs"
     measure_targets: bool = False  # on a phantom with a ball at each target; a simulated one brings them
@@ -97,7 +97,7 @@ class CaseProcedure:
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationProcedure:
-    """A calibration, whose records are valid for `days`."""
+    """A calibration whose records are valid for `days`."""
 
     recipe: Mapping[str, JsonValue]  # as `Recipe` writes it
     days: int
@@ -106,7 +106,7 @@ class CalibrationProcedure:
 
 @dataclass(frozen=True, kw_only=True)
 class Measurement:
-    """A check, or a single measurement. It has no request file, so nothing resumes it.
+    """A check or a single measurement. It has no request file, so it cannot be resumed.
 
     `in_use` selects the records to work with, given those of the theatre; a replay needs the `recipe`.
     """
@@ -119,7 +119,7 @@ class Measurement:
 
 @dataclass(frozen=True, kw_only=True)
 class RunRequest:
-    """A procedure and its theatre: a simulated one, or with `config` the file of configured endpoints."""
+    """A procedure and its theatre: a simulated one, or the configured one of the theatre file `config`."""
 
     procedure: CaseProcedure | CalibrationProcedure | Measurement | None = None  # None: not yet chosen
     config: Path | None = None
@@ -130,22 +130,22 @@ class RunRequest:
 
     @property
     def seed(self) -> int | None:
-        """Seed of a simulated theatre; None on configured endpoints."""
+        """Seed of a simulated theatre; None for a configured one."""
         return self.choice.scene_seed if self.config is None else None
 
     @property
     def case(self) -> CaseProcedure:
-        """The procedure of a case; only for code of cases."""
+        """Procedure of a case. Asserts that the request is for a case."""
         assert isinstance(self.procedure, CaseProcedure), "this is not a case"
         return self.procedure
 
     @property
     def calibration(self) -> CalibrationProcedure:
-        """The procedure of a calibration; only for code of calibrations."""
+        """Procedure of a calibration. Asserts that the request is for a calibration."""
         assert isinstance(self.procedure, CalibrationProcedure), "this is not a calibration"
         return self.procedure
 
     @property
     def measures_targets(self) -> bool:
-        """Whether the phantom has a ball at each target, to be measured."""
+        """Whether the phantom has a ball at each target that is to be measured."""
         return isinstance(self.procedure, CaseProcedure) and self.procedure.measure_targets

@@ -81,7 +81,7 @@ def check_case(request: RunRequest) -> None:
 
 
 def check_fault_script(path: Path, step_names: Collection[str]) -> None:
-    """Raise CLI-001 for a missing file, and with every line that waits for a step that does not exist."""
+    """Raise CLI-001 if the fault script is missing or waits for unknown steps, naming each such line."""
     if not path.is_file():
         raise UsageMistake(f"there is no fault script {path}", action="Give the path of a file.")
     found = [(number, match["step"]) for number, line in _lines(path) if (match := _STEP_OF_LINE.match(line))]
@@ -97,7 +97,7 @@ def check_fault_script(path: Path, step_names: Collection[str]) -> None:
 
 
 def list_unreached_faults(path: Path, begun_steps: Iterable[str], theatre_time_s: float) -> Iterator[str]:
-    """Name the faults that a case did not reach, by the steps that it began and its theatre time."""
+    """Yield a message for each fault that a case did not reach, by its begun steps and its theatre time."""
     steps = {name for step in begun_steps for name in (step, step.partition(":")[0])}
     for number, line in _lines(path):
         if match := _STEP_OF_LINE.match(line):

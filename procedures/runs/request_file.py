@@ -1,4 +1,4 @@
-"""`request.json`: the first file of a run's folder, on disk before anything else. `resume` begins with it."""
+"""`request.json`, the first file written to disk in a run's folder. `resume` begins by reading it."""
 
 from __future__ import annotations
 
@@ -107,7 +107,7 @@ def _procedure(request: RunRequest) -> dict[str, Any]:
 
 
 def read_request(folder: Path) -> RunRequest:
-    """Read the request of a run; raises PRO-034, and PRO-031 for another version of this program."""
+    """Read the request of a run. Raises PRO-034, or PRO-031 for another version of this program."""
     path = folder / REQUEST_FILE
     try:
         content = RequestFile.model_validate_json(read_json_bytes(path))

@@ -1,4 +1,4 @@
-"""A simulated theatre, its patient and staff as child processes, and the truth about a run in it."""
+"""A simulated theatre with its patient and staff, run as child processes, and the truth about a run in it."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ THEATRE_FOLDER = "theatre"  # of a run that has a theatre of its own
 
 
 class SimulatedTheatre:
-    """A theatre in one folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
+    """Simulated theatre in one folder, and with `phantom` a patient in another: `ct/` and `plan.toml`."""
 
     def __init__(
         self,
@@ -40,7 +40,7 @@ class SimulatedTheatre:
         continued: bool = False,
         on_controller_message: Callable[[str], None] = lambda _line: None,
     ) -> None:
-        """`continued` if the world of an earlier theatre goes on, without the fault script of the run."""
+        """Start the theatre. `continued` resumes an earlier world, without the run's fault script."""
         self._file = folder.parent / WITH_PORTS  # written anew when it is ready, with its ports
         is_resumed = continued and self._file.exists()
         self._former = read_bounded(self._file, LARGEST_TOML_BYTES) if is_resumed else None
@@ -68,7 +68,7 @@ class SimulatedTheatre:
             raise
 
     def await_patient(self) -> None:
-        """Wait for the CT series and the plan. Raises PRO-013 with the words of a command that refused.
+        """Wait for the CT series and the plan. Raises PRO-013 with the message of a command that refused.
 
         A refused theatre is reported at once; PRC-001 if time runs out.
         """
@@ -83,7 +83,7 @@ class SimulatedTheatre:
             raise CommandRefused("ronna-sim phantom", messages, self._phantom.returncode)
 
     def await_theatre(self) -> None:
-        """Wait for every device. Raises PRO-013 with the command's words, PRC-001 without any."""
+        """Wait for every device. Raises PRO-013 with the command's message, or PRC-001 if there is none."""
         child = self.theatre.child
         try:
             self.theatre.await_ready()
@@ -94,7 +94,7 @@ class SimulatedTheatre:
             raise CommandRefused(SIMULATOR_NAME, child.messages[-1], code) from error
 
     def keep_file(self) -> None:
-        """Keep the theatre file as it is now, which the journal names; else the former one is restored."""
+        """Keep the current theatre file, which the journal names, instead of restoring the former one."""
         self._former = None
 
     def __enter__(self) -> Self:
@@ -138,7 +138,7 @@ class SimulatedRoom:
     """
 
     def __init__(self, control: str) -> None:
-        """`control` is the endpoint with its token."""
+        """`control` is the endpoint of the control port, with its token."""
         self._control = control
 
     def announce(self, step: str) -> None:
@@ -146,7 +146,7 @@ class SimulatedRoom:
         ask_control_port(self._control, "step", name=step)
 
     def change_tool(self, number: int, description: str) -> None:
-        """Have the other tool mounted."""
+        """Have another tool mounted."""
         ask_control_port(self._control, "mount", number=number)
 
     def prepare_stand(self, holds: str) -> None:
@@ -166,7 +166,7 @@ class SimulatedRoom:
 
 
 def ask_verifier(folder: Path) -> Truth:
-    """Ask the verifier about a run folder. Raises PRO-013 with its words, PRC-001 if it hangs."""
+    """Return the verifier's truth about a run. Raises PRO-013 with its message, PRC-001 if it hangs."""
     from procedures.reporting.outcome import Truth
 
     answer = run_command(VERIFIER, command("sim.cli", "verify", str(folder), "--json"), VERIFY_TIMEOUT_S)
@@ -177,7 +177,7 @@ def ask_verifier(folder: Path) -> Truth:
 
 
 def find_truth(folder: Path) -> Truth | None:
-    """Return the truth of a run; None without a simulated theatre, or with nothing to compare yet."""
+    """Return the truth about a run; None without a simulated theatre or anything to compare."""
     if not (folder / THEATRE_FOLDER).is_dir():
         return None
     try:

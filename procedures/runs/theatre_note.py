@@ -1,4 +1,4 @@
-"""The note of an arm: the run that has its devices, and the place where the last run left it.
+"""The note about an arm: the run that has its devices, and where the last run left the arm.
 
 The address of the arm's controller selects the note: a copy of the theatre file, or one with other records,
 is the same arm. A simulated theatre has an identity instead, as another one may get its address next.
@@ -32,7 +32,7 @@ JOG = "jog it home with the controller's pendant"
 
 
 class TheatreNote(BaseModel):
-    """Content of a note."""
+    """Content of the note about an arm."""
 
     model_config = ConfigDict(frozen=True, extra="forbid")
 
@@ -44,7 +44,7 @@ class TheatreNote(BaseModel):
     unreadable: bool = False  # a note before was, and no run has moved the arm since
 
     def with_outcome(self) -> TheatreNote:
-        """Return the note with the end of `run`, by its journal; a missing run may have done anything."""
+        """Return the note updated from the journal of `run`. A missing run may have done anything."""
         home = (
             None
             if self.pid is None or self.run is None
@@ -73,7 +73,7 @@ def _has_brought_arm_home(run: Path, lines_before: int) -> bool | None:
 
 
 def note_path(theatre: Path) -> Path:
-    """Return the note of a theatre's arm; next to the theatre file if nothing else tells arms apart."""
+    """Return the path of the note for a theatre's arm: next to the theatre file if the arm has no key."""
     theatre = theatre.resolve()
     if controller := _controller_key(theatre):
         return ARMS_FOLDER / f"{controller}.in-use"
@@ -81,7 +81,7 @@ def note_path(theatre: Path) -> Path:
 
 
 def _controller_key(theatre: Path) -> str:
-    """Return the addresses of a real arm, or the identity of a simulated theatre; else an empty string."""
+    """Return a key for the arm: addresses if real, theatre identity if simulated, empty if unknown."""
     try:
         file = read_theatre_file(theatre)
     except RonnaError:  # nothing runs with it
@@ -98,7 +98,7 @@ def _controller_key(theatre: Path) -> str:
 
 
 def read_note(path: Path) -> TheatreNote:
-    """Read a note; a missing one is empty.
+    """Read a note. A missing file reads as an empty note.
 
     A note is not believed if it is damaged, or if an account that does not use the arm may have written it.
     """
@@ -114,7 +114,7 @@ def read_note(path: Path) -> TheatreNote:
 
 
 def _is_trusted(note: Path) -> bool:
-    """Whether only users of the arm can have written or removed it. Raises OSError if it is not there.
+    """Whether only users of the arm can have written or removed a note. Raises OSError if it is missing.
 
     Next to a theatre file, its owner decides: not every file system has rights.
     """
@@ -130,7 +130,7 @@ def _is_trusted(note: Path) -> bool:
 
 
 def _is_ours(found: os.stat_result) -> bool:
-    """Whether this user or root owns it, or a group of this user may write it."""
+    """Whether a file belongs to this user or root, or is writable by one of this user's groups."""
     by_group = bool(found.st_mode & stat.S_IWGRP) and found.st_gid in (os.getegid(), *os.getgroups())
     return found.st_uid in (os.geteuid(), 0) or by_group
 
@@ -144,7 +144,7 @@ def run_exists(run: Path) -> bool:
 
 
 def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
-    """Return the warning that another run left this theatre's arm away from home, for the operator of `run`.
+    """Return a warning for the operator of `run` if another run left this theatre's arm away from home.
 
     None if the last run brought it home, is `run` itself, or does not exist. A new run would take the arm's
     position for its home; a resumed one would send the arm home by a way of its own.
@@ -174,7 +174,7 @@ def arm_not_home(note: TheatreNote, run: Path | None) -> str | None:
 
 
 def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
-    """Return the last run that moved this theatre's arm, and where an instrument may be, if anywhere."""
+    """Return the last run that moved this theatre's arm and where an instrument may be inside, or None."""
     last = note.moved_before
     if last is None:
         return None
@@ -186,7 +186,7 @@ def find_instrument_inside(note: TheatreNote) -> tuple[Path, str] | None:
 
 
 def _is_same(last: Path, run: Path) -> bool:
-    """Whether they are one run, also under a new name, by its journal."""
+    """Whether two folders are the same run according to the journal, even if it was renamed."""
     if last.resolve() == run.resolve():
         return True
     try:

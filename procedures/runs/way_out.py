@@ -1,4 +1,4 @@
-"""The way out of an interrupted run: the head to keep clear of, and an instrument that may be in the guide.
+"""The way out of an interrupted run: the head to avoid, and an instrument that may be in the guide.
 
 The valid registration gives the place of the head, or else the last valid one. A lost block of the journal
 may have contained the lines about an instrument. So the position of a mounted guide is compared with the axis
@@ -38,7 +38,7 @@ AT_START_MM = 1.0  # at the start of the approach it is away; the arm arrives th
 
 
 def surround(engine: Engine) -> None:
-    """Set the arm's surroundings before anything moves; with an unknown head the arm must be home.
+    """Set the arm's surroundings before anything moves. With an unknown head the arm must be home.
 
     Raises PRO-032 for an arm away from home if no result gives the position of the head.
     """
@@ -101,7 +101,7 @@ def is_guide_in_gauge(engine: Engine) -> bool:
 
 
 def is_guide_at_divot(engine: Engine) -> bool:
-    """Whether the arm holds the tip of the guide at the place of the raised divot."""
+    """Whether the arm holds the tip of the guide at the raised divot."""
     workcell, place = engine.setting.workcell, engine.case.find(BallPlace, None)
     if workcell.tool is not MountedTool.GUIDE or place is None or workcell.place.is_home:
         return False
@@ -130,7 +130,7 @@ def surround_calibration(engine: Engine) -> None:
 
 @dataclass(frozen=True)
 class _GuideRegistration:
-    """The registration that leads, or would lead, the guide."""
+    """Registration by which the guide was positioned, and whether it is still valid."""
 
     key: StepKey  # of the step that positions the guide
     robot_from_ct: Transform
@@ -138,7 +138,7 @@ class _GuideRegistration:
 
 
 def _find_guide_registration(engine: Engine) -> _GuideRegistration | None:
-    """Return the registration for the trajectory of the guide: the valid one, else the last valid one."""
+    """Return the registration for the guide's trajectory: the valid one, or else the last that was valid."""
     workcell, case = engine.setting.workcell, engine.case
     if workcell.tool is not MountedTool.GUIDE:
         return None

@@ -1,1 +1,1 @@
-"""Steps of the procedures: one module for each clinical step, one for the steps of each calibration."""
+"""Steps of the procedures: one module for each clinical step, and one for the steps of each calibration."""

@@ -35,7 +35,7 @@ MOUNTINGS = 3  # of a tool that is not the right one, before the case is held
 
 
 class Ending(StrEnum):
-    """Ending of a branch."""
+    """Ending of a failure branch."""
 
     HOLD = "hold"  # the step fails with an error: arm at rest, every result stands
     ASK = "ask"  # the operator decides; without agreement it holds
@@ -45,7 +45,7 @@ class Ending(StrEnum):
 
 @dataclass(frozen=True)
 class Branch:
-    """One row of the table. `errors` are those that hold the case, at once or when the answer is no."""
+    """Row of the table of branches. `errors` hold the case, immediately or if the operator disagrees."""
 
     event: str
     detected_by: str
@@ -63,19 +63,19 @@ class Branch:
         trajectory: str | None = None,
         answers: tuple[str, ...] | None = None,
     ) -> Question:
-        """Build the question, by default with all answers. Raises ValueError if the branch has none."""
+        """Build the branch's question, by default with all answers. Raises ValueError if it has none."""
         if self.topic is None:
             raise ValueError(f"no question is defined for: {self.event}")
         return Question(self.topic, subject, value, answers or self.answers, trajectory)
 
 
 def strategy_answer(strategy: str) -> str:
-    """Answer that agrees to another strategy."""
+    """Return the answer that agrees to another strategy."""
     return f"use {strategy}"
 
 
 def stage_answer(task: str) -> str:
-    """Answer that continues the work through the guide from a stage."""
+    """Return the answer that continues the work through the guide from a given stage."""
     return f"from {task}"
 
 

@@ -66,7 +66,7 @@ AFTER_STOP = "the arm has not moved since it was connected or stopped"
 
 
 def clinical_steps(*, measure_targets: bool = False) -> Steps:
-    """Steps of a case; to measure targets on a phantom, they include that before the exchange of tools."""
+    """Return the steps of a case, including the measurement of targets on a phantom if requested."""
     if not measure_targets:
         return CLINICAL_STEPS
     place = CLINICAL_STEPS.index(tool_change.STEP)
@@ -92,7 +92,7 @@ class PlannedQuestion:
 
 
 def list_questions(spec: StepSpec[StepResult]) -> tuple[PlannedQuestion, ...]:
-    """Questions of a step's normal course in order, then of its branches, but not those of any step."""
+    """Return a step's own questions: those of its normal course in order, then those of its branches."""
     course = [PlannedQuestion(topic) for topic in spec.asks]
     if spec.moves:
         course.append(PlannedQuestion(Topic.FIRST_MOTION, AFTER_STOP))

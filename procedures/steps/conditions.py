@@ -1,4 +1,4 @@
-"""Preconditions that several steps share."""
+"""Preconditions shared by several steps."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ LONGEST_S = 3600.0  # theatre time; a check on the gauge takes minutes, skin, sk
 
 
 def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], tuple[str, ...]]:
-    """Require that the arm carries this tool and is on no axis; an unchecked tool is identified first.
+    """Require this tool on the arm and the arm on no axis. An unchecked tool is identified first.
 
     `remedy` names the step that mounts it instead of the guide, if no earlier step is listed.
     """
@@ -32,7 +32,7 @@ def needs_tool(tool: MountedTool, remedy: str = "") -> Callable[[StepContext], t
 
 
 def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
-    """Require the stereo head on the arm, or after a begun exchange an arm that is parked and cannot move."""
+    """Require the stereo head, or after a started exchange an arm that is parked and cannot move."""
     workcell = context.workcell
     unmet = needs_tool(MountedTool.STEREO_HEAD)(context)
     if not unmet or context.done_before:
@@ -41,7 +41,7 @@ def needs_exchangeable_tool(context: StepContext) -> tuple[str, ...]:
 
 
 def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
-    """Require the guide unmounted: localizations that depend on the repeated step could not be redone."""
+    """Require that the guide is not mounted: later localizations could not be redone with it."""
     if context.workcell.tool is MountedTool.GUIDE:
         return (
             "the arm carries the guide: if this result changed, the spheres could not be localized again; "
@@ -51,7 +51,7 @@ def needs_guide_unmounted(context: StepContext) -> tuple[str, ...]:
 
 
 def needs_arm_home(context: StepContext) -> tuple[str, ...]:
-    """Require the arm at home: nobody works at cart or clamp while it reaches over the head."""
+    """Require the arm at home: nobody works at the cart or clamp while it reaches over the head."""
     place = context.workcell.place
     if place.is_home:
         return ()
@@ -69,14 +69,14 @@ def needs_insertion(context: StepContext) -> tuple[str, ...]:
 
 
 def needs_insertion_or_withdrawal(context: StepContext) -> tuple[str, ...]:
-    """Require the guide in front of this step's entry, or last withdrawn from it."""
+    """Require the guide in front of this step's entry, or just withdrawn from it."""
     if context.workcell.place.withdrawn_from == context.trajectory:
         return ()
     return needs_insertion(context)
 
 
 def require_recent(context: StepContext, what: str, read_s: float) -> None:
-    """Raise TOOL-007 if a reading taken by hand at this theatre time is too old to rely on."""
+    """Raise TOOL-007 if a manual reading, taken at theatre time `read_s`, is too old to rely on."""
     age_s = context.setting.clock.now_s() - read_s
     if age_s > LONGEST_S:
         raise ReadingTooOld(

@@ -1,4 +1,4 @@
-"""Dry run of a step: its motions from the previews of the path check, and those over the gauge.
+"""Dry run of a step: its motions, from the previews of the path check, and its motions over the gauge.
 
 Nothing is asked or moved.
 """
@@ -66,7 +66,7 @@ def describe_planned_motions(case: Case, key: StepKey, setting: CaseSetting) -> 
 
 @dataclass(frozen=True)
 class _PlannedArm:
-    """The arm with the guide mounted, for previews."""
+    """The planned arm with the guide mounted, for previews."""
 
     kinematics: Kinematics
     limits: MotionLimits
@@ -77,7 +77,7 @@ class _PlannedArm:
 
 
 def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
-    """Preview the motions over the gauge from home; no path is recorded for them."""
+    """Preview the motions over the gauge from home. The path check records none of them."""
     workcell = setting.workcell
     scene = planning_scene(
         setting.surroundings, case.get(CheckedPlan).result, case.get(LocalizedFiducials).result
@@ -96,7 +96,7 @@ def _preview_over_gauge(case: Case, setting: CaseSetting) -> tuple[str, ...]:
 
 
 def _sphere_below(paths: CheckedPaths, key: StepKey, workcell: Workcell) -> int | None:
-    """Index of the sphere below the stereo head after an interrupted localization; None if there is none."""
+    """Return the index of the sphere below the stereo head after an interrupted localization, or None."""
     if key.name != Relocalization.kind or workcell.tool is not MountedTool.STEREO_HEAD:
         return None
     here_mm = workcell.tool_pose().translation_mm
@@ -133,6 +133,6 @@ def _describe_motion(motion: MotionPreview) -> str:
 
 
 def _number_spheres(name: str) -> str:
-    """Name a place with spheres counted from 1."""
+    """Return a pose's name with its spheres counted from 1."""
     before, sphere, number = name.partition(SPHERE)
     return f"{before}/sphere {int(number) + 1}" if sphere else name

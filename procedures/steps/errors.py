@@ -31,7 +31,7 @@ class DepthStopWrong(LimitError):
 
 
 class ReadingTooOld(LimitError):
-    """A reading of the room's hands was made too long ago to be relied on."""
+    """A manual reading is too old to be relied on."""
 
     code = "TOOL-007"
     action = "Repeat the step: it is read again."

@@ -1,1 +1,1 @@
-"""Orientation of the arm at the fiducials and at a target. Pure numerics."""
+"""Orientations of the arm at the fiducials and at a target. Pure numerics."""

@@ -1,4 +1,4 @@
-"""All strategies by name, with combinations: one per trajectory, or the best of each."""
+"""All strategies by name, and their combinations: one per trajectory, or the best for each."""
 
 from __future__ import annotations
 
@@ -27,9 +27,10 @@ CANDIDATES: tuple[Strategy, ...] = (
 
 @dataclass(frozen=True)
 class StrategyByTrajectory:
-    """`others` by trajectory name, `usual` for the rest; each trajectory is localized separately.
+    """Combination of strategies: `others` by trajectory name, `usual` for the rest.
 
-    For a strategy that otherwise localizes once, the poses serve that one trajectory.
+    Each trajectory is localized separately. For a strategy that otherwise localizes once, the poses serve
+    that trajectory alone.
     """
 
     usual: Strategy
@@ -47,13 +48,13 @@ class StrategyByTrajectory:
         return self.usual.controls_approach
 
     def strategy_for(self, trajectory: str) -> Strategy:
-        """The strategy of one trajectory."""
+        """Return the strategy of one trajectory."""
         return self.others.get(trajectory, self.usual)
 
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Take the axis of each trajectory's own strategy, under the name of the trajectory."""
+        """Return the localization axis of each trajectory's own strategy, named after the trajectory."""
         return tuple(
             replace(axis, identifier=one.identifier)
             for one in trajectories
@@ -63,19 +64,19 @@ class StrategyByTrajectory:
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Take the poses of the trajectory's own strategy."""
+        """Return the poses of the trajectory's own strategy."""
         return self.strategy_for(along.identifier).localization_poses(along, fiducials_mm, robot_from_ct, arm)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Take the turns of the trajectory's own strategy."""
+        """Return the turns of the trajectory's own strategy, rad."""
         return self.strategy_for(along.identifier).turns_rad(along, fiducials_mm, robot_from_ct, arm)
 
 
 @dataclass(frozen=True)
 class BestOfEach(StrategyByTrajectory):
-    """The strategy `best`: for each target the one with the smallest predicted error.
+    """The strategy `best`, which uses for each target the strategy with the smallest predicted error.
 
     That is known only once the poses the arm can reach are, so path planning chooses. Until then, and if no
     strategy reaches a target, it is the improved JDMS. `others` is the choice, by trajectory.

@@ -38,19 +38,19 @@ class OrientationCorrection:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the trajectories."""
+        """Return the trajectories unchanged."""
         return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of the axis."""
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in the orientation of the axis."""
         return poses_along(along, fiducials_mm, robot_from_ct)
 
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """List all turns from the axis' free angle outwards: all serve equally well."""
+        """Return all turns outwards from the axis's free angle, rad. All serve equally well."""
         return OUTWARDS_RAD
 
 
@@ -65,7 +65,7 @@ class NeutralOrientation(OrientationCorrection):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; nothing without any.
+        """Return the vertical through the centroid of the fiducials (n, 3) in CT mm; empty without fiducials.
 
         Raises FRM-001 on other frames.
         """

@@ -1,4 +1,4 @@
-"""Strategies that keep the joints at a fiducial near those at the target: JDMS, and our improvement of it.
+"""Strategies that keep the joints at a fiducial near those at the target: JDMS, and an improved JDMS.
 
 JDMS (joint displacement minimization): at each fiducial, the orientation whose joints differ least from those
 at the target. Joint and link errors are then nearly equal at both and cancel. The cost: the orientations
@@ -50,7 +50,7 @@ MOST_TURNS = 8  # four or five is usual
 def least_displacement(
     kinematics: Kinematics, tool_origin_mm: ArrayLike, start_rad: Joints, point_mm: ArrayLike
 ) -> Joints:
-    """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm.
+    """Find the joints nearest to `start_rad` that bring the tool origin to a point (3,) mm, robot frame.
 
     `tool_origin_mm` (3,) is in the flange. Minimises |q - q0| subject to p(q) = point, by sequential
     linearization: with the Jacobian J of the tool origin, q <- q0 + pinv(J) (point - p(q) + J (q - q0)). At a
@@ -78,7 +78,7 @@ def least_displacement(
 
 
 def _tool_origin(kinematics: Kinematics, joints_rad: Joints, tool_mm: Array) -> tuple[Array, Array]:
-    """Tool origin (3,) mm in the robot frame, and its Jacobian (3, n) mm per rad."""
+    """Return the tool origin (3,) mm in the robot frame, and its Jacobian (3, n) mm per rad."""
     flange = kinematics.forward(joints_rad)
     arm = np.reshape(flange.rotation, (3, 3)) @ tool_mm
     jacobian = kinematics.jacobian(joints_rad)
@@ -101,13 +101,13 @@ class JointDisplacementMinimization:
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Return the trajectories."""
+        """Return the trajectories unchanged."""
         return tuple(trajectories)
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, joints nearest to those at the target.
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, with the joints nearest the target's.
 
         Raises ARM-001 to ARM-003 when the target is out of reach in this branch, STR-004 when no nearby
         joints reach a fiducial.
@@ -118,7 +118,7 @@ class JointDisplacementMinimization:
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[float, ...]:
-        """Rank turns by displacement, least first; leave out those with a pose out of reach."""
+        """Rank turns by joint displacement, smallest first. Turns with a pose out of reach are left out."""
         ranked = []
         for turn in OUTWARDS_RAD:
             turned = replace(along, free_angle_rad=along.free_angle_rad + turn)
@@ -133,7 +133,7 @@ class JointDisplacementMinimization:
 def solve_joints(
     along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
 ) -> tuple[Joints, tuple[Joints, ...]]:
-    """Joints at the target and at each fiducial."""
+    """Return the joints at the target and at each fiducial, rad."""
     at_target = arm.guide_joints(target_pose(along, robot_from_ct))
     points = robot_from_ct.apply(np.asarray(fiducials_mm, dtype=float).reshape(-1, 3))
     return at_target, tuple(
@@ -144,21 +144,21 @@ def solve_joints(
 
 @dataclass(frozen=True)
 class ImprovedDisplacementMinimization(JointDisplacementMinimization):
-    """The strategy `improved`; turns about the axis are ranked as in JDMS."""
+    """The strategy `improved`. Turns about the axis are ranked as in JDMS."""
 
     name: str = "improved"
 
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm; raises like JDMS."""
+        """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm. Raises the errors of JDMS."""
         at_target, at_fiducials = solve_joints(along, fiducials_mm, robot_from_ct, arm)
         wanted = _error_displacements(arm, [at_target], robot_from_ct.apply(along.target_mm))[0]
         return tuple(arm.stereo_pose(_find_nearest_joints(arm, start, wanted)) for start in at_fiducials)
 
 
 def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> Joints:
-    """Find joints with the tool origin of `start_rad` and errors nearest `wanted`."""
+    """Find joints with the tool origin of `start_rad` and error displacements nearest to `wanted`."""
     pose = arm.stereo_pose(start_rad)
     place = pose.translation_mm
     try:
@@ -189,7 +189,7 @@ def _find_nearest_joints(arm: ArmInBranch, start_rad: Joints, wanted: Array) -> 
 
 
 def _error_displacements(arm: ArmInBranch, joints_rad: list[Joints], place_mm: Array) -> Array:
-    """Displacement (p, 3 k) mm of a point (3,) mm in the tool by one standard deviation of each error."""
+    """Return displacements (p, 3 k) mm of a point (3,) mm at the tool by one sigma of each error."""
     places = np.tile(place_mm, (len(joints_rad), 1))
     rotations = np.array([arm.stereo_pose(joints).rotation_matrix for joints in joints_rad])
     moved = displacements(arm.kinematics.chain, np.array(joints_rad), places, arm.sizes)

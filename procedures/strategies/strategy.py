@@ -1,4 +1,4 @@
-"""Interface of a localization strategy, the arm it plans for, its turns, and the approach to a pose.
+"""Interface of a localization strategy, the arm that it plans for, its turns, and the approach to a pose.
 
 A strategy decides how often fiducials are localized, and in which tool orientations. All strategies hold the
 tool the same way at a target, see `target_pose`. Its axis is the trajectory's; only the free angle about it
@@ -42,7 +42,7 @@ LAST_STRETCH_MM = 5.0  # of the line to the pose: the direction each joint turns
 
 @dataclass(frozen=True)
 class ArmInBranch:
-    """Arm for a strategy: nominal kinematics, tools as FLANGE <- TOOL, branch, reference for whole turns.
+    """Arm that a strategy plans for: nominal kinematics, tools as FLANGE <- TOOL, branch, reference joints.
 
     `sizes` are those of the arm's remaining errors.
     """
@@ -55,27 +55,27 @@ class ArmInBranch:
     sizes: ErrorSizes = UNCALIBRATED
 
     def __post_init__(self) -> None:
-        """Raise FRM-001 when a tool is not FLANGE <- TOOL."""
+        """Raise FRM-001 unless both tools are FLANGE <- TOOL."""
         require_frames(self.flange_from_guide, Frame.FLANGE, Frame.TOOL)
         require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def guide_joints(self, pose: Transform) -> Joints:
-        """Joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
+        """Return the joints that bring the guide to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_guide.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
     def stereo_joints(self, pose: Transform) -> Joints:
-        """Joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
+        """Return the joints that bring the stereo head to a pose ROBOT <- TOOL. Raises ARM-001 to ARM-003."""
         flange = Pose.from_transform(pose @ self.flange_from_stereo.inverse())
         return self.kinematics.solve_branch(flange, self.branch, self.near_rad)
 
     def stereo_pose(self, joints_rad: Joints) -> Transform:
-        """Pose ROBOT <- TOOL of the stereo head at these joints."""
+        """Return the pose ROBOT <- TOOL of the stereo head at these joints."""
         return self.kinematics.flange_pose(joints_rad) @ self.flange_from_stereo
 
 
 class Strategy(Protocol):
-    """Chooses tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
+    """Strategy for tool orientations. Poses are ROBOT <- TOOL, from the coarse transform; nothing is kept."""
 
     @property
     def name(self) -> str:
@@ -89,7 +89,7 @@ class Strategy(Protocol):
 
     @property
     def controls_approach(self) -> bool:
-        """Whether each joint arrives at a fiducial as it will at the target, see `arrival_signs`.
+        """Whether each joint arrives at a fiducial as it will at the target; see `arrival_signs`.
 
         Backlash is then equal at both. Only for strategies that localize per trajectory.
         """
@@ -98,7 +98,7 @@ class Strategy(Protocol):
     def localized_along(
         self, trajectories: Sequence[Trajectory], fiducials_mm: ArrayLike, robot_from_ct: Transform
     ) -> tuple[Trajectory, ...]:
-        """Axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
+        """Return the axes along which all fiducials (n, 3) in CT mm are localized, one set of poses for each.
 
         The trajectories themselves, or one axis that is independent of them.
         """
@@ -107,7 +107,7 @@ class Strategy(Protocol):
     def localization_poses(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> tuple[Transform, ...]:
-        """One pose per fiducial (n, 3) in CT mm, tool origin at the fiducial.
+        """Return one pose per fiducial (n, 3) in CT mm, with the tool origin at the fiducial.
 
         Raises FRM-001 on other frames; a strategy that considers joints also raises ARM-001
         to ARM-003, STR-004.
@@ -117,12 +117,12 @@ class Strategy(Protocol):
     def turns_rad(
         self, along: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform, arm: ArmInBranch
     ) -> Sequence[float]:
-        """Turns about the axis, best first, to add to the trajectory's free angle."""
+        """Return turns about the axis, best first, to add to the trajectory's free angle, rad."""
         ...
 
 
 def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
-    """List turns within half a step of each of `turns_rad`, the nearest first, without themselves; each once.
+    """Return distinct turns a quarter and half a step from each of `turns_rad`, the nearest first.
 
     A step of 10 degrees moves the hand that carries the default mount by more than 40 mm, several times the
     clearance that a motion needs, so an angle that passes may be between two that do not. Quarter steps are
@@ -140,7 +140,7 @@ def intermediate_turns_rad(turns_rad: Iterable[float]) -> tuple[float, ...]:
 def arrival_signs(
     kinematics: Kinematics, pose: Transform, at_rad: Joints, flange_from_tool: Transform
 ) -> tuple[int, ...]:
-    """Direction, +1 or -1, in which each joint arrives at a pose ROBOT <- TOOL with the joints `at_rad`."""
+    """Return the direction (+1 or -1) in which each joint arrives at a pose ROBOT <- TOOL (`at_rad`)."""
     before = back_along_axis(pose, LAST_STRETCH_MM) @ flange_from_tool.inverse()
     branch = kinematics.branch_of(at_rad)
     joints = kinematics.solve_branch(Pose.from_transform(before), branch, at_rad)
@@ -148,6 +148,6 @@ def arrival_signs(
 
 
 def approach_joints(joints_rad: Joints, arriving: Sequence[int]) -> Joints:
-    """Joints a little before a position, from which each then turns onto it in its direction, +1 or -1."""
+    """Return joints slightly before a position, from which each turns onto it in its direction, +1 or -1."""
     before_rad = [joint - sign * APPROACH_RAD for joint, sign in zip(joints_rad, arriving, strict=True)]
     return (before_rad[0], before_rad[1], before_rad[2], before_rad[3], before_rad[4], before_rad[5])

@@ -1,4 +1,4 @@
-"""A planned straight path into the head, and the tool's poses along it.
+"""Planned straight path into the head, and the tool's poses along it.
 
 Five numbers of a trajectory are set by the surgeon, one angle is free. The tool's z axis is along the
 trajectory. At free angle 0, tool x points horizontally and as nearly as possible radially away from the z
@@ -47,7 +47,7 @@ class Trajectory:
     standoff_mm: float | None = None
 
     def __post_init__(self) -> None:
-        """Raise STR-003 unless the trajectory has a direction."""
+        """Raise STR-003 unless all numbers are finite and entry and target are distinct."""
         numbers = (*self.entry_mm, *self.target_mm, self.free_angle_rad, self.beyond_mm)
         if not all(map(math.isfinite, numbers)):
             raise BadTrajectory(f"trajectory {self.identifier} has a number that is not finite")
@@ -55,17 +55,17 @@ class Trajectory:
             raise BadTrajectory(f"entry and target of trajectory {self.identifier} coincide")
 
     def with_rest(self, beyond_mm: float, standoff_mm: float | None = None) -> Trajectory:
-        """Hold the tool at rest this far beyond the target."""
+        """Return the trajectory with the tool held at rest this far (mm) beyond the target."""
         return replace(self, beyond_mm=beyond_mm, standoff_mm=standoff_mm)
 
     @property
     def rest_mm(self) -> Array:
-        """Rest position of the tool origin (3,), CT coordinates."""
+        """Rest position (3,) of the tool origin in CT coordinates, mm."""
         return np.asarray(np.add(self.target_mm, self.beyond_mm * self.axis_ct))
 
     @property
     def depth_mm(self) -> float:
-        """Distance from entry to target."""
+        """Distance from entry to target, mm."""
         return math.dist(self.entry_mm, self.target_mm)
 
     @property
@@ -75,7 +75,7 @@ class Trajectory:
 
 
 def reference_direction(axis: Array, at_mm: Array) -> Array:
-    """Unit tool x (3,) at free angle 0 for a tool axis (3,) and a tool origin (3,) mm in the robot frame.
+    """Return unit tool x (3,) at free angle 0 for a tool axis (3,) and origin (3,) mm in the robot frame.
 
     The horizontal radial direction at the origin, made perpendicular to the axis. Within 5 degrees of the
     axis, robot z replaces it; on the base's z axis, robot x does.
@@ -90,7 +90,7 @@ def reference_direction(axis: Array, at_mm: Array) -> Array:
 
 
 def tool_orientation(axis: Array, at_mm: Array, free_angle_rad: float) -> Rotation:
-    """Rotation robot <- tool for a unit tool axis (3,) and a tool origin (3,) mm, both in the robot frame."""
+    """Return the rotation robot <- tool for a unit tool axis (3,) and an origin (3,) mm, robot frame."""
     x_zero = reference_direction(axis, at_mm)
     y_zero = np.cross(axis, x_zero)
     x = math.cos(free_angle_rad) * x_zero + math.sin(free_angle_rad) * y_zero
@@ -111,12 +111,12 @@ def turn_onto(orientation: Rotation, axis: Array) -> Rotation:
 
 
 def tool_pose(orientation: Rotation, origin_mm: Array) -> Transform:
-    """Pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
+    """Return the pose ROBOT <- TOOL with this orientation at an origin (3,) mm in the robot frame."""
     return Transform(Frame.ROBOT, Frame.TOOL, build_rigid(origin_mm, orientation))
 
 
 def back_along_axis(pose: Transform, distance_mm: float) -> Transform:
-    """Move the pose against its own tool z, away from the patient."""
+    """Return the pose moved back along its own tool z axis, away from the patient."""
     require_frames(pose, Frame.ROBOT, Frame.TOOL)
     return Transform(
         Frame.ROBOT,
@@ -134,12 +134,12 @@ def require_frames(transform: Transform, target: Frame, source: Frame) -> None:
 
 
 def target_pose(trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """Pose ROBOT <- TOOL at the target. Raises FRM-001 on other frames than ROBOT <- CT."""
+    """Return the pose ROBOT <- TOOL at the target. Raises FRM-001 unless the transform is ROBOT <- CT."""
     return tool_pose(orientation_along(trajectory, robot_from_ct), robot_from_ct.apply(trajectory.rest_mm))
 
 
 def refine_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct: Transform) -> Transform:
-    """Pose at the target for a finer transform, given the `planned` pose of the coarse one.
+    """Return the target pose for a refined transform, given the pose `planned` with the coarse one.
 
     The smallest rotation turns the orientation onto the finer axis, so that no turn about the axis creeps in
     between localization and target. Raises FRM-001 on other frames.
@@ -153,14 +153,14 @@ def refine_target_pose(planned: Transform, trajectory: Trajectory, robot_from_ct
 def poses_along(
     trajectory: Trajectory, fiducials_mm: ArrayLike, robot_from_ct: Transform
 ) -> tuple[Transform, ...]:
-    """One pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in a trajectory's orientation."""
+    """Return one pose ROBOT <- TOOL per fiducial (n, 3) in CT mm, all in a trajectory's orientation."""
     orientation = orientation_along(trajectory, robot_from_ct)
     points = np.asarray(fiducials_mm, dtype=float).reshape(-1, 3)
     return tuple(tool_pose(orientation, robot_from_ct.apply(point)) for point in points)
 
 
 def orientation_along(trajectory: Trajectory, robot_from_ct: Transform) -> Rotation:
-    """Rotation robot <- tool at the target of a trajectory. Raises FRM-001 on other frames."""
+    """Return the rotation robot <- tool at a trajectory's target. Raises FRM-001 for other frames."""
     require_frames(robot_from_ct, Frame.ROBOT, Frame.CT)
     target = robot_from_ct.apply(trajectory.target_mm)
     return tool_orientation(_axis(trajectory, robot_from_ct), target, trajectory.free_angle_rad)

@@ -1,4 +1,4 @@
-"""The workcell: the only access of procedures to looks and motions."""
+"""The workcell: the only way for procedures to take looks and make motions."""
 
 from procedures.workcell.arm_history import Insertion
 from procedures.workcell.tools import MountedTool

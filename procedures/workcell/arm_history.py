@@ -1,4 +1,4 @@
-"""History of an arm and of the work through its guide: its place, its way there, its stages.
+"""History of an arm and of the work through its guide: its place, the path it took, the stages of work.
 
 Folded line by line from the journal: by `ArmLog` while the case runs, afterwards from the file. A resumed
 case therefore knows what the running one knew.
@@ -39,7 +39,7 @@ Stop = Mapping[str, JournalValue]  # setting of a depth stop
 
 
 class JournalledAxis(Values):
-    """An insertion in the journal."""
+    """Insertion as recorded in the journal."""
 
     held: FramedPose
     travel_mm: float
@@ -48,7 +48,7 @@ class JournalledAxis(Values):
 
 @dataclass(frozen=True)
 class Insertion:
-    """The line along which a guide may move near the head.
+    """Line along which a guide may move near the head.
 
     `held` is the pose ROBOT <- TOOL in which the guide is held, outside the skin. `travel_mm` is its distance
     along the axis from the start of the approach, where the retreat ends. `arriving` (+1 or -1) is the
@@ -61,28 +61,28 @@ class Insertion:
     arriving: tuple[int, ...] | None = None
 
     def as_plain(self) -> dict[str, JournalValue]:
-        """Plain values for the journal: enough to find the way out again."""
+        """Return plain values for the journal, enough to find the way out again."""
         axis = JournalledAxis(held=FramedPose.of(self.held), travel_mm=self.travel_mm, arriving=self.arriving)
         return axis.model_dump(mode="json")
 
     @classmethod
     def from_plain(cls, trajectory: str, axis: object) -> Insertion:
-        """Read an insertion back from the journal. Raises ValueError."""
+        """Read an insertion back from the journal. Raises ValueError if it is malformed."""
         read = JournalledAxis.model_validate(axis)
         return cls(trajectory, read.held.transform, read.travel_mm, read.arriving)
 
     @property
     def start(self) -> Transform:
-        """The pose on the axis where the approach begins."""
+        """Pose ROBOT <- TOOL on the axis where the approach begins."""
         return back_along_axis(self.held, self.travel_mm)
 
     def travel_from_start_mm(self, tool: Transform) -> float:
-        """Distance of a pose ROBOT <- TOOL along the axis; negative before the start of the approach."""
+        """Return the travel (mm) of a pose ROBOT <- TOOL along the axis; negative before the approach."""
         along_mm = self.start.inverse().apply(tool.translation_mm)[2]
         return float(along_mm)
 
     def check_on_axis(self, tool: Transform) -> None:
-        """Raise PRO-015 unless origin and direction of a pose ROBOT <- TOOL are on the axis."""
+        """Raise PRO-015 unless the position and direction of a pose ROBOT <- TOOL are on the axis."""
         tip_mm = self.held.inverse().apply(tool.translation_mm)
         off_mm = float(np.hypot(tip_mm[0], tip_mm[1]))
         cosine = float(tool.rotation_matrix[:, 2] @ self.held.rotation_matrix[:, 2])
@@ -121,7 +121,7 @@ class PlaceKind(StrEnum):
 
 @dataclass(frozen=True)
 class ArmPlace:
-    """Place of one arm, folded from the journal by `ArmHistory`.
+    """Place of one arm, built from the journal by `ArmHistory`.
 
     `axis` is set from the intent to insert the guide to the end of its withdrawal. That includes these
     motions and a kill in one. `instrument_may_be_inside` names a trajectory, the gauge or the divot;
@@ -142,12 +142,12 @@ class ArmPlace:
 
     @property
     def is_out(self) -> bool:
-        """Whether the arm may be away from home, by a motion of the run or by measurement."""
+        """Whether the arm may be away from home, according to the run's motions or a measurement."""
         return not self.is_home and (self.moved or self.place_kind is not PlaceKind.UNKNOWN)
 
     @property
     def trajectory(self) -> str | None:
-        """Trajectory on whose axis the guide is, or may be."""
+        """Trajectory on whose axis the guide is or may be; None if it is on none."""
         return None if self.axis is None else self.axis.trajectory
 
     @property
@@ -157,14 +157,14 @@ class ArmPlace:
 
     @property
     def hold_reasons(self) -> tuple[str, ...]:
-        """Reason why only a retreat is possible; empty unless the guide is on an axis."""
+        """Reasons why only a retreat is possible; empty unless the guide is on an axis."""
         if self.trajectory is None:
             return ()
         return (f"the guide is held in front of the entry of {self.trajectory}",)
 
     @property
     def instrument_description(self) -> str | None:
-        """State in words that an instrument is, or may be, inside; None if it is out."""
+        """Statement that an instrument is or may be inside; None if it is out."""
         if (inside := self.instrument_may_be_inside) is None:
             return None
         return f"an instrument {'may still be' if self.assumed else 'is still'} in {inside}"
@@ -173,13 +173,13 @@ class ArmPlace:
 def stands_at(
     joints_rad: Sequence[float], place_rad: Sequence[float], within_rad: float = AT_PLACE_RAD
 ) -> bool:
-    """Whether every joint is within a small angle of a place, by default `AT_PLACE_RAD`."""
+    """Return whether every joint is within `within_rad` of a place."""
     return all(abs(here - there) < within_rad for here, there in zip(joints_rad, place_rad, strict=True))
 
 
 @dataclass(frozen=True)
 class ArmHistory:
-    """History of one arm; `trail` holds its places since it left home.
+    """History of one arm. `trail` holds the joint positions it has passed since it left home.
 
     A guide is on its axis from the intent to approach along it to the end of its withdrawal. An instrument is
     inside from before it goes in until it is confirmed to be out. After a kill, one may be inside a guide
@@ -198,7 +198,7 @@ class ArmHistory:
     stops: Mapping[str, Stop] = field(default_factory=dict)  # of the instrument, by trajectory
 
     def with_line(self, line: Line) -> ArmHistory:
-        """Fold one more line. Raises LookupError, TypeError or ValueError for a line that is not ours."""
+        """Return the history with one more line. Raises LookupError, TypeError, ValueError for a bad one."""
         entry = line["entry"]
         if entry == Entry.RESTARTED:
             return self.with_restart(torn=bool(line.get("torn_bytes")))
@@ -223,7 +223,7 @@ class ArmHistory:
                 return self
 
     def with_restart(self, *, torn: bool) -> ArmHistory:
-        """Fold the end of a program; `torn` if its last lines may be lost."""
+        """Return the history after the end of a program. `torn` means that its last lines may be lost."""
         place = self.place
         if torn or place.place_kind is PlaceKind.MOVING:
             place = replace(place, place_kind=PlaceKind.UNKNOWN, moved=True)
@@ -267,7 +267,7 @@ class ArmHistory:
         return replace(moved, trail=trail)._with_rest(line.get("at_home"))
 
     def _with_look(self, line: Line) -> ArmHistory:
-        """Fold a comparison of the measured joints with home, which overrides the motions before it."""
+        """Apply a comparison of the measured joints with home, which overrides the motions before it."""
         if (axis := line.get("axis")) is not None:
             found = Insertion.from_plain(str(line["trajectory"]), axis)
             place = replace(
@@ -283,7 +283,7 @@ class ArmHistory:
         return self._with_rest(False)
 
     def _with_rest(self, at_home: object) -> ArmHistory:
-        """Set the place of the arm at rest; `at_home` is None if that was not measured."""
+        """Set the place of the arm at rest. `at_home` is None if it was not measured."""
         if self.place.axis is not None:
             return replace(self, place=replace(self.place, place_kind=PlaceKind.ON_AXIS))
         place_kind = (
@@ -293,7 +293,7 @@ class ArmHistory:
         return replace(self, place=replace(self.place, place_kind=place_kind), trail=trail)
 
     def _cut_trail(self, joints_rad: JointVector) -> tuple[JointVector, ...]:
-        """Cut the trail at a place to which the arm went back."""
+        """Return the trail up to the position to which the arm went back."""
         for number in range(len(self.trail), 0, -1):
             if stands_at(joints_rad, self.trail[number - 1]):
                 return self.trail[:number]
@@ -313,12 +313,12 @@ UNMOVED = ArmHistory()
 
 
 def arm_history(lines: Iterable[Line], arm: str = MASTER) -> ArmHistory:
-    """Fold a journal into the history of one arm. Raises PRO-011 for a line that this version cannot read."""
+    """Build the history of one arm from a journal. Raises PRO-011 for a line this version cannot read."""
     return reduce(_fold_line, lines, UNMOVED if arm == MASTER else ArmHistory(arm))
 
 
 def fold_history(chain: Chain, arm: str = MASTER) -> ArmHistory:
-    """Fold the journal of a program that has ended. Raises as `arm_history`."""
+    """Build the history from the journal of a program that has ended. Raises the errors of `arm_history`."""
     return arm_history(chain.lines, arm).with_restart(torn=bool(chain.torn))
 
 
@@ -336,25 +336,25 @@ def _fold_line(history: ArmHistory, line: Line) -> ArmHistory:
 
 
 class ArmLog:
-    """The journal of one arm, its history and its home."""
+    """Log of one arm: its journal, its history and its home."""
 
     def __init__(self, journal: Journal, clock: Clock, history: ArmHistory) -> None:
-        """`history` is folded from the lines that the journal already has."""
+        """`history` has been built from the lines already in the journal."""
         self._journal = journal
         self._clock = clock
         self.history = history
         self.home_rad: JointVector | None = None
 
     def write(self, entry: Entry, **data: JournalValue) -> None:
-        """Journal an event before it happens; on disk when this returns. Raises PRO-003."""
+        """Journal an event before it happens; the line is on disk on return. Raises PRO-003."""
         self._journal.write(entry, self._clock.now_s(), arm=self.history.arm, **data)
         self.history = self.history.with_line({"entry": entry, "arm": self.history.arm, **data})
 
     def note(self, entry: Entry, **data: JournalValue) -> None:
-        """Journal an event that has happened. Raises PRO-003."""
+        """Journal an event that has already happened. Raises PRO-003."""
         self._journal.note(entry, self._clock.now_s(), arm=self.history.arm, **data)
         self.history = self.history.with_line({"entry": entry, "arm": self.history.arm, **data})
 
     def is_home(self, joints_rad: JointVector) -> bool | None:
-        """Whether these joints are those of home; None before there is a home."""
+        """Return whether these joints are at home; None before home is set."""
         return None if self.home_rad is None else stands_at(joints_rad, self.home_rad)

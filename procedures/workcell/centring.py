@@ -1,4 +1,4 @@
-"""Centring of the tool on a sphere: approach along the tool axis, look, servo, back off the same way."""
+"""Centring of the tool on a sphere: approach along the tool axis, look, servo, and back off."""
 
 from __future__ import annotations
 
@@ -36,7 +36,7 @@ LIGHT_PROBLEMS = (NoContrast, NotTrusted)  # besides saturation, problems that a
 
 @dataclass(frozen=True)
 class CentredSphere:
-    """A measured sphere: `point_mm` (3,) in the robot frame, `residuals_mm` of the servo's steps."""
+    """A measured sphere: its centre `point_mm` (3,) in the robot frame, and the residuals of the servo."""
 
     fiducial: int
     point_mm: Array
@@ -51,7 +51,7 @@ class CentredSphere:
 
 @dataclass(frozen=True)
 class Centring:
-    """Centring of spheres: direction in which each joint arrives, area of the sensors, approach.
+    """Settings for centring spheres: arrival direction of each joint, sensor area, approach distance.
 
     With `arriving` None, each joint arrives from any side.
     """
@@ -62,7 +62,7 @@ class Centring:
     approach_mm: float
 
     def centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
-        """Centre the sphere expected at a pose ROBOT <- TOOL.
+        """Centre the tool on the sphere expected at a pose ROBOT <- TOOL, and measure it.
 
         Raises PRO-008 if it is not there, STE-011 if the images are saturated, STE-007 and STE-008 if the
         servo does not converge. The arm then rests at the pose of its last look, see `back_off`.
@@ -73,7 +73,7 @@ class Centring:
             self.workcell.sensors.expose(1.0)
 
     def back_off(self) -> None:
-        """Back off along the tool axis from the last look."""
+        """Back off along the tool axis from the pose of the last look."""
         self.workcell.line_to(self._approach_pose(self.workcell.tool_pose()))
 
     def _centre_on(self, fiducial: int, expected: Transform, near: JointVector) -> CentredSphere:
@@ -111,7 +111,7 @@ class Centring:
         )
 
     def _first_look(self, fiducial: int, expected: Transform) -> tuple[Look, int]:
-        """Look in the servo's area, on the whole sensors, in a spiral around, then with other exposures."""
+        """Look in the servo's area, on the whole sensors, in a spiral, then with other exposures."""
         workcell = self.workcell
         workcell.sensors.read_around_tool(self.area_px)
         try:
@@ -144,7 +144,7 @@ class Centring:
     def _look_in_other_light(
         self, looks: int, exposures: Sequence[float], refusal: RonnaError
     ) -> tuple[Look, int]:
-        """Look with other exposures. Raises the refusal if none shows the sphere."""
+        """Look with other exposures. Raises `refusal` if none of them shows the sphere."""
         workcell = self.workcell
         for share in exposures:
             workcell.sensors.expose(share)
@@ -157,7 +157,7 @@ class Centring:
         raise refusal
 
     def _settle(self, pose: Transform) -> None:
-        """Move to a pose; with `arriving`, each joint arrives from its side."""
+        """Move to a pose. With `arriving`, each joint arrives from its given side."""
         joints_rad = self.workcell.joints_at(pose, self.workcell.joints_rad(), self.arriving)
         self.workcell.settle(joints_rad, self.arriving)
 
@@ -168,7 +168,7 @@ class Centring:
 def search_poses(
     expected: Transform, settle: Callable[[Transform], object], arm: ArmView
 ) -> Iterator[Transform]:
-    """Settle onto the poses of the search pattern around the expected one, yielding those reached.
+    """Settle onto the poses of a search pattern around the expected pose, and yield each pose reached.
 
     The search leaves the checked path: poses refused before the arm moves are skipped. Raises STE-009 after
     the last, and errors that trip the arm.
@@ -189,7 +189,7 @@ def search_poses(
 
 
 def refusal(move: Callable[[], object], arm: ArmView) -> LimitError | None:
-    """Make a motion; return a refusal from before the arm moved, or None. Raises if the arm trips."""
+    """Make a motion. Return a refusal from before the arm moved, otherwise None. Raises if the arm trips."""
     try:
         move()
     except LimitError as error:

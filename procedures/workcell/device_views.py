@@ -1,4 +1,4 @@
-"""Views of devices for steps, guards and commands, without calls that move an arm."""
+"""Views of devices for steps, guards and commands, without the calls that move an arm."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from ronna_hw.devices.readings import ArmReading
 
 
 class DeviceView(Protocol):
-    """The part of `Device` that opens a connection and shows the last known state."""
+    """View of a `Device` that can open its connection and show its last known state."""
 
     @property
     def state(self) -> Lifecycle: ...
@@ -27,7 +27,7 @@ class DeviceView(Protocol):
 
 
 class ArmView:
-    """An arm without the calls that move it: those are the workcell's."""
+    """View of an arm without the calls that move it, which only the workcell makes."""
 
     def __init__(self, arm: RobotArm) -> None:
         self._arm = arm
@@ -40,15 +40,15 @@ class ArmView:
 
     @property
     def notices(self) -> tuple[str, ...]:
-        """Observations of the driver at `configure`."""
+        """Notices that the driver gave at `configure`."""
         return self._arm.notices
 
     def limits(self) -> MotionLimits:
-        """Limits of every motion in the present operating mode."""
+        """Return the limits of every motion in the present operating mode."""
         return self._arm.limits()
 
     def observe(self) -> LastKnown[ArmReading]:
-        """Last known state and reading."""
+        """Return the last known state and reading."""
         return self._arm.observe()
 
     def connect(self, timeout_s: float = 10.0) -> Identity:

@@ -1,4 +1,4 @@
-"""A planned motion of the workcell, and its facts in the words of a question.
+"""Planned motion of the workcell, and its facts as worded in a question.
 
 The operator confirms exactly what the arm then drives.
 """
@@ -21,7 +21,7 @@ from ronna_hw.vectors import JointVector
 
 @dataclass(frozen=True)
 class PlannedMotion:
-    """One motion of the workcell from the arm's present position: legs in turn, all but the last joint moves.
+    """One motion of the workcell from the arm's present position. All legs but the last are joint moves.
 
     If its first leg is not clear, any motions of `replacement` replace it. They are separate
     motions, so that the journal has the arm's actual way.
@@ -37,11 +37,11 @@ class PlannedMotion:
 
     @property
     def trajectory(self) -> str | None:
-        """Trajectory along whose axis it leads."""
+        """Trajectory along whose axis the motion leads; None for any other motion."""
         return None if self.axis is None else self.axis.trajectory
 
     def as_intent(self) -> dict[str, JournalValue]:
-        """Plain values for the journal."""
+        """Return the motion as plain values for the journal."""
         axis: dict[str, JournalValue] = {} if self.axis is None else {"axis": self.axis.as_plain()}
         return {"what": self.what, "to": list(self.to), "trajectory": self.trajectory, **axis}
 
@@ -55,13 +55,13 @@ class PreviewingArm(Protocol):
         ...
 
     def preview(self, motion: Motion, *, start_rad: JointVector) -> PathPreview:
-        """Preview a motion driven from these joints."""
+        """Preview a motion that starts from the given joints."""
         ...
 
 
 @dataclass(frozen=True)
 class MotionFacts:
-    """Facts of one motion before it is driven, from the previews of its legs."""
+    """Facts about one motion before it is made, from the previews of its legs."""
 
     what: str  # the moving tool, such as `the guide`
     travel_mm: float  # sum of the straight distances: of the tool on a line, of the flange in a joint move
@@ -69,11 +69,11 @@ class MotionFacts:
     detour: str = ""  # such as `via home`
 
     def __str__(self) -> str:
-        """One line for the operator."""
+        """Return one line for the operator."""
         return self.describe(", ", self.clearances())
 
     def describe(self, apart: str, clearances: Sequence[str]) -> str:
-        """State the moving tool and its travel, then, after `apart`, the rest with `clearances`."""
+        """State the moving tool and its travel, then, after the separator `apart`, time and clearances."""
         turns_rad = [high - low for one in self.previews for low, high in one.joint_ranges_rad]
         duration_s = sum(one.duration_s for one in self.previews)
         fastest_mm_s = max(one.largest_speed_mm_s for one in self.previews)
@@ -87,7 +87,7 @@ class MotionFacts:
         )
 
     def clearances(self) -> list[str]:
-        """Closest pair of bodies, nearly always of the arm alone, and the distance from the head."""
+        """Return statements of the closest pair of bodies and, unless implied, the distance from the head."""
         nearest = [one.refused or one.closest for one in self.previews]
         closest = min((one for one in nearest if one), key=lambda one: one.distance_mm, default=None)
         to_head_mm = [one.nearest_to_head_mm for one in self.previews if one.nearest_to_head_mm is not None]
@@ -100,7 +100,7 @@ class MotionFacts:
 
     @property
     def read_back(self) -> ReadBack:
-        """Distance to type back, known only to those who read the question."""
+        """Distance for the operator to type back, which only a reader of the question knows."""
         distance_mm = _format_nonzero(self.travel_mm)
         return ReadBack(
             "how many mm it moves first",
@@ -112,7 +112,7 @@ class MotionFacts:
 
 
 def describe_motions(facts: Sequence[MotionFacts]) -> str:
-    """State all motions of a question; the distance to type ends a line, no clearance comes twice."""
+    """State all motions of a question. The distance to type ends a line, and no clearance is repeated."""
     motions: list[str] = []
     statements: set[str] = set()
     for one in facts:
@@ -127,7 +127,7 @@ def describe_motions(facts: Sequence[MotionFacts]) -> str:
 
 
 def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[MotionFacts]:
-    """Facts of these motions driven in turn from here. Raises as `RobotArm.preview`."""
+    """Return the facts of motions made one after another from here. Raises as `RobotArm.preview`."""
     here = arm.read_state()
     return collect_facts(here.commanded_rad or here.joints_rad, arm, motions)  # as `preview` by default
 
@@ -135,7 +135,7 @@ def motion_facts(arm: RobotArm, motions: Sequence[PlannedMotion]) -> list[Motion
 def collect_facts(
     at_rad: JointVector, arm: PreviewingArm, motions: Sequence[PlannedMotion]
 ) -> list[MotionFacts]:
-    """Facts of these motions driven in turn from the joints `at_rad`."""
+    """Return the facts of motions made one after another from the joints `at_rad`."""
     facts: list[MotionFacts] = []
     for motion in motions:
         own_facts, end_rad = _facts(arm, motion, motion.legs, at_rad)
@@ -150,7 +150,7 @@ def collect_facts(
 def _facts(
     arm: PreviewingArm, motion: PlannedMotion, legs: Sequence[Motion], at_rad: JointVector, detour: str = ""
 ) -> tuple[MotionFacts, JointVector]:
-    """Facts of one motion, and the joints after its last joint move."""
+    """Return the facts of one motion, and the joints after its last joint move."""
     travel_mm, previews = 0.0, []
     for leg in legs:
         previews.append(arm.preview(leg, start_rad=at_rad))
@@ -171,5 +171,5 @@ def _travel_mm(kinematics: Kinematics, motion: Motion, start_rad: JointVector) -
 
 
 def _format_nonzero(value: float) -> str:
-    """Format as a whole number, with one decimal if that would read 0: something does move."""
+    """Format as a whole number, or with one decimal if that would read 0."""
     return f"{value:.1f}" if 0.05 <= value < 0.5 else f"{value:.0f}"

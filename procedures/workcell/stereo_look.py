@@ -41,7 +41,7 @@ Picture = NDArray[np.uint8]
 
 @dataclass(frozen=True)
 class Look:
-    """Result of one look; `point` is None unless a sphere was measured in both images."""
+    """Result of one look. `point` is None unless a sphere was measured in both images."""
 
     reading: StereoReading
     left: SphereImage | None
@@ -51,12 +51,12 @@ class Look:
 
     @property
     def reason(self) -> str:
-        """Reason for a missing point, in words."""
+        """Reason why no point was measured; empty if one was."""
         return "" if self.problem is None else self.problem.what
 
 
 def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> AreaOfInterest:
-    """Area of this size about the image of the tool centre point, inside the sensor."""
+    """Return the area of this size around the image of the tool centre, kept inside the sensor."""
     columns, rows = camera.sensor_px
     width, height = min(size_px[0], columns), min(size_px[1], rows)
     (x, y), _ = Camera(camera).project((0.0, 0.0, 0.0))
@@ -66,13 +66,13 @@ def area_around_tool(camera: CameraCalibration, size_px: tuple[int, int]) -> Are
 
 
 def whole_sensor(camera: CameraCalibration) -> AreaOfInterest:
-    """Area of the whole sensor."""
+    """Return the area that covers the whole sensor."""
     columns, rows = camera.sensor_px
     return AreaOfInterest(0, 0, columns, rows)
 
 
 def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -> Look:
-    """Take a pair and measure the sphere in it; an incomplete or old pair is taken again.
+    """Take a stereo pair and measure the sphere in it. An incomplete or old pair is retaken.
 
     Raises STE-012 if none is usable: a search elsewhere would not help.
     """
@@ -99,7 +99,7 @@ def look(stereo: StereoPair, calibration: StereoHeadCalibration, clock: Clock) -
 
 
 def _grab(stereo: StereoPair, clock: Clock) -> StereoReading:
-    """Grab a pair; STALE if it was exposed before the request, when the arm was elsewhere."""
+    """Grab a pair; mark it STALE if it was exposed before the request, when the arm was elsewhere."""
     requested_s = clock.now_s()
     reading = stereo.grab_pair()
     sides = (side for side in (reading.left, reading.right) if side is not None)
@@ -124,7 +124,7 @@ def _offset(centre_px: float, size: int, whole: int) -> int:
 
 
 class Sensors:
-    """Area and exposure of both cameras of the stereo head."""
+    """Readout area and exposure of both cameras of the stereo head."""
 
     def __init__(self, stereo: Callable[[], StereoPair], head: StereoHeadCalibration) -> None:
         self._stereo = stereo
@@ -132,23 +132,23 @@ class Sensors:
         self._exposure_share = 1.0  # of the configured one
 
     def read_around_tool(self, size_px: tuple[int, int]) -> None:
-        """Read only this many columns and rows around the tool centre, which is faster."""
+        """Read out only this many columns and rows around the tool centre, which is faster."""
         left, right = (area_around_tool(side, size_px) for side in (self._head.left, self._head.right))
         self._stereo().set_areas(left, right)
 
     def read_whole(self) -> None:
-        """Read all of both sensors."""
+        """Read out both whole sensors."""
         self._stereo().set_areas(whole_sensor(self._head.left), whole_sensor(self._head.right))
 
     def expose(self, share: float) -> None:
-        """Expose both sensors for a share of the configured time."""
+        """Expose both sensors for a share of the configured exposure time."""
         if share != self._exposure_share:
             self._stereo().scale_exposure(share)
             self._exposure_share = share
 
 
 def pair_picture(seen: Look, height_px: int = PICTURE_HEIGHT_PX) -> bytes:
-    """Both images side by side as PNG with the fitted outlines, without a missing side."""
+    """Return the available images side by side as PNG, with the fitted outlines."""
     sides = (("left", seen.reading.left, seen.left), ("right", seen.reading.right, seen.right))
     drawn = [_draw(name, image, sphere, height_px) for name, image, sphere in sides if image is not None]
     height = min((picture.shape[0] for picture in drawn), default=height_px)

@@ -1,4 +1,4 @@
-"""The tool on an arm, its poses by the arm's calibration, and the instrument in its guide."""
+"""The tool on an arm, its poses by the arm's calibration, and the instrument in the guide."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class MountedTool(StrEnum):
 
 
 class ToolMount:
-    """Mount of one arm; `tool` is the tool last found there."""
+    """Tool mount of one arm. `tool` is the tool found at the last check."""
 
     def __init__(self, read_number: Callable[[], int], calibrations: Calibrations) -> None:
         self.tool = MountedTool.UNKNOWN
@@ -42,7 +42,7 @@ class ToolMount:
 
     @property
     def checked_number(self) -> int | None:
-        """Number of the tool last found; None if unknown."""
+        """Number of the tool found at the last check; None if unknown."""
         return None if self.tool is MountedTool.UNKNOWN else self._number(self.tool)
 
     def check(self, tool: MountedTool) -> int:
@@ -60,7 +60,7 @@ class ToolMount:
         return mounted
 
     def identify(self) -> MountedTool:
-        """Identify the mounted tool; UNKNOWN unless it is one of ours."""
+        """Identify the mounted tool. Return UNKNOWN unless it is a calibrated one."""
         self.tool = MountedTool.UNKNOWN
         with contextlib.suppress(RonnaError):
             mounted = self._reported = self._read_number()
@@ -89,7 +89,7 @@ class ToolMount:
 
 
 def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> CalibratedArm:
-    """The arm with the deviations of its record, or nominal without one.
+    """Return the arm with the deviations of its record, or the nominal arm without a record.
 
     Raises CAL-013 for another arm's record, ARM-009 for an arm whose name is not in the catalogue.
     """
@@ -106,7 +106,7 @@ def calibrated_arm(kinematics: Kinematics, record: ArmCalibration | None) -> Cal
 
 
 def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
-    """Raise CAL-013 for the record of another arm of this model; `serial` is empty if not reported."""
+    """Raise CAL-013 if the record is another arm's of this model. `serial` is empty if not reported."""
     if record is not None and record.serial and serial and record.serial != serial:
         raise AnotherArm(
             f"calibration {record.identifier} belongs to another arm", expected=serial, got=record.serial
@@ -115,23 +115,23 @@ def require_this_arm(record: ArmCalibration | None, serial: str) -> None:
 
 @dataclass(frozen=True)
 class CarriedTool:
-    """A tool on an arm: conversion between poses ROBOT <- TOOL and joint angles."""
+    """A tool carried by an arm, converting between poses ROBOT <- TOOL and joint angles."""
 
     arm: CalibratedArm
     flange_from_tool: Transform
 
     def pose(self, joints_rad: JointVector, arrived: Sides = None) -> Transform:
-        """Pose of the tool at joint angles; `arrived` is the side from which each joint came, if known."""
+        """Return the tool's pose at joint angles. `arrived` is the side each joint came from, if known."""
         return self.arm.flange_pose(joints_rad, arrived) @ self.flange_from_tool
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        """Return the joints for a pose of the tool, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self.arm.compensate(pose @ self.flange_from_tool.inverse(), near, arriving).joints_rad
 
     def commanded(
         self, pose: Transform, here_rad: Callable[[], JointVector], arriving: Sides = None
     ) -> Transform:
-        """Pose to command to the controller, which knows no calibration, to bring the tool to a pose.
+        """Return the pose to command to the uncalibrated controller so that the tool reaches `pose`.
 
         `here_rad` measures the joints, in whose branch the arm stays.
         """
@@ -142,7 +142,7 @@ class CarriedTool:
 
 
 class WorkedStages:
-    """Stages of work through the guide, by trajectory; they survive motions, failures and restarts.
+    """Stages of work through the guide, by trajectory. They survive motions, failures and restarts.
 
     A stage is journalled as begun before anybody works, and as done once that is confirmed.
     """
@@ -151,7 +151,7 @@ class WorkedStages:
         self._log = log
 
     def tasks_at(self, trajectory: str) -> Mapping[str, bool]:
-        """Whether each stage begun at a trajectory was confirmed as done, by task."""
+        """Return, for each task begun at a trajectory, whether it was confirmed as done."""
         return self._log.history.stages.get(trajectory, {})
 
     def is_doubted(self, trajectory: str) -> bool:
@@ -163,7 +163,7 @@ class WorkedStages:
         return bool(self.tasks_at(trajectory)) or self.is_doubted(trajectory)
 
     def stop_at(self, trajectory: str) -> Stop | None:
-        """Last setting of the depth stop at a trajectory, or None."""
+        """Return the last setting of the depth stop at a trajectory, or None."""
         return self._log.history.stops.get(trajectory)
 
     def record_stop(self, trajectory: str, stop: Stop) -> None:
@@ -176,16 +176,16 @@ class WorkedStages:
             self._log.write(Entry.STAGE, trajectory=trajectory, doubted=True)
 
     def record_begin(self, trajectory: str, task: str) -> None:
-        """Record that a stage begins."""
+        """Record that a stage is about to begin."""
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=False)
 
     def record_done(self, trajectory: str, task: str) -> None:
-        """Record that somebody confirmed a stage as done."""
+        """Record that a stage was confirmed as done."""
         self._log.write(Entry.STAGE, trajectory=trajectory, task=task, done=True)
 
 
 class Instrument:
-    """The instrument in the guide: while it is, or may be, in an entry or in the gauge, nothing moves.
+    """The instrument in the guide. Nothing moves while it is, or may be, in an entry or in the gauge.
 
     An insertion is journalled before it begins, a removal once it is confirmed.
     """
@@ -196,24 +196,24 @@ class Instrument:
 
     @property
     def inside(self) -> str | None:
-        """Trajectory, gauge or divot in which it is or may be; None while it is out."""
+        """Trajectory, gauge or divot in which the instrument is or may be; None while it is out."""
         return self._log.history.place.instrument_may_be_inside
 
     def record_insertion(self, trajectory: str) -> None:
-        """Record that it goes in."""
+        """Record that the instrument is about to be inserted."""
         self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True)
 
     def record_removal(self) -> None:
-        """Record that somebody confirmed that it is out."""
+        """Record that the instrument was confirmed to be out."""
         if self.inside is not None:
             self._log.write(Entry.INSTRUMENT, trajectory=self.inside, inside=False)
 
     def record_assumed(self, trajectory: str) -> None:
-        """Record that it may be inside although no earlier line says so."""
+        """Record that the instrument may be inside although no earlier line says so."""
         self._log.write(Entry.INSTRUMENT, trajectory=trajectory, inside=True, assumed=True)
 
     def require_out(self, what: str) -> None:
-        """Raise TOOL-001 while it is inside; `what` is the refused action."""
+        """Raise TOOL-001 while the instrument is inside. `what` is the refused action."""
         if self.inside is not None:
             raise InstrumentInGuide(
                 f"{what}: an instrument is in the guide, and in {self.inside}",

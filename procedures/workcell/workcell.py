@@ -1,4 +1,4 @@
-"""Arm, mounted tool, surroundings, stereo head and tracker as one unit that looks and moves.
+"""Arm, mounted tool, surroundings, stereo head and tracker as a unit that takes looks and makes motions.
 
 A workcell needs an open journal, in which every motion is an intent and a result. While the guide is held
 before an entry, only motion along its axis is possible, whoever asks. While an instrument is in the guide,
@@ -47,7 +47,7 @@ D = TypeVar("D")
 
 
 class Workcell:
-    """One arm with what it carries. All poses of the tool are ROBOT <- TOOL of the tool that is mounted."""
+    """One arm with the tool and devices it uses. All tool poses are ROBOT <- TOOL of the mounted tool."""
 
     def __init__(
         self,
@@ -58,7 +58,7 @@ class Workcell:
         calibrating: bool = False,
         history: ArmHistory = UNMOVED,
     ) -> None:
-        """Open nothing and move nothing.
+        """Create the workcell without opening or moving anything.
 
         `calibrations` replace those of the theatre file. While `calibrating`, a tool's record may refer to a
         former tip. A resumed run has a `history`. Raises PRO-003 without an open journal, DEV-007 without a
@@ -93,7 +93,7 @@ class Workcell:
 
     @property
     def stereo(self) -> StereoPair:
-        """The stereo head; it looks by `look`."""
+        """The stereo head, which takes pictures through `look`."""
         return self._theatre.stereo
 
     @property
@@ -103,7 +103,7 @@ class Workcell:
 
     @property
     def devices(self) -> Mapping[str, DeviceView]:
-        """Devices by role, in the order of connection; other kinds by their tables."""
+        """Devices by role in the order of connection; additional devices as `device.NAME`."""
         return {**self._devices, "arm": self.arm}
 
     @property
@@ -112,7 +112,10 @@ class Workcell:
         return {"tracker": self._theatre.tracker, "arm": self._arm, "stereo": self.stereo, **others}
 
     def device(self, name: str, interface: Callable[..., D]) -> D:
-        """A device of table `[device.NAME]` as `interface`. Raises DEV-007; DEV-008, also for an arm."""
+        """Return the device of table `[device.NAME]` as `interface`.
+
+        Raises DEV-007 without such a table, DEV-008 for a device of another kind and for an arm.
+        """
         device = self._theatre.device(name, interface)
         if isinstance(device, RobotArm):
             raise WrongKind(
@@ -129,7 +132,7 @@ class Workcell:
         return self.mount.tool
 
     def read_tool_number(self) -> int:
-        """Number reported by the controller's inputs now; 0 is none."""
+        """Return the tool number reported now by the controller's inputs; 0 means no tool."""
         return self._arm.read_tool_identity().number
 
     def flange_from(self, tool: MountedTool) -> Transform:
@@ -138,25 +141,25 @@ class Workcell:
 
     @property
     def flange_from_tool(self) -> Transform:
-        """FLANGE <- TOOL of the mounted tool."""
+        """Transform FLANGE <- TOOL of the mounted tool."""
         return self.flange_from(self.tool)
 
     # Pose and place of the arm
 
     def joints_rad(self) -> JointVector:
-        """Measure the joints."""
+        """Measure the joints, rad."""
         return self._arm.read_state().joints_rad
 
     def tool_pose(self, joints_rad: JointVector | None = None, arrived: Sides = None) -> Transform:
-        """Pose of the mounted tool at joint angles, by default the measured ones; see `Sides`."""
+        """Return the mounted tool's pose at joint angles, by default the measured ones; see `Sides`."""
         return self._carried.pose(joints_rad or self.joints_rad(), arrived)
 
     def flange_pose(self, joints_rad: JointVector) -> Transform:
-        """Pose ROBOT <- FLANGE at joint angles, by the arm's calibration if there is one."""
+        """Return the pose ROBOT <- FLANGE at joint angles, by the arm's calibration if there is one."""
         return self._calibrated.flange_pose(joints_rad)
 
     def joints_at(self, pose: Transform, near: JointVector, arriving: Sides = None) -> JointVector:
-        """Joints that bring the tool to a pose, in the branch of `near`. Raises ARM-001 to ARM-003."""
+        """Return the joints for a pose of the tool, in the branch of `near`. Raises ARM-001 to ARM-003."""
         return self._carried.joints_at(pose, near, arriving)
 
     @property
@@ -165,30 +168,30 @@ class Workcell:
 
     @property
     def home_rad(self) -> JointVector:
-        """Joints of the arm when the case was set up. Raises PRO-001 before that."""
+        """Joints of the arm at set-up, rad. Raises PRO-001 before that."""
         if self._log.home_rad is None:
             raise StepRefused("the arm has no home position yet", action="Run set_up first.")
         return self._log.home_rad
 
     @property
     def settled_home(self) -> bool:
-        """Whether the arm is at home, each joint having arrived from its usual side."""
+        """Whether the arm is at home and each joint arrived from its usual side."""
         return self.supervised.settled_home and self.place.is_home
 
     def set_home(self) -> JointVector:
-        """Make the present position home: the place to park, and to pass if a way is not clear."""
+        """Make the present position home: the place for parking, and for detours when a way is not clear."""
         home_rad = self._log.home_rad = self.joints_rad()
         self._log.note(Entry.PLACED, joints_rad=list(home_rad), at_home=True)
         return home_rad
 
     def restore_history(self, history: ArmHistory, home_rad: JointVector | None = None) -> None:
-        """Restore the arm's history, and its home if given, in a resumed run. Moves nothing."""
+        """Restore the arm's history, and its home if given, in a resumed run. Nothing moves."""
         if home_rad is not None:
             self._log.home_rad = home_rad
         self._log.history = history
 
     def compare_place(self) -> None:
-        """Compare the measured joints with home, and journal it if the arm is not where the journal has it.
+        """Compare the measured joints with home, and journal the place if the journal has another.
 
         Somebody may have jogged it. Whether it left its axis is checked before the next motion along that.
         Raises the arm's error if it reports no joints.
@@ -202,7 +205,7 @@ class Workcell:
             self._log.note(Entry.PLACED, joints_rad=list(joints_rad), at_home=at_home)
 
     def record_found_on_axis(self, axis: Insertion) -> None:
-        """Journal that the guide is on an axis whose line the journal may have lost."""
+        """Journal that the guide was found on an axis, because the line that says so may be lost."""
         joints_rad, plain = list(self.joints_rad()), axis.as_plain()
         self._log.note(
             Entry.PLACED, joints_rad=joints_rad, at_home=False, trajectory=axis.trajectory, axis=plain
@@ -221,13 +224,13 @@ class Workcell:
         return self._log.history.place
 
     def surround(self, surroundings: Surroundings, near_rad: JointVector | None = None) -> None:
-        """Declare tool and surroundings to the arm; clearance is exact near these joints, by default home."""
+        """Pass tool and surroundings to the arm. Clearance is exact near these joints, by default home."""
         near_rad = near_rad or self._log.home_rad or self.arm.kinematics.home_rad
         self.surroundings = self._calibrated.as_controller_sees(surroundings, near_rad)
         self._arm.surround(self.surroundings)
 
     def start(self, *, cameras: bool = False) -> None:
-        """Start the correction stream, and the cameras, unless they run. Raises PRO-002, TOOL-001."""
+        """Start the correction stream, and the cameras if asked, unless running. Raises PRO-002, TOOL-001."""
         if self._arm.state is Lifecycle.CONFIGURED:  # starting an unverified controller moves every axis
             self.instrument.require_out("start the arm")
         self.supervised.start((self._arm, self.stereo) if cameras else (self._arm,))
@@ -258,7 +261,7 @@ class Workcell:
     def line_to_motion(
         self, pose: Transform, arriving: Sides = None, near_rad: JointVector | None = None
     ) -> PlannedMotion:
-        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present one."""
+        """Return the motion that `line_to` makes, in the branch of `near_rad`, by default the present."""
         commanded = self._commanded_pose(pose, arriving, near_rad)
         return self._line_motion(MotionKind.LINE, pose, LineMove(commanded @ self.flange_from_tool.inverse()))
 
@@ -274,25 +277,25 @@ class Workcell:
         return self._line_motion(MotionKind.WITHDRAW, insertion.start, line, insertion)
 
     def go(self, joints_rad: JointVector) -> ArmReading:
-        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is."""
+        """Move the joints, via home if the direct way is not clear. Raises ARM-007 if neither is clear."""
         return self.supervised.carry_out_with_detour(self.go_motion(joints_rad))
 
     def go_home(self) -> ArmReading:
-        """Move the joints home, each arriving from the same side, so that small changes show there."""
+        """Move the joints home. Each arrives from the same side, so that small changes show at home."""
         return self.supervised.carry_out(self._home_motion(self.home_rad))
 
     def return_home(self) -> ArmReading:
-        """Go home, or back along the way the arm came if the direct way is not clear."""
+        """Go home directly or, if that way is not clear, back the way the arm came."""
         return self.supervised.carry_out_with_detour(self.return_motion())
 
     def park(self, subject: str = "park the arm") -> ArmReading:
-        """Return home once the operator has confirmed it. Raises PRO-002."""
+        """Return home after the operator has confirmed it. Raises PRO-002."""
         self.start()
         self.supervised.confirm(Topic.PARK, subject, [self.return_motion()])
         return self.return_home()
 
     def settle(self, joints_rad: JointVector, arriving: Sides, *, allow_detour: bool = False) -> ArmReading:
-        """Move to joint angles with each joint arriving in its direction (+1 or -1), for equal backlash.
+        """Move to joint angles with each joint arriving from its given side (+1 or -1), for equal backlash.
 
         Without directions, go straight there. `allow_detour` allows the way via home if the direct one is not
         clear.
@@ -301,11 +304,11 @@ class Workcell:
         return self.supervised.carry_out_with_detour(settle_motion)
 
     def line_to(self, pose: Transform, arriving: Sides = None) -> ArmReading:
-        """Bring the mounted tool to a pose by a straight line of the flange."""
+        """Bring the mounted tool to a pose along a straight line of the flange."""
         return self.supervised.carry_out(self.line_to_motion(pose, arriving))
 
     def insert(self, insertion: Insertion) -> ArmReading:
-        """Move the guide along its axis from the start of the approach to where it is held.
+        """Move the guide along its axis from the start of the approach to its held pose.
 
         Raises PRO-009 unless the guide is mounted, PRO-015 unless it is on the axis.
         """
@@ -314,7 +317,7 @@ class Workcell:
         return self.supervised.carry_out(self.insert_motion(insertion))
 
     def hold(self) -> None:
-        """Stand still, watched by the link, until the next motion."""
+        """Stand still until the next motion, supervised by the link."""
         if self._arm.state is Lifecycle.ACTIVE:
             self._arm.stop()
             self.supervised.note_hold()
@@ -328,7 +331,7 @@ class Workcell:
         return self.supervised.carry_out(self.withdraw_motion(self._axis_of(trajectory)))
 
     def retreat(self, trajectory: str) -> None:
-        """Withdraw the guide once the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
+        """Withdraw the guide after the operator has confirmed it. Raises PRO-002 and as `withdraw`."""
         self.start()
         way_out = [self.withdraw_motion(self._axis_of(trajectory))]
         self.supervised.confirm(Topic.RETREAT, f"retreat from {trajectory}", way_out, trajectory)
@@ -342,7 +345,7 @@ class Workcell:
         return axis
 
     def recover(self, role: str, by: str) -> None:
-        """Recover a device from its fault; moves nothing. After the arm's, the mounted tool is unchecked."""
+        """Recover a device from its fault without motion. After an arm fault, the tool is unchecked."""
         device = self._devices[role]
         device.recover(by)
         if device is self._arm:
@@ -352,39 +355,39 @@ class Workcell:
                 self.mount.tool = MountedTool.UNKNOWN
 
     def look(self) -> Look:
-        """Take a stereo pair and measure the sphere in it. Raises STE-012 if no new pair comes whole."""
+        """Take a stereo pair and measure the sphere in it. Raises STE-012 without a new and complete pair."""
         seen = look(self.stereo, self.calibrations.stereo_head, self._theatre.clock)
         self.on_look(seen)
         return seen
 
     @property
     def streaming(self) -> bool:
-        """Whether the arm's correction stream runs; otherwise nothing of ours can move the arm."""
+        """Whether the arm's correction stream runs. Without it, nothing here can move the arm."""
         return self._arm.observe().state in RUNNING
 
     def link_statistics(self) -> LinkStatistics:
-        """Health of the robot link since the last activation of the arm."""
+        """Return the health of the robot link since the last activation of the arm."""
         return self._arm.link_statistics()
 
     def rest(self) -> None:
-        """End the arm's correction stream and the cameras, for a tool change or a parked arm."""
+        """End the arm's correction stream and stop the cameras, for a tool change or a parked arm."""
         for device in (self._arm, self.stereo):
             if device.state in RUNNING:
                 device.deactivate()
         self.supervised.reset_confirmation()
 
     def stop(self) -> None:
-        """Bring the arm to rest, as well as the link still allows; never raises."""
+        """Bring the arm to rest as well as the link still allows. Never raises."""
         for failure in self._theatre.stop():
             self.on_stop_failed(failure)
         self.supervised.reset_confirmation()
 
     def close(self) -> None:
-        """Close all connections, the arm's first; never raises."""
+        """Close all connections, the arm's first. Never raises."""
         self._theatre.close()
 
     def _require_allowed(self, motion: PlannedMotion) -> None:
-        """Raise unless a motion keeps to the guide's axis, checked anew: a hand may have pushed it."""
+        """Raise unless a motion keeps to the guide's axis, rechecked because a hand may have pushed it."""
         on, axis = self.place.axis, motion.axis
         if axis is None or (on is not None and axis.trajectory != on.trajectory):
             self._require_outside(motion.what)

@@ -1,4 +1,4 @@
-"""Rotation of the reference frame about its position, in all directions, in view of the tracker."""
+"""Rotation of the reference frame about its position in all directions, in view of the tracker."""
 
 from __future__ import annotations
 
@@ -118,7 +118,7 @@ def _reachable_turns(workcell: Workcell, wanted: int) -> Sequence[JointVector]:
 
 @dataclass
 class _FrameRotation:
-    """The looks taken so far."""
+    """Rotation of the reference frame, with the looks taken so far."""
 
     context: StepContext
     looks: list[FrameLook] = field(default_factory=list)
@@ -126,16 +126,16 @@ class _FrameRotation:
 
     @property
     def taken(self) -> int:
-        """Number of looks, without those at home."""
+        """Number of looks taken away from home."""
         return sum(one.use is not Use.RETURN for one in self.looks)
 
     @property
     def why_rejected(self) -> str:
-        """Reasons of rejection, the most frequent first."""
+        """Reasons for rejected poses, the most frequent first."""
         return ", ".join(f"{count} x {reason}" for reason, count in self.rejected.most_common(3))
 
     def look_at(self, joints: JointVector, use: Use) -> None:
-        """Look from one pose, reached from the same side; a pose that cannot be used is counted."""
+        """Take a look from one pose, reached from the usual side. An unusable pose is counted as rejected."""
         workcell = self.context.workcell
         try:
             workcell.settle(joints, ONE_SIDE, allow_detour=True)
@@ -166,7 +166,7 @@ class _FrameRotation:
 
 
 def rotation_step(count: int, validation: int) -> StepSpec[ObservedFrame]:
-    """Build the step for a number of looks."""
+    """Build the step, with `count` looks for the fit and `validation` looks to validate it."""
     return StepSpec(
         ObservedFrame,
         "Rotate the reference frame in view of the tracker",

@@ -1,4 +1,4 @@
-"""Steps of the stereo head's calibration: a look at the ball, looks from all sides, looks of a check."""
+"""Steps of the stereo head's calibration: single look at the ball, looks from all sides, looks of a check."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ class BallMeasurement(StepResult, kind="ball_look"):
 
 
 def run_in_place(context: StepContext) -> Outcome[BallMeasurement]:
-    """Look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
+    """Take a look without motion; only the cameras are connected. Raises CAL-001, STE-010."""
     workcell = context.workcell
     head, stereo = workcell.calibrations.stereo_head, workcell.stereo
     head.check_valid_at(context.setting.today())
@@ -62,7 +62,7 @@ def run_in_place(context: StepContext) -> Outcome[BallMeasurement]:
 
 
 def run_over_ball(context: StepContext) -> Outcome[BallMeasurement]:
-    """Look from over the ball, and return home."""
+    """Take a look from above the ball, and return home."""
     context.result(CheckedSetUp)
     bring_over_ball(context, context.result(BallPlace), "one measurement", 0)
     seen = context.workcell.look()
@@ -86,7 +86,7 @@ def _keep_look(context: StepContext, seen: Look) -> Outcome[BallMeasurement]:
 
 
 def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
-    """Build the step, with motion or without."""
+    """Build the step that takes one look, with or without motion."""
     if not over_ball:
         return StepSpec(BallMeasurement, "Look", Phase.OPERATION, run_in_place)
     return StepSpec(
@@ -101,14 +101,14 @@ def look_step(*, over_ball: bool) -> StepSpec[BallMeasurement]:
 
 
 class ObservedBall(StepResult, kind="ball_observation"):
-    """Looks from which a calibration is computed."""
+    """Looks at the ball from which a stereo head calibration is computed."""
 
     observed: ObservationSet = Field(description="Contents of `observations.json`.")
     remarks: tuple[str, ...] = Field(description="Warnings for the operator.")
 
 
 def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[ObservedBall]:
-    """Measure the ball. Raises PRO-002, STE-009 without a ball, CAL-010 or CAL-002 for too few looks."""
+    """Measure the ball. Raises PRO-002, STE-009 if it is not found, CAL-010 or CAL-002 for too few looks."""
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
     total = poses + visits * CHECK_ORIENTATIONS
@@ -148,7 +148,7 @@ def _observe_ball(context: StepContext, poses: int, visits: int) -> Outcome[Obse
 
 
 def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
-    """Build the step for a number of poses, and of visits to each orientation of the check."""
+    """Build the step from the number of poses and of visits to each orientation of the check."""
     return StepSpec(
         ObservedBall,
         "Measure the ball",
@@ -163,7 +163,7 @@ def observation_step(poses: int, visits: int) -> StepSpec[ObservedBall]:
 def check_look(
     watcher: BallWatcher, variants: Sequence[PlannedLook], seen: Sequence[Observation]
 ) -> Observation | None:
-    """Take a look of the check: the first variant that works, and from then on always its joint angles."""
+    """Take a look of the check from the joints of an earlier one, or from the first variant that works."""
     for one in seen:
         if one.orientation is not None and one.orientation == variants[0].orientation:
             return watcher.observe_at(one.joints_rad, one.orientation)
@@ -175,7 +175,7 @@ def check_look(
 
 
 def raise_too_few(watcher: BallWatcher, count: int) -> None:
-    """Raise CAL-010 if most looks were out of reach, CAL-002 if they showed no ball."""
+    """Raise CAL-010 if most looks were out of reach, and CAL-002 otherwise."""
     expected, got = f"at least {LEAST_POSES}", f"{count}; {watcher.why_rejected()}"
     if any(reason.startswith("ARM-") for reason, _ in watcher.rejected.most_common(1)):
         raise PosesOutOfReach("too few poses around the ball are reachable", expected=expected, got=got)
@@ -183,7 +183,7 @@ def raise_too_few(watcher: BallWatcher, count: int) -> None:
 
 
 class VisitedBaseline(StepResult, kind="baseline_visit"):
-    """Looks of a check."""
+    """Looks at the ball from which a stereo head check is computed."""
 
     calibration: str = Field(description="Name of the calibration being checked.")
     looks: tuple[Observation, ...] = Field(description="From the orientations of the baseline, in turn.")
@@ -234,7 +234,7 @@ def _visit_baseline(context: StepContext, baseline: Baseline, visits: int) -> Ou
 
 
 def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCalibration) -> None:
-    """Raise CAL-008 for other cameras; the head's pose on the flange may have been calibrated anew."""
+    """Raise CAL-008 if the cameras differ from the baseline's. The head's pose on the flange may be newer."""
     if (in_use.left, in_use.right) != (baseline.left, baseline.right):
         raise NotTheBaseline(
             "the theatre's calibration of the cameras is not that of the baseline",
@@ -246,7 +246,7 @@ def _require_same_cameras(in_use: StereoHeadCalibration, baseline: StereoHeadCal
 
 
 def visit_step(baseline: Baseline, visits: int) -> StepSpec[VisitedBaseline]:
-    """Build the step for a baseline."""
+    """Build the step that visits the poses of a baseline."""
     return StepSpec(
         VisitedBaseline,
         "Measure the ball again",

@@ -1,4 +1,4 @@
-"""Steps of each calibration in order, and the recipe by which a replay repeats them."""
+"""Steps of each calibration in order, and the recipe from which a replay rebuilds them."""
 
 from __future__ import annotations
 
@@ -23,37 +23,37 @@ MOST_LOOKS = 1000  # no command takes half of it
 
 
 def head_calibration(poses: int, visits: int, ball_mm: Numbers3 | None) -> Steps:
-    """Set up, find the ball, look at it from all sides."""
+    """Return the steps that set up, find the ball, and look at it from all sides."""
     return (*_steps_to_ball(ball_mm), observation_step(poses, visits))
 
 
 def head_check(baseline: Baseline, visits: int) -> Steps:
-    """Set up, and look at the ball as the calibration did."""
+    """Return the steps that set up, and look at the ball as the calibration did."""
     return (set_up.STEP, visit_step(baseline, visits))
 
 
 def head_look(ball_mm: Numbers3 | None) -> Steps:
-    """Set up, find the ball, look at it once."""
+    """Return the steps that set up, find the ball, and look at it once."""
     return (*_steps_to_ball(ball_mm), look_step(over_ball=True))
 
 
 def look_in_place() -> Steps:
-    """Look once; nothing moves."""
+    """Return the step that looks once without motion."""
     return (look_step(over_ball=False),)
 
 
 def arm_looks(count: int, validation: int) -> Steps:
-    """Set up, find the spheres, look at them from all sides."""
+    """Return the steps that set up, find the spheres, and look at them from all sides."""
     return (set_up.STEP, global_localization.STEP, looks_step(count, validation))
 
 
 def frame_looks(count: int, validation: int) -> Steps:
-    """Set up, and rotate the reference frame in view of the tracker."""
+    """Return the steps that set up, and rotate the reference frame in view of the tracker."""
     return (set_up.STEP, rotation_step(count, validation))
 
 
 def tip_readings(count: int, validation: int, ball_mm: Numbers3 | None) -> Steps:
-    """Set up, look at the ball of the stand, exchange head for guide, read the divot in its place."""
+    """Return the steps that set up, look at the stand's ball, change to the guide, and read the divot."""
     place = place_step(ball_mm) if ball_mm is not None else stand_place_step()
     return (set_up.STEP, place, stand_step(count + validation), readings_step(validation))
 
@@ -86,7 +86,7 @@ class Recipe(Strict):
 
     @property
     def steps(self) -> Steps:
-        """Steps in order."""
+        """Steps of the calibration in order."""
         match self.of:
             case Calibrated.HEAD:
                 return head_calibration(self.looks, self.more, self.ball_mm)
@@ -99,7 +99,7 @@ class Recipe(Strict):
 
     @property
     def starts(self) -> frozenset[str]:
-        """Names of the records that are only starting values, so they may have expired."""
+        """Names of the records used only as starting values, which may therefore have expired."""
         match self.of:
             case Calibrated.HEAD:
                 return frozenset(Calibrations.model_fields)
@@ -110,7 +110,7 @@ class Recipe(Strict):
 
     @classmethod
     def read(cls, plain: object) -> Recipe:
-        """Read a recorded recipe. Raises PRO-024 for one unknown to this version."""
+        """Read a recorded recipe. Raises PRO-024 if this version does not know it."""
         try:
             return cls.model_validate(plain, strict=False)
         except ValidationError as error:

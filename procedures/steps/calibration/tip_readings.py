@@ -1,4 +1,4 @@
-"""Steps of the guide tip's calibration: the stand's ball by the stereo head, then a divot by dials.
+"""Steps of the guide tip's calibration: the stereo head measures the stand's ball, then dials read a divot.
 
 Head and tip visit the same orientations.
 """
@@ -64,7 +64,7 @@ class ObservedStand(StepResult, kind="stand_ball"):
 
 
 def _measure_stand(context: StepContext, count: int) -> Outcome[ObservedStand]:
-    """Measure the ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without a ball."""
+    """Measure the stand's ball. Raises CAL-010 or CAL-002 for too few looks, PRO-002, STE-009 without it."""
     context.result(CheckedSetUp)
     place, workcell = context.result(BallPlace), context.workcell
     plan = _looks_at_stand(place, BallWatcher(workcell, np.array(place.ball_mm)), count)
@@ -144,7 +144,7 @@ def stand_place_step() -> StepSpec[BallPlace]:
 
 
 def stand_step(count: int) -> StepSpec[ObservedStand]:
-    """Build the step for a number of orientations."""
+    """Build the step that measures the stand's ball in `count` orientations."""
     return StepSpec(
         ObservedStand,
         "Measure the stand's ball",
@@ -163,7 +163,7 @@ class TipReadings(StepResult, kind="tip_readings"):
 
 
 def _read_divot(context: StepContext, validation: int) -> Outcome[TipReadings]:
-    """Have the divot read. Raises PRO-002, PRO-009 for another tool, CAL-018 for impossible readings."""
+    """Have the divot read on dials. Raises PRO-002, PRO-009 for another tool, CAL-018 for absurd readings."""
     context.result(CheckedSetUp)
     context.request_instrument_removal()  # of an earlier attempt
     place, stand, workcell = context.result(BallPlace), context.result(ObservedStand), context.workcell
@@ -206,13 +206,13 @@ def _prepare_looks(context: StepContext, stand: ObservedStand, validation: int) 
 
 @dataclass
 class _Reading:
-    """Readings of the divot; the earlier ones bring the tip there."""
+    """Readings of the divot. Earlier readings help to bring the tip to it."""
 
     context: StepContext
     observed: TipLooks
 
     def take(self, look: int) -> None:
-        """Read one orientation, again if the first reading shows the tip far from the divot."""
+        """Take the reading of one orientation; repeat it if the tip was far from the divot."""
         for _ in range(MOST_TRIES):
             reading = self._read(look)
             others = tuple(one for one in self.observed.readings if one.look != look)
@@ -250,7 +250,7 @@ class _Reading:
         )
 
     def _pose(self, over: BallLook, away_mm: float) -> Transform:
-        """Pose ROBOT <- TOOL of the guide with its tip at the measured ball."""
+        """Return the pose ROBOT <- TOOL of the guide with its tip `away_mm` short of the measured ball."""
         workcell = self.context.workcell
         head, guide = workcell.flange_from(MountedTool.STEREO_HEAD), workcell.flange_from(MountedTool.GUIDE)
         flange = over.robot_from_flange.transform(Frame.ROBOT, Frame.FLANGE)
@@ -262,14 +262,14 @@ class _Reading:
         return Transform(Frame.ROBOT, Frame.FLANGE, wanted) @ guide
 
     def _tip_mm(self, guide: Transform, head: Transform) -> Array:
-        """Tip in the tool frame of the head, by the readings so far, at first by the record."""
+        """Return the tip in the head's tool frame, by the readings so far or, without any, by the record."""
         if not self.observed.readings:
             return (head.inverse() @ guide).translation_mm
         return np.asarray(tips_of(pairs_of(self.observed, self.observed.readings)).mean(axis=0))
 
 
 def readings_step(validation: int) -> StepSpec[TipReadings]:
-    """Build the step with a number of readings for validation."""
+    """Build the step that reads the divot, with a number of readings for validation."""
     return StepSpec(
         TipReadings,
         "Read the divot at the tip of the guide",

@@ -43,7 +43,7 @@ DWELL_S = 0.5  # of theatre time, before the reading
 
 
 class ReachedTarget(StepResult, kind="at_target", version=4):
-    """Pose of the held guide, and depth of the instrument.
+    """Pose of the held guide and depth of the instrument.
 
     During work finished on an earlier visit, the guide was not watched.
     """
@@ -69,7 +69,7 @@ class ReachedTarget(StepResult, kind="at_target", version=4):
 
 
 def run(context: StepContext) -> Outcome[ReachedTarget]:
-    """Check the arm's position; have the depth stop set, the stages done and the instrument removed."""
+    """Check the arm's position, then have the depth stop set, the stages done and the instrument removed."""
     workcell, trajectory = context.workcell, context.trajectory
     commanded = context.result(PositionedGuide).tool_pose.transform
     context.setting.clock.sleep(DWELL_S)
@@ -122,7 +122,7 @@ def run(context: StepContext) -> Outcome[ReachedTarget]:
 
 
 def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget]:
-    """Outcome of work finished earlier, when nothing watched the guide."""
+    """Return the outcome for work finished on an earlier visit, when nothing watched the guide."""
     return Outcome(
         ReachedTarget(
             tool_pose=None,
@@ -137,7 +137,7 @@ def _build_unwatched_outcome(work_so_far: WorkProgress) -> Outcome[ReachedTarget
 
 
 def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress) -> None:
-    """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed as done, TOOL-007."""
+    """Have one stage done and confirmed. Raises PRO-002 unless it is confirmed, and TOOL-007."""
     trajectory, stop, stages = context.trajectory, work_so_far.stop, context.workcell.instrument.stages
     known = stages.tasks_at(trajectory)
     before = f"; earlier: {describe_work(known)}" if known else ""
@@ -166,7 +166,7 @@ def _do_stage(context: StepContext, stage: WorkStage, work_so_far: WorkProgress)
 def _look_at_guide(
     context: StepContext, stage: WorkStage, rest: GuideAtRest, work_so_far: WorkProgress
 ) -> None:
-    """Measure the guide after a stage; a guard suspends the case if it is displaced."""
+    """Measure the guide after a stage. If it is displaced, a guard suspends the case."""
     rest.look(context.workcell, context.setting.clock)
     work_so_far.pushed_mm = max(work_so_far.pushed_mm, rest.now_mm)
     if rest.unseen:
@@ -176,7 +176,7 @@ def _look_at_guide(
 
 
 def _check_room_again(context: StepContext) -> None:
-    """Check the room after a return to the step, or if nothing watches the head. Raises PRO-019, PRO-020."""
+    """Check the room after a return to the step or if nothing watches the head. Raises PRO-019, PRO-020."""
     memory = context.setting.memory
     rest = memory.find(GuideAtRest)
     if memory.find(RoomWatch) is None or (rest is not None and rest.was_worked_through):
@@ -185,7 +185,7 @@ def _check_room_again(context: StepContext) -> None:
 
 @contextmanager
 def _watch_guide(context: StepContext) -> Iterator[GuideAtRest]:
-    """Compare the guide, within the block, with its position as it came to rest untouched.
+    """Within the block, compare the guide with its untouched rest position.
 
     Raises PRO-019 or PRO-020 if a push that ends the step is a move of cart or head.
     """

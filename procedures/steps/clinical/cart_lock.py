@@ -1,4 +1,4 @@
-"""Placing and locking the arm's cart, with its position and its lock checked by the tracker.
+"""Placing and locking of the arm's cart. The tracker checks its position and its lock.
 
 The frame on the arm moves with the cart, the spheres move with the head. After somebody leans on the cart,
 neither may have moved against the other.
@@ -51,7 +51,7 @@ class Proposal(Values):
 
 
 class LockedCart(StepResult, kind="cart_lock", version=2):
-    """The locked cart, how far it moved when leaned on, and its position."""
+    """The locked cart: its position, and how far it moved when somebody leaned on it."""
 
     placings: int = Field(description="How many times it was placed.")
     moved_mm: Numbers3 = Field(
@@ -144,7 +144,7 @@ def _take_first_look(context: StepContext) -> tuple[Transform, RoomReading]:
 def _offset_from_proposal(
     context: StepContext, proposal: ProposedPlace, robot_from_tracker: Transform, look: RoomReading
 ) -> ProposalDeviation | None:
-    """Position of the cart relative to the proposal; None, with a finding, without a unique match."""
+    """Return the cart's position relative to the proposal; None, with a finding, without a unique match."""
     image, plan = context.result(LocalizedFiducials).centres_mm, context.result(CheckedPlan)
     prior = room_prior(plan, context.setting.settings, robot_from_tracker)
     found = coarse_match(plan, image, robot_from_tracker.apply(look.spheres_mm), prior)
@@ -163,7 +163,7 @@ def _offset_from_proposal(
 def _accept_position(
     context: StepContext, proposal: ProposedPlace, drift: ProposalDeviation, placing: int
 ) -> bool:
-    """Whether the cart may stay there; False to place it again. Raises PRO-042."""
+    """Return whether the cart may stay in its position; False to place it again. Raises PRO-042."""
     if proposal.allows(drift):
         return True
     problem = CartMisplaced(
@@ -181,7 +181,7 @@ def _accept_position(
 
 
 def _confirm(context: StepContext, subject: str, value: str) -> None:
-    """Ask before the tracker looks, so that hands have all the time they need. Raises PRO-041."""
+    """Ask before the tracker measures, so that hands have all the time they need. Raises PRO-041."""
     if context.choose(Question(Topic.CART_LOCKED, subject, value)) != YES:
         raise CartNotLocked(f"the cart is not locked: nobody confirmed that {subject}")
 
@@ -189,7 +189,7 @@ def _confirm(context: StepContext, subject: str, value: str) -> None:
 def displacement_against_head(
     robot_from_tracker: Transform, first: RoomReading, second: RoomReading
 ) -> tuple[Array, int]:
-    """Displacement (3,) mm of the frame on the arm against the spheres, and the number of spheres used.
+    """Return the displacement (3,) mm of the arm's frame against the head, and the number of spheres used.
 
     Raises PRO-041, or PRO-020 if it was the head that moved.
     """

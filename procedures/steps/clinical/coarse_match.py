@@ -1,4 +1,4 @@
-"""Match of the spheres in CT and room, with the plan's layout and the patient's position as priors."""
+"""Matching of the spheres in CT and room, with the plan's layout and the patient's position as priors."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ UP_LPS = {"S": (0.0, -1.0, 0.0), "P": (0.0, 1.0, 0.0), "DR": (1.0, 0.0, 0.0), "D
 
 
 def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracker: Transform) -> RoomPrior:
-    """Prior on the pose robot <- CT from the planned patient position and the tracker's line of sight."""
+    """Return the prior on the pose robot <- CT from patient position and the tracker's line of sight."""
     return RoomPrior(
         lying_up=np.array(UP_LPS[plan.plan.table_orientation.value[2:]]),
         recline_deg=settings.recline_deg,
@@ -41,7 +41,7 @@ def room_prior(plan: CheckedPlan, settings: ProcedureSettings, robot_from_tracke
 
 
 def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[RigidTransform]:
-    """Poses by which the mirrored image of paired spheres (n, 3) fits as well, in view of the tracker."""
+    """Return the poses in view of the tracker by which the mirrored spheres (n, 3) fit as well."""
     found = match_by_distances(image * MIRROR, physical, prior.sight.mirrored(), expected=len(image))
     if found.transform is None:
         return []
@@ -50,7 +50,7 @@ def mirror_images(image: Array, physical: Array, prior: RoomPrior) -> list[Rigid
 
 
 def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePrior) -> Match:
-    """Match spheres in the CT (n, 3) and in the room (m, 3), mm, by frame, template or implanted number."""
+    """Match spheres in CT (n, 3) and room (m, 3), mm, by the template if there is one, or by distances."""
     template_mm, sigma_mm = plan.plan.template_mm, IMPLANTED_SIGMA_MM
     if plan.plan.fiducials is FiducialKind.XFRAME:
         template_mm, sigma_mm = SPHERE_CENTRES_MM, TEMPLATE_SIGMA_MM
@@ -68,7 +68,7 @@ def coarse_match(plan: CheckedPlan, image: Array, physical: Array, prior: PosePr
 
 
 def match_by_distances(image: Array, physical: Array, prior: PosePrior, expected: int | None = None) -> Match:
-    """Match by distances and prior alone."""
+    """Match by distances and prior only."""
     return match(
         image,
         physical,

@@ -32,7 +32,7 @@ FARTHEST_MM = 3000.0  # of a head from the arm's base
 
 
 class TouchedLandmark(Values):
-    """A touched point of the head, which excludes a mirrored CT."""
+    """Landmark touched on the head, which rules out a mirrored CT."""
 
     landmark: str = Field(description="Which point.")
     touched_mm: Numbers3 = Field(description="As read, robot frame.")
@@ -58,7 +58,7 @@ class Correspondence(StepResult, kind="correspondence"):
 
 
 def run(context: StepContext) -> Outcome[Correspondence]:
-    """Match the spheres, by the plan's template if there is one. Raises unless the match is unique.
+    """Match the spheres, by the plan's template if it has one. Raises unless the match is unique.
 
     If a sphere is out of place, the others serve if the operator agrees.
     """
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[Correspondence]:
 def _touch_if_mirrored(
     context: StepContext, robot_from_ct: RigidTransform, mirrored: list[RigidTransform], prior: RoomPrior
 ) -> TouchedLandmark | None:
-    """Have a point of the head touched if a mirrored CT would fit as well. Raises REG-013."""
+    """Have a landmark on the head touched if a mirrored CT would fit as well. Raises REG-013."""
     landmark = choose_landmark(robot_from_ct, mirrored, prior)
     if landmark is None:
         return None
@@ -140,7 +140,7 @@ def _format_point(point_mm: ArrayLike) -> str:
 def _match_fewer_if_agreed(
     context: StepContext, found: Match, image: Array, physical: Array, prior: RoomPrior
 ) -> tuple[Match, tuple[LeftOutSphere, ...]]:
-    """Return the match or, if agreed, a unique match of fewer spheres than were implanted."""
+    """Return the match or, if the operator agrees, a unique match of fewer spheres than were implanted."""
     if found.status not in (MatchStatus.TOO_FEW, MatchStatus.INCONSISTENT):
         return found, ()
     rest = match_by_distances(image, physical, prior)

@@ -33,7 +33,7 @@ class ImportedCt(StepResult, kind="ct_import"):
 
     @classmethod
     def from_volume(cls, volume: Volume) -> ImportedCt:
-        """Describe a series."""
+        """Return the identity and geometry of a CT volume."""
         geometry = volume.geometry
         slices, rows, columns = geometry.shape
         return cls(
@@ -49,11 +49,11 @@ class ImportedCt(StepResult, kind="ct_import"):
         )
 
     def names_series(self) -> str:
-        """Series instance UID."""
+        """Return the series instance UID."""
         return self.series_instance_uid
 
     def differences(self, volume: Volume) -> str:
-        """Name the fields in which a series differs from this one, such as `voxels_sha256`; empty if none."""
+        """Return the names of the fields in which a series differs, such as `voxels_sha256`, or nothing."""
         now = ImportedCt.from_volume(volume)
         return ", ".join(
             name for name in type(self).model_fields if getattr(now, name) != getattr(self, name)
@@ -76,7 +76,7 @@ def run(context: StepContext) -> Outcome[ImportedCt]:
 
 
 def volume_of(context: StepContext) -> Volume:
-    """Return the imported CT, read again if it is not in memory.
+    """Return the imported CT, reread from its folder if it is not in memory.
 
     Raises PRO-007 if the folder no longer holds the imported series.
     """

@@ -1,4 +1,4 @@
-"""The error budget of a registration: residual gate, arm, tool frame, held guide, tables for the operator.
+"""Error budget of a registration: residual gate, arm, tool frame, held guide, tables for the operator.
 
 The arm's own errors are propagated joint by joint between spheres and target, so that what they share
 cancels. They are those of the arm's record, limited to those of an uncalibrated arm in proportion. If a
@@ -60,7 +60,7 @@ NOTHING = "-"
 def residual_gate(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> FreGate:
-    """Judge the residual of paired points (n, 3) mm with the reserve for the arm's shared error.
+    """Judge the residual of paired points (n, 3) mm, allowing for the arm's shared error.
 
     `measured_mm2` (n, 3, 3) is the covariance of CT, seating and stereo head, `arm_mm` the arm's sigma per
     axis. `shared_mm` (n, 3, k) is the displacement by one standard deviation of each shared error. Raises
@@ -79,7 +79,7 @@ def residual_gate(
 def find_moved_spheres(
     image_mm: Array, physical_mm: Array, measured_mm2: Array, arm_mm: float, shared_mm: Array
 ) -> tuple[int, ...]:
-    """Pairs whose omission lets the others pass the gate, the likeliest first; see `residual_gate`."""
+    """Return the pairs whose omission lets the others pass the gate, likeliest first; see `residual_gate`."""
     found: list[tuple[float, int]] = []
     for index in range(len(image_mm) if len(image_mm) > FEWEST_PAIRS else 0):
         keep = np.arange(len(image_mm)) != index
@@ -102,7 +102,7 @@ def find_undetected_sphere(
     arm_mm: float,
     shared_mm: Array,
 ) -> UnnoticedPoint:
-    """Find the sphere that, moved since the CT, puts a target off furthest while the `gate` still passes.
+    """Find the sphere whose move since the CT displaces a target furthest while the `gate` still passes.
 
     `fit` is the registration used, `target_mm` (3,) is in its physical frame; the rest as in `residual_gate`.
     """
@@ -122,13 +122,13 @@ def _allowed_covariance_mm2(measured_mm2: Array, arm_mm: float) -> Array:
 
 
 def arm_covariance_mm2(arm_mm: float) -> Array:
-    """Covariance (3, 3) mm2 of one point at rest, from the arm's sigma per axis."""
+    """Return the covariance (3, 3) mm2 of one point at rest, from the arm's sigma per axis."""
     return np.asarray(np.eye(3) * (arm_mm**2 + REPEATABILITY_MM**2))
 
 
 @dataclass(frozen=True)
 class HeldGuide:
-    """Guide at a target after `head_rotation` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
+    """Guide held at a target after `head_rotation` (3, 3): rotation robot <- tool, joints and tip (3,) mm."""
 
     rotation: Array
     joints_rad: Numbers6
@@ -136,7 +136,7 @@ class HeldGuide:
     head_rotation: Array
 
     def turn_errors_back(self, source: SharedErrors | IndependentErrors) -> SharedErrors | IndependentErrors:
-        """Turn a source's errors at the target back to the head as it was localized."""
+        """Rotate a source's errors at the target back into the head's orientation at the localization."""
         back = self.head_rotation.T
         if isinstance(source, SharedErrors):
             return replace(source, at_target_mm=back @ source.at_target_mm)
@@ -161,7 +161,7 @@ def predict_held_guide(
 def arm_errors(
     context: StepContext, fiducials: Sequence[int], spheres_mm: Array, target: str, held: HeldGuide
 ) -> tuple[SharedErrors | IndependentErrors, ...]:
-    """Errors of the arm at planned localizations of spheres (n, 3) mm, robot frame, and at a target's tip."""
+    """Return the arm's errors at planned localizations of spheres (n, 3) mm, robot frame, and at a target."""
     paths = context.result(CheckedPaths)
     joints_rad = _planned_joints_rad(context, fiducials)
     signs = arriving(context, paths)
@@ -180,7 +180,7 @@ def arm_errors(
 
 
 def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm: Array) -> Array:
-    """Covariances (n, 3, 3) of the spheres from backlash on unknown sides, for a calibrated arm.
+    """Return covariances (n, 3, 3) mm2 of the spheres from backlash on unknown sides, for a calibrated arm.
 
     The stated error of an uncalibrated arm includes it.
     """
@@ -193,14 +193,14 @@ def unknown_sides_mm2(context: StepContext, fiducials: Sequence[int], spheres_mm
 
 
 def _planned_joints_rad(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """Joints (n, axes) of the planned localizations."""
+    """Return the joints (n, axes) of the planned localizations, rad."""
     localizations = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     planned = {one.fiducial: one.joints_rad for one in localizations}
     return np.array([planned[index] for index in fiducials])
 
 
 def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> Array:
-    """Displacement of the spheres by each standard deviation of the tool frame, (n, 3, 3) mm, robot frame."""
+    """Return sphere displacements (n, 3, 3) mm, robot frame, by one sigma of each tool frame error."""
     planned = context.result(CheckedPaths).localizations_for(context.key.trajectory)
     rotations = {one.fiducial: one.tool_pose.transform.rotation_matrix for one in planned}
     sizes = ErrorSizes.stated(context.setting.settings, context.workcell.calibrations.arm)
@@ -208,7 +208,7 @@ def sphere_displacements_mm(context: StepContext, fiducials: Sequence[int]) -> A
 
 
 def budget_table(predicted: Prediction) -> Evidence:
-    """Table of the shares of a predicted error, largest first, and of what it leaves out."""
+    """Return a table of the shares of a predicted error, largest first, and of what it leaves out."""
     shares = sorted(predicted.budget, key=lambda share: -share.rms_mm)
     return Evidence(
         title=f"Predicted error at {predicted.target}",
@@ -222,7 +222,7 @@ def budget_table(predicted: Prediction) -> Evidence:
 
 
 def two_way_table(table: TwoWayTable) -> Evidence:
-    """Table of every sphere of the CT against the room; distances in mm."""
+    """Return a table that compares every CT sphere with the room, distances in mm."""
     return Evidence(
         title="CT to room and room to CT"
         + ("" if table.agrees_both_ways else ": the two directions do NOT agree")

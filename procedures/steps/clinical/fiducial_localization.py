@@ -18,7 +18,7 @@ from ronna_hw.calibration import Numbers3
 
 
 class DoubtfulSphere(Values):
-    """A body of the right size that was not accepted as a sphere."""
+    """Object of the right size that was not accepted as a sphere."""
 
     centre_mm: Numbers3 = Field(description="Centre, LPS.")
     reason: str = Field(description="Why it is doubtful.")
@@ -26,7 +26,7 @@ class DoubtfulSphere(Values):
 
 
 class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
-    """The spheres of the CT, from superior to inferior."""
+    """Spheres found in the CT, from superior to inferior."""
 
     series_instance_uid: str = Field(description="DICOM UID of the series they were found in.")
     diameter_mm: float = Field(description="Nominal diameter searched for.")
@@ -46,7 +46,7 @@ class LocalizedFiducials(StepResult, kind="fiducial_localization", version=2):
 
 
 def run(context: StepContext) -> Outcome[LocalizedFiducials]:
-    """Localize every sphere; their number is checked with the plan."""
+    """Localize every sphere. The plan check compares their number with the plan."""
     volume = volume_of(context)
     found = localize(volume, progress=lambda share: context.progress(share, "localizing the spheres"))
     for number, picture in enumerate(draw_markers(volume, found), start=1):

@@ -33,7 +33,7 @@ SPREAD_LIMIT_MM = 1.0  # rms of one sphere over the frames; more means that some
 
 
 class GlobalLocalization(StepResult, kind="global_localization"):
-    """Coarse positions of the spheres in the room, by the tracker."""
+    """Coarse positions of the spheres in the room, measured by the tracker."""
 
     frames: int = Field(description="Measurements that were averaged.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Spheres in the robot frame.")
@@ -53,7 +53,7 @@ class GlobalLocalization(StepResult, kind="global_localization"):
 
 
 def run(context: StepContext) -> Outcome[GlobalLocalization]:
-    """Measure all strays in the robot frame, via the reference frame M."""
+    """Measure all stray spheres in the robot frame, via the reference frame M."""
     for before in context.reads:
         context.result(before)
     workcell = context.workcell
@@ -95,7 +95,7 @@ def _rows(points_mm: NDArray[np.float64]) -> tuple[Numbers3, ...]:
 
 
 def _check_count(seen: int, least: int) -> None:
-    """Raise PRO-007 for too few spheres, before the result could supersede a good one."""
+    """Raise PRO-007 for too few spheres, before the result could replace a good one."""
     if seen < least:
         raise GateFailed(
             "the tracker sees too few spheres",

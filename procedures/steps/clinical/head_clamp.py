@@ -31,7 +31,7 @@ class ClampedHead(StepResult, kind="head_clamp"):
 
 
 def run(context: StepContext) -> Outcome[ClampedHead]:
-    """Have the head clamped and confirmed, then look at it. Raises PRO-002; PRO-007 for an unseen head."""
+    """Have the head clamped and confirmed, then measure it. Raises PRO-002, or PRO-007 for an unseen head."""
     context.result(CheckedSetUp)
     checked = context.result(CheckedPlan)
     context.workcell.rest()  # hands are at the head: nothing may move the arm meanwhile

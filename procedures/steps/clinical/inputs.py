@@ -1,4 +1,4 @@
-"""Guard of the inputs: CT, plan and proposed place must not change under the results computed from them.
+"""Guard of the inputs: CT, plan and proposed position must not change while results depend on them.
 
 Asked before every step and motion. An untouched file is not read again; a touched one is compared by content.
 """
@@ -29,12 +29,12 @@ Stamps = tuple[Stamp, ...]
 
 
 class UnchangedInputs:
-    """Guard of CT, plan and cart position; a change ends the step and voids all results computed from it."""
+    """Guard of CT, plan and cart position. A change ends the step and voids all results based on it."""
 
     name = "CT, plan and cart position"
 
     def __init__(self, engine: Engine, clinical: ClinicalInput) -> None:
-        """Remember the files as they are. Raises OSError."""
+        """Record the present state of the files. Raises OSError."""
         self._engine = engine
         self._inputs: dict[Path, type[StepResult]] = {
             clinical.series: ImportedCt,
@@ -44,7 +44,7 @@ class UnchangedInputs:
         self._seen = {path: _stamps(path) for path in self._inputs if path.exists()}
 
     def unmet(self) -> str | None:
-        """Describe an unreadable input. Raises PRO-021 for a changed one."""
+        """Describe an unreadable input; None if all can be read. Raises PRO-021 for a changed one."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             try:
@@ -69,7 +69,7 @@ class UnchangedInputs:
         return None
 
     def close(self) -> None:
-        """Note inputs rewritten since the last look, when the run is closed."""
+        """At the end of the run, note inputs that were rewritten with the same content."""
         for path, model in self._inputs.items():
             stored = self._engine.case.find(model, None)
             if stored is None or isinstance(stored.result, ImportedCt) or not path.exists():
@@ -80,7 +80,7 @@ class UnchangedInputs:
 
 
 def note_same_content(engine: Engine, path: Path, record: Record) -> None:
-    """Note that a plan or position was rewritten with equal content: the standing result remains valid.
+    """Note that a plan or position was rewritten with the same content, so the existing result remains valid.
 
     Raises PRO-003.
     """
@@ -97,7 +97,7 @@ def _has_proposal(result: StepResult) -> bool:
 
 
 def _describe_change(result: StepResult, path: Path) -> str:
-    """Describe how an input differs, or why it cannot be read; empty if it is the same."""
+    """Describe how an input differs, or why it cannot be read; empty if unchanged."""
     try:
         if isinstance(result, ImportedCt):
             return result.differences(read_series(path))

@@ -1,4 +1,4 @@
-"""Path check of the whole procedure before it moves: sight, reach, clearance, one branch of the arm.
+"""Check of all paths before anything moves: line of sight, reach, clearance, a single branch of the arm.
 
 A trajectory that cannot be served is put to the operator: nothing is replaced or left out without consent.
 """
@@ -62,7 +62,7 @@ class ClosestApproach(Values):
 
     @classmethod
     def of(cls, closest: ClosestPair) -> ClosestApproach:
-        """Convert a result of the clearance check."""
+        """Convert a closest pair from the clearance check."""
         return cls(
             first=closest.first, second=closest.second, distance_mm=closest.distance_mm, at=closest.fraction
         )
@@ -85,7 +85,7 @@ class MotionPreview(Values):
 
     @classmethod
     def of(cls, motion: PreviewedMotion) -> MotionPreview:
-        """Convert a preview of the planner."""
+        """Convert a motion preview from the planner."""
         preview = motion.preview
         return cls(
             start=motion.motion.start,
@@ -101,14 +101,14 @@ class MotionPreview(Values):
 
 
 def motions_over_spheres(motions: Sequence[MotionPreview], trajectory: str | None) -> list[MotionPreview]:
-    """Motions of one localization, incl. those via home: for a trajectory, or the one that serves all."""
+    """Return the motions of one localization, including via home: of a trajectory, or of the only one."""
     own = f"{trajectory}/" if trajectory else ""
     over = [place for place, one in enumerate(motions) if one.end.startswith(own) and SPHERE in one.end]
     return list(motions[over[0] : over[-1] + 1]) if over else []
 
 
 def summarize_motions(motions: Sequence[MotionPreview]) -> str:
-    """Summarize at least one motion: number, duration, speed, clearance."""
+    """Summarize motions, at least one: number, duration, speed and clearance."""
     near = min((one.closest for one in motions if one.closest), key=lambda one: one.distance_mm, default=None)
     return (
         f"{format_count(len(motions), 'motion')} in {sum(one.duration_s for one in motions):.0f} s at up to "
@@ -118,7 +118,7 @@ def summarize_motions(motions: Sequence[MotionPreview]) -> str:
 
 
 class LocalizationPose(Values):
-    """Pose in which one sphere will be localized."""
+    """Pose for localizing one sphere."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     tool_pose: FramedPose = Field(description="Pose robot <- tool with the tool centre on the sphere.")
@@ -127,7 +127,7 @@ class LocalizationPose(Values):
 
 
 class TargetPose(Values):
-    """Pose in which the guide is held for one target, and its approach, by the coarse registration."""
+    """Pose for holding the guide at one target, with its approach, by the coarse registration."""
 
     tool_pose: FramedPose = Field(description="Pose robot <- tool in which the guide is held.")
     approach_rad: Numbers6 = Field(description="Joints where the approach along the axis begins.")
@@ -136,7 +136,7 @@ class TargetPose(Values):
 
 
 class CheckedPaths(StepResult, kind="path_check"):
-    """Joints for every localization and target, and every motion between them."""
+    """Joints for every localization and target, and every motion between these poses."""
 
     strategy: str = Field(description="Name of the localization strategy.")
     replaced: dict[str, str] = Field(
@@ -163,11 +163,11 @@ class CheckedPaths(StepResult, kind="path_check"):
         return self.left_out
 
     def strategy_of(self, trajectory: str) -> str:
-        """Name of a trajectory's strategy."""
+        """Return the name of a trajectory's strategy."""
         return self.replaced.get(trajectory, self.chosen.get(trajectory, self.strategy))
 
     def localizations_for(self, trajectory: str | None) -> tuple[LocalizationPose, ...]:
-        """Localizations for a trajectory; for None, the only set of a strategy that localizes once.
+        """Return the localizations for a trajectory; for None, the only set if the strategy localizes once.
 
         Raises KeyError if there are none for this trajectory, or several sets.
         """
@@ -282,7 +282,7 @@ def _build_targets(check: PathCheck, setting: ArmSetting) -> dict[str, TargetPos
 
 @dataclass
 class PathSearch:
-    """Search for paths that asks the operator about trajectories that cannot be reached.
+    """Search for paths that asks the operator about unreachable trajectories.
 
     `centres_mm` (n, 3) are the fiducials in the CT. By trajectory, `left_out` has the reason and `replaced`
     the strategy that serves it instead.

@@ -1,4 +1,4 @@
-"""Plan check: the plan against the CT and the spheres found in it; the operator confirms the patient."""
+"""Check of the plan against the CT and its spheres. The operator confirms the patient."""
 
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ SHORT_HASH = 8  # hex digits: enough to tell two series apart at a glance
 
 
 class CheckedPlan(StepResult, kind="plan_check"):
-    """The checked plan and its head."""
+    """The checked plan, with the head in its CT."""
 
     plan: Plan = Field(description="The plan file's content.")
     implanted: int = Field(description="Number of spheres to match, from the plan or as the operator agreed.")
@@ -42,12 +42,12 @@ class CheckedPlan(StepResult, kind="plan_check"):
     warnings: tuple[str, ...] = Field(description="Warnings of the check.")
 
     def trajectory(self, identifier: str) -> PlannedTrajectory:
-        """The planned trajectory of this name. Raises KeyError."""
+        """Return the planned trajectory of this name. Raises KeyError."""
         return self.plan.trajectory(identifier)
 
 
 def run(context: StepContext) -> Outcome[CheckedPlan]:
-    """Check the plan. Raises one PLAN error that lists all findings."""
+    """Check the plan against the CT and its spheres. Raises one PLAN error that lists all findings."""
     localization = context.result(LocalizedFiducials)
     plan = _as_held(context)
     planned = tuple(trajectory.id for trajectory in plan.trajectories)
@@ -83,7 +83,7 @@ def run(context: StepContext) -> Outcome[CheckedPlan]:
 
 
 def _as_held(context: StepContext) -> Plan:
-    """Read the plan. Raises PRO-007 if it has changed since the case was opened."""
+    """Read the plan, locked while it is read. Raises PRO-007 if it has changed since the case was opened."""
     path, held_sha256 = context.clinical.plan, context.clinical.plan_sha256
     with lock_plan(path) as held:
         if held_sha256 not in (None, held.sha256):
@@ -97,7 +97,7 @@ def _as_held(context: StepContext) -> Plan:
 
 
 def _keep_cuts(context: StepContext, volume: Volume, plan: Plan) -> None:
-    """Keep pictures of the planned trajectories in the CT, for the operator and the report."""
+    """Store pictures of the planned trajectories in the CT, for the operator and the report."""
     from procedures.imaging.trajectory_cuts import trajectory_cuts
 
     ways = {one.id: (np.array(one.entry_mm), np.array(one.target_mm)) for one in plan.trajectories}
@@ -125,7 +125,7 @@ def _confirm_patient(context: StepContext, plan: Plan, head: HeadEllipsoid) -> N
 
 
 def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
-    """Text to confirm, without a name: a hash of its UID identifies the series."""
+    """Describe the plan for confirmation, without a name: a hash of its UID identifies the series."""
     series = hashlib.sha256(plan.series_instance_uid.encode()).hexdigest()[:SHORT_HASH]
     ways = "; ".join(
         f"{one.id} {head.side_of(one.entry_mm, one.target_mm)}, {one.depth_mm:.1f} mm deep"
@@ -138,7 +138,7 @@ def _describe_plan(plan: Plan, head: HeadEllipsoid) -> str:
 def _accept_count(
     context: StepContext, check: PlanCheck, localized: LocalizedFiducials
 ) -> tuple[PlanCheck, int]:
-    """Remove a wrong count of spheres, if agreed, from the check; also return the number to match.
+    """Remove a wrong sphere count from the check if agreed; also return the number to match.
 
     If there are too many, tracker and matching show which are on the head; if too few, the case continues
     without the missing ones.

@@ -64,7 +64,7 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class _Pairs:
-    """Spheres to fit: index and position in the CT, position in the room, covariances."""
+    """Sphere pairs to fit: index and position in the CT, position in the room, covariances."""
 
     fiducials: tuple[int, ...]
     image_mm: Array
@@ -113,7 +113,7 @@ class _Pairs:
 
 
 def run(context: StepContext) -> Outcome[RegisteredRobot]:
-    """Fit with all known covariances, gate the residual, predict, and have the prediction accepted.
+    """Fit with all known covariances, gate the residual, and have the predicted error accepted.
 
     A repeat with the guide mounted means that the head has moved: the tracker measures the move.
     """
@@ -233,7 +233,7 @@ def predict_tip_error(
     planned: PlannedTrajectory,
     move: MeasuredMove | None = None,
 ) -> Prediction:
-    """Predict the error of the instrument's tip at a target from those of spheres, arm, guide and instrument.
+    """Predict the tip's error at a target from the errors of spheres, arm, guide and instrument.
 
     Of errors common to spheres and target, only the remainder counts. A followed `move` adds its own error.
     """
@@ -283,7 +283,7 @@ def predict_tip_error(
 
 
 def _advise_on_moved(moved: list[int], spheres: int) -> str:
-    """Advice about spheres, by index in the CT, each of which alone would explain the disagreement."""
+    """Return advice about spheres, by CT index, each of which alone would explain the disagreement."""
     if spheres <= FEWEST_PAIRS:
         return "With three spheres it cannot be told which one has moved: check all, then localize again."
     if not moved:
@@ -293,7 +293,7 @@ def _advise_on_moved(moved: list[int], spheres: int) -> str:
 
 
 def _compare_both_ways(context: StepContext, fit: Registration, pairs: _Pairs) -> TwoWayTable:
-    """Compare every sphere of the CT with the measurements of tracker and stereo head, and the reverse."""
+    """Compare every CT sphere with the measurements of tracker and stereo head, and the reverse."""
     localization = context.result(LocalizedFiducials)
     correspondence = context.result(Correspondence)
     return verify_two_way(

@@ -1,4 +1,4 @@
-"""Fine localization of every matched sphere by visual servo, in the orientation of the strategy.
+"""Fine localization of every matched sphere by visual servo, in the strategy's orientation.
 
 The tool centre is moved onto a sphere until the residual is below the tolerance; recorded is the nominal tool
 pose plus the last residual. The offset of the coarse position found at one sphere helps to find the next. It
@@ -43,7 +43,7 @@ SIGMAS = 4.0  # per axis; an error in space is longer in 1 of 1,000 cases
 
 
 def run(context: StepContext) -> Outcome[Relocalization]:
-    """Localize all matched spheres again. Raises PRO-008 for a missing one, PRO-009, STE-014."""
+    """Localize all matched spheres. Raises PRO-008 for a missing sphere, PRO-009, STE-014."""
     paths = context.result(CheckedPaths)
     motions = motions_over_spheres(paths.motions, context.key.trajectory)
     step_motions = f"{summarize_motions(motions)}; {SMALL_STEPS}" if motions else ""
@@ -128,7 +128,7 @@ def _localize_spheres(context: StepContext, paths: CheckedPaths) -> Outcome[Relo
 
 
 def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | None:
-    """Direction in which each joint arrives at the spheres; None if the strategy does not control it.
+    """Return the direction in which each joint arrives at the spheres; None if the strategy leaves it open.
 
     It is that in which the joint will arrive at the target. If one registration serves all targets, a
     calibrated arm arrives from one side: its known backlash helps only if the side is known as well.
@@ -144,7 +144,7 @@ def arriving(context: StepContext, paths: CheckedPaths) -> tuple[int, ...] | Non
 
 
 def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, remain: int) -> LeftOutSphere:
-    """Have the operator agree to do without a sphere. Raises `problem` if not, or if too few remain."""
+    """Have the operator agree to leave out a sphere. Raises `problem` if not, or if too few would remain."""
     if remain < FEWEST_SPHERES:
         raise problem
     question = SPHERE_FAILED.question(
@@ -158,7 +158,7 @@ def _exclude_sphere(context: StepContext, fiducial: int, problem: RonnaError, re
 
 
 def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: StepContext) -> None:
-    """Raise PRO-007 for a sphere with another offset: it is another sphere, or the patient moved.
+    """Raise PRO-007 if the last sphere's offset is unlike the others: a wrong sphere, or the patient moved.
 
     The spheres share the error of tool frame and tracker frame, which alone bounds the first offset.
     """
@@ -181,7 +181,7 @@ def _check_last(offsets_mm: Sequence[Array], fiducials: Sequence[int], context: 
 
 
 def _shared_error_mm(context: StepContext) -> float:
-    """Bound on the error of coarse positions from tool frame and tracker frame, which turn with the tool.
+    """Return a bound (mm) on the error of coarse positions from tool frame and tracker frame.
 
     Tracker and stereo head look in different orientations, so the error counts at most twice.
     """

@@ -1,4 +1,4 @@
-"""Results that the comparison of the room reads: localized spheres, registration, look after a target.
+"""Results used to compare the room: localized spheres, registration, look after a target.
 
 They are apart from their steps, which themselves compare the room.
 """
@@ -31,14 +31,14 @@ NOT_PREDICTED = (
 
 
 class LeftOutSphere(Values):
-    """A sphere left out of a registration, as agreed by the operator."""
+    """Sphere left out of a registration with the operator's agreement."""
 
     fiducial: int = Field(description="Index of the sphere in the CT.")
     reason: str = Field(description="Why.")
 
 
 class Relocalization(StepResult, kind="relocalization", version=2):
-    """Fine positions of the spheres in the room, by the stereo head; one entry for each sphere."""
+    """Fine positions of the spheres in the room, by the stereo head. Each field has one entry per sphere."""
 
     fiducials: tuple[int, ...] = Field(description="Index of each sphere in the CT.")
     points_robot_mm: tuple[Numbers3, ...] = Field(description="Its centre in the robot frame.")
@@ -74,7 +74,7 @@ class Relocalization(StepResult, kind="relocalization", version=2):
 
 
 class ErrorShare(Values):
-    """Share of one source in a predicted error; the squares of all shares add up to its square."""
+    """Share of one source in a predicted error. The squares of all shares add up to that of the error."""
 
     source: str = Field(description="Such as `CT` or `guide tip`.")
     rms_mm: float = Field(description="Root mean square at the target.")
@@ -110,7 +110,7 @@ class FollowedMove(Values):
 
 
 class RegisteredRobot(StepResult, kind="registration"):
-    """Pose of the CT in the robot frame, with its predicted error at the targets."""
+    """Pose of the CT in the robot frame, with the predicted error at its targets."""
 
     robot_from_ct: FramedPose = Field(description="Fine pose robot <- CT.")
     pairs: int = Field(description="Spheres it was fitted to.")
@@ -137,11 +137,11 @@ class RegisteredRobot(StepResult, kind="registration"):
 
     @property
     def trajectories(self) -> frozenset[str]:
-        """Trajectories that it serves."""
+        """Trajectories that the registration serves."""
         return frozenset(one.target for one in self.predictions)
 
     def prediction(self, target: str) -> Prediction:
-        """The prediction at a target. Raises KeyError."""
+        """Return the prediction for a target. Raises KeyError."""
         for one in self.predictions:
             if one.target == target:
                 return one
@@ -149,7 +149,7 @@ class RegisteredRobot(StepResult, kind="registration"):
 
 
 class LinkHealth(Values):
-    """Counters, turnaround and jitter since the arm was last activated. Times are host time."""
+    """Counters, turnaround and jitter of the robot link since the arm was last activated, in host time."""
 
     lock_step: bool = Field(description="Theatre time stood still between telegrams: not a real-time figure.")
     cycles: int = Field(description="Telegrams that were answered.")
@@ -176,7 +176,7 @@ class LinkHealth(Values):
 
 
 def link_health(context: StepContext) -> LinkHealth:
-    """Read the health of the link; call it right before the stream is ended."""
+    """Return the health of the robot link. Call it right before the stream is ended."""
     statistics = asdict(context.workcell.link_statistics())
     fields = {name: value for name, value in statistics.items() if name in LinkHealth.model_fields}
     return LinkHealth(lock_step=not context.setting.clock.paced, **fields)
@@ -190,5 +190,5 @@ class ConfirmedTarget(StepResult, kind="confirmation"):
     link: LinkHealth | None = Field(description="Health of the robot link over the gauge; none if unused.")
 
     def confirms(self, subject: Subject) -> bool:
-        """Whether a subject was seen unchanged."""
+        """Whether a subject was found unchanged."""
         return any(one.unchanged for one in self.seen if one.subject == subject)

@@ -1,4 +1,4 @@
-"""Retreat along the axis, once the instrument is out, then parking."""
+"""Retreat along the axis once the instrument is out, then parking."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from procedures.steps.conditions import needs_insertion_or_withdrawal
 
 
 class Retreated(StepResult, kind="retreat", version=2):
-    """The guide is away from the head, and the arm home."""
+    """State after the retreat: the guide is away from the head and the arm is home."""
 
     joints_rad: Numbers6 = Field(description="Measured joints at home.")
     link: LinkHealth = Field(description="Health of the robot link when it was closed.")
 
 
 def run(context: StepContext) -> Outcome[Retreated]:
-    """Withdraw along the trajectory, then go home."""
+    """Withdraw the guide along the trajectory, then go home."""
     workcell = context.workcell
     # The surroundings remain those of the way in. No record is read before the guide is away from the head: a
     # damaged file must not keep it there.

@@ -1,4 +1,4 @@
-"""Comparison of the room with its localization, before and after the motions of a step.
+"""Comparison of the room with its localization, before and after a step's motions.
 
 Have head, cart and tracker stayed in place? If not, the results that depend on what moved are voided, and the
 targets that nobody has confirmed since are in doubt.
@@ -37,7 +37,7 @@ ROOM_READS = (GlobalLocalization, Correspondence)  # what every step that checks
 
 
 def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> RoomLook:
-    """Compare a reading of the tracker, taken at rest, with the localization and the readings since.
+    """Compare a tracker reading, taken at rest, with the localization and later readings.
 
     Raises PRO-019, PRO-020 and PRO-022; a move voids the localization, or the registrations that may follow
     it, and everything computed from them.
@@ -50,7 +50,7 @@ def check_room(context: StepContext, occasion: str, frames: int = FRAMES) -> Roo
 
 
 def require_unmoved(context: StepContext, occasion: str) -> None:
-    """Look carefully, with the arm home, before a guide goes to the head.
+    """Require head and base unmoved, by a careful look with the arm home, before a guide goes to the head.
 
     Raises PRO-022 if head or base cannot be compared, and as `check_room`.
     """
@@ -69,7 +69,7 @@ def require_unmoved(context: StepContext, occasion: str) -> None:
 
 @dataclass(frozen=True)
 class ExpectedSight:
-    """Expected view of the tracker past the guide, from the bodies of the clearance check."""
+    """Expected view of the tracker past the guide, from the bodies used for clearance."""
 
     context: StepContext
     sight: TrackerSight
@@ -86,7 +86,7 @@ class ExpectedSight:
 
 
 def build_expected_sight(context: StepContext, surroundings: Surroundings) -> ExpectedSight:
-    """Build the expected view of the localized spheres, and give it to the watch."""
+    """Build the expected view of the localized spheres, and pass it to the room watch."""
     watch = room_watch(context)
     expected = ExpectedSight(context, TrackerSight(watch.robot_from_tracker, watch.spheres_mm), surroundings)
     watch.approach = Approach(expected.hidden_now)
@@ -95,7 +95,7 @@ def build_expected_sight(context: StepContext, surroundings: Surroundings) -> Ex
 
 @contextmanager
 def require_head_in_view(context: StepContext) -> Iterator[None]:
-    """Limit, within the block, how long the head may be unseen before the case is suspended."""
+    """Within the block, limit how long the head may be unseen before the case is suspended."""
     watch = context.setting.memory.find(RoomWatch)
     approach = None if watch is None else watch.approach
     if approach is None:
@@ -109,7 +109,7 @@ def require_head_in_view(context: StepContext) -> Iterator[None]:
 
 
 def room_watch(context: StepContext) -> RoomWatch:
-    """Return the watch over the standing localization; begin one for a new localization.
+    """Return the watch over the current localization, building one if the localization is new.
 
     After a followed move of the head, the spheres are expected at their new places.
     """
@@ -128,7 +128,7 @@ def room_watch(context: StepContext) -> RoomWatch:
 def build_watch(
     workcell: Workcell, name: str, localized: GlobalLocalization, pairs: Sequence[tuple[int, int]] | None
 ) -> RoomWatch:
-    """Build the watch over the localization of this name, over all its spheres unless `pairs` are matched."""
+    """Build the watch over a named localization, limited to the matched spheres if `pairs` are given."""
     spheres = np.asarray(localized.points_tracker_mm, dtype=float).reshape(-1, 3)
     if pairs is not None:
         spheres = spheres[[room for _, room in pairs]]
@@ -140,19 +140,19 @@ def build_watch(
 def find_followed_registration(
     registrations: Sequence[RegisteredRobot], trajectory: str | None
 ) -> RegisteredRobot | None:
-    """The registration of a trajectory, else the last one, if it has followed a move of the head."""
+    """Return the trajectory's registration, or else the last one; None unless it followed a head move."""
     own = [one for one in registrations if trajectory in one.trajectories] or list(registrations)
     return own[-1] if own and own[-1].followed is not None else None
 
 
 def find_followed_spheres(registration: RegisteredRobot | None) -> Array | None:
-    """Spheres (n, 3) since a registration followed them, tracker frame; None if none did."""
+    """Return the spheres (n, 3) mm, tracker frame, that a registration followed; None if it followed none."""
     move = None if registration is None else registration.followed
     return None if move is None else np.asarray(move.spheres_tracker_mm, dtype=float)
 
 
 def find_frame_at_home(context: StepContext) -> Array | None:
-    """Frame on the arm at home (3,) mm, before the spheres were localized again; None if not recorded."""
+    """Return the frame on the arm at home (3,) mm, from before the relocalization; None if not recorded."""
 
     def first(made: Sequence[Relocalization]) -> Relocalization | None:
         return next((one for one in made if one.frame_at_home_mm is not None), None)
@@ -162,7 +162,7 @@ def find_frame_at_home(context: StepContext) -> Array | None:
 
 
 def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
-    """Targets with work begun or done since the last look that showed no change."""
+    """Return the targets with work begun or done since the last look that showed no change."""
     confirmed = context.trajectories_done(ConfirmedTarget, lambda look: not look.in_doubt)
     stages = context.workcell.instrument.stages
     return tuple(
@@ -171,14 +171,14 @@ def list_unconfirmed_targets(context: StepContext) -> tuple[str, ...]:
 
 
 def doubt(context: StepContext, reason: str, *, again: bool = True) -> None:
-    """Record a finding on the unconfirmed targets; unless `again`, only on those without any look."""
+    """Record a finding on the unconfirmed targets. Unless `again`, only targets without any look count."""
     looked = () if again else context.trajectories_done(ConfirmedTarget)
     if targets := tuple(name for name in list_unconfirmed_targets(context) if name not in looked):
         context.find(f"{' and '.join(targets)} in doubt: {reason}", targets)
 
 
 def void_moved(context: StepContext, moved: RonnaError) -> None:
-    """Void the registrations that may follow a small move with the guide mounted, else the localization.
+    """Void the registrations that may follow a small move with the guide mounted, otherwise the localization.
 
     A moved cart voids its lock as well. Unconfirmed targets are in doubt, as nobody knows when it moved.
     """

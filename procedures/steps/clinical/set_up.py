@@ -1,4 +1,4 @@
-"""Set-up: devices are connected, identified and configured; calibrations and tool records are valid."""
+"""Set-up: connect, identify and configure devices; check calibrations and tool records."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ from ronna_hw.tool_record import ToolRecord
 
 
 class DeviceIdentity(Values):
-    """Identity of a device according to itself."""
+    """Identity that a device reports."""
 
     vendor: str = Field(description="Maker.")
     model: str = Field(description="Model.")
@@ -28,7 +28,7 @@ class DeviceIdentity(Values):
 
     @classmethod
     def from_identity(cls, identity: Identity) -> DeviceIdentity:
-        """Convert a driver's answer."""
+        """Convert the identity reported by a driver."""
         return cls(
             vendor=identity.vendor,
             model=identity.model,
@@ -38,7 +38,7 @@ class DeviceIdentity(Values):
 
 
 class CheckedSetUp(StepResult, kind="set_up", version=2):
-    """Devices, calibrations, tools and cell that the case works with."""
+    """Devices, calibrations, tools and cell used in the case."""
 
     identities: dict[str, DeviceIdentity] = Field(
         description="By role: tracker, arm, stereo, and device.NAME as in the theatre file."
@@ -95,7 +95,7 @@ def run(context: StepContext) -> Outcome[CheckedSetUp]:
 
 
 def _needs_disconnection(context: StepContext) -> tuple[str, ...]:
-    """Require that no device is connected yet: a second connection would meet the first."""
+    """Require that no device is connected yet, because a second connection would conflict with the first."""
     connected = [
         role
         for role, device in context.workcell.devices.items()

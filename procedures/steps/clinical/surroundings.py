@@ -1,4 +1,4 @@
-"""Surroundings for the arm's clearance check: the head, where the case has it, and the room."""
+"""Surroundings for the arm's clearance check: the room, and the head where the case has located it."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ READS = (CheckedPlan, LocalizedFiducials)  # what every step that surrounds the 
 
 
 def planning_scene_of(context: StepContext) -> PlanningScene:
-    """Scene of a step: the head in the CT, its spheres, and the theatre file's bodies."""
+    """Return the scene of a step: the head in the CT, its spheres, and the theatre file's bodies."""
     around = context.setting.surroundings
     return planning_scene(around, context.result(CheckedPlan), context.result(LocalizedFiducials))
 
@@ -28,7 +28,7 @@ def planning_scene_of(context: StepContext) -> PlanningScene:
 def planning_scene(
     around: CollisionConfig, plan: CheckedPlan, localized: LocalizedFiducials
 ) -> PlanningScene:
-    """Scene from these results."""
+    """Build the planning scene from the theatre file's bodies, the checked plan and the localized spheres."""
     return PlanningScene(
         around,
         plan.head,
@@ -43,7 +43,7 @@ def surround_stereo_head(
     trajectory: Trajectory | None = None,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> None:
-    """Set the arm's surroundings while the stereo head is mounted, from the coarse registration.
+    """Set the arm's surroundings from the coarse registration while the stereo head is mounted.
 
     `near_rad` is where the arm works, see `Workcell.surround`. With a trajectory, its corridor into the head
     is open. `offset_mm` (3,) is the displacement of the head as seen by the stereo head.
@@ -55,7 +55,7 @@ def surround_stereo_head(
 
 
 def surround_guide(context: StepContext, robot_from_ct: Transform, near_rad: JointVector) -> Surroundings:
-    """Set the arm's surroundings while the guide is mounted, from this trajectory's registration.
+    """Set the arm's surroundings from this trajectory's registration while the guide is mounted.
 
     `near_rad` is where the arm works, see `Workcell.surround`.
     """

@@ -42,7 +42,7 @@ class MeasuredTarget(StepResult, kind="target_measurement"):
 
 
 def run(context: StepContext) -> Outcome[MeasuredTarget]:
-    """Bring the stereo head to the target, look and back out; a ball not in view is recorded as such."""
+    """Bring the stereo head to the target, look, and back out. A ball out of view is recorded as such."""
     workcell, name = context.workcell, context.trajectory
     workcell.mount.check(MountedTool.STEREO_HEAD)
     paths = context.result(CheckedPaths)
@@ -93,7 +93,7 @@ def run(context: StepContext) -> Outcome[MeasuredTarget]:
 
 
 def _look(context: StepContext) -> tuple[Look | None, str]:
-    """Look for the ball around the centre, then on the whole sensors; without success, give the reason."""
+    """Look for the ball around the centre, then on the whole sensors; return the reason if not found."""
     workcell = context.workcell
     why = ""
     for whole in (False, True):

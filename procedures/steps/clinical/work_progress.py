@@ -28,7 +28,7 @@ BESIDE = "the guide was repositioned since; its axis may miss the opening"
 
 @dataclass(frozen=True)
 class WorkStage:
-    """Stage of the work through the guide: the task for hands, and the statement to confirm."""
+    """Stage of the work through the guide: a task done by hand, and the statement that confirms it."""
 
     task: str
     topic: Topic
@@ -51,7 +51,7 @@ STAGES = (
 
 @dataclass
 class WorkProgress:
-    """Work done through the guide, from which an interrupted step continues.
+    """Progress of work through the guide, from which an interrupted step continues.
 
     `before` are the tasks of stages done on an earlier visit, which are not repeated. `watched` says that the
     tracker saw the guide after each stage since, `pushed_mm` is its largest displacement after one.
@@ -72,7 +72,7 @@ class WorkProgress:
         return len(self.before) == len(STAGES)
 
     def rely_on_stop(self, context: StepContext) -> None:
-        """Rely on the depth stop for insertion. Raises TOOL-007 if its reading is too old."""
+        """Rely on the depth stop for the insertion. Raises TOOL-007 if its reading is too old."""
         if self.stop_read_s is None:
             return
         try:
@@ -84,7 +84,7 @@ class WorkProgress:
 
 
 def work_progress(context: StepContext) -> WorkProgress:
-    """Return interrupted work with the instrument inside, otherwise new work with the depth stop set.
+    """Return interrupted work whose instrument is still inside, or else new work with the depth stop set.
 
     If work was done there before, the operator chooses the stage to continue from. Raises PRO-002.
     """
@@ -133,7 +133,7 @@ def work_begun_elsewhere(engine: Engine) -> tuple[str, ...]:
 
 
 def _tasks_done(context: StepContext) -> tuple[str, ...]:
-    """Return the tasks not to repeat, as the operator chooses; all of them if the work was finished."""
+    """Return the tasks that the operator chooses not to repeat; all tasks if the work was finished."""
     stages, tasks = context.workcell.instrument.stages, [stage.task for stage in STAGES]
     trajectory = context.trajectory
     if not stages.may_have_begun(trajectory):
@@ -164,7 +164,7 @@ def _tasks_done(context: StepContext) -> tuple[str, ...]:
 
 
 class DepthStop(Values):
-    """Computed setting and reading of the depth stop."""
+    """Computed setting of the depth stop, and its reading."""
 
     bore_mm: float = Field(description="Length of the guide's bore.")
     standoff_mm: float = Field(description="From the entry to the lower end of the guide.")
@@ -174,7 +174,7 @@ class DepthStop(Values):
 
     @property
     def too_deep_mm(self) -> float:
-        """Depth beyond the target that the reading allows; negative if short of it."""
+        """Depth beyond the target that the reading allows, mm; negative if it falls short."""
         return self.read_mm - self.computed_mm
 
 
