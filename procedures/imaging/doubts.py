@@ -220,7 +220,7 @@ def _extent_difference(directions: Array, offsets: Array) -> float:
 
 
 def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -> list[tuple[Doubt, ...]]:
-    """List doubts about spheres at `centres_mm` (n, 3), given bodies of the same size at `others_mm` (m, 3)."""
+    """List doubts about spheres at `centres_mm` (n, 3); bodies of the same size are at `others_mm` (m, 3)."""
     bodies = np.vstack([centres_mm.reshape(-1, 3), others_mm.reshape(-1, 3)])
     offsets = bodies[None] - bodies[:, None]
     distances = np.linalg.norm(offsets, axis=2)

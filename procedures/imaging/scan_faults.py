@@ -118,7 +118,7 @@ def _reduce_slice(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
 
 
 def _estimate_jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
-    """Estimate the jump between the middle two of six slices: the fields of `Jumps`, then the outline strength."""
+    """Estimate the jump between the middle two of six slices: fields of `Jumps`, then outline strength."""
     middle = 0.5 * (planes[2] + planes[3])
     slopes = np.gradient(middle, *steps_mm)
     outline = np.hypot(*slopes) > OUTLINE_HU_PER_MM

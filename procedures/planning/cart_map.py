@@ -63,7 +63,7 @@ class PlaceMap:
         return is_inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """Return the position farthest from all unsuitable ones and its tolerance in mm; None if none is allowed."""
+        """Return the position farthest from unsuitable ones and its tolerance in mm; None if there is none."""
         if not self.allowed.any():
             return None
         # nothing is known beyond the map

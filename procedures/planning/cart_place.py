@@ -1,4 +1,4 @@
-"""Judge whether the whole procedure can be executed from one cart position, by the rules of the path check."""
+"""Judge by the rules of the path check whether the whole procedure can be executed from a cart position."""
 
 from __future__ import annotations
 
@@ -125,7 +125,7 @@ class CartCase:
         return check_branch(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _find_unreachable(self, setting: ArmSetting) -> Verdict | None:
-        """Find the first axis with a pose that is unreachable at every turn; cheap, so done before the search."""
+        """Find the first axis with a pose that is unreachable at every turn; cheap, so done before searching."""
         start_branch = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(start_branch)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)
@@ -184,7 +184,7 @@ class CartCase:
 
 
 def _depends_on_branch(setting: ArmSetting) -> bool:
-    """Whether the strategy's orientations depend on the branch, so that one branch says nothing about others."""
+    """Whether the strategy's orientations depend on the branch, so that other branches must be examined."""
     return setting.strategy.name not in ("ocs", "thesis-ocs")
 
 

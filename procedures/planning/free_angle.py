@@ -134,7 +134,7 @@ class _Search:
     def _rank_turns(
         self, axis: Axes, turns: Iterable[float], branch: Branch
     ) -> Generator[float, None, list[float]]:
-        """Yield the suitable turns in this branch: those with good wrists in order, then the others, best first.
+        """Yield the suitable turns in this branch: good wrists in order, then the others, best first.
 
         Returns those that only lack some clearance, no more than a turn by half a step may gain.
         """
@@ -216,7 +216,7 @@ class WristState:
 
     @property
     def is_good(self) -> bool:
-        """Whether the wrist is clear of its singularity and has the same configuration at spheres and target."""
+        """Whether the wrist is clear of its singularity, with one configuration at spheres and target."""
         return self.least_bend_rad >= LEAST_BEND_RAD and self.largest_turn_change_rad < MOST_TURN_CHANGE_RAD
 
 
@@ -260,7 +260,7 @@ def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict
 
 
 def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Recommend strategies that would reach the trajectories; return None, for the usual advice, if there are none."""
+    """Recommend strategies that would reach the trajectories; return None, for the usual advice, without any."""
     reaching = [
         f"{name} by {' or '.join(one.name for one in others)}"
         for name, others in alternatives_by_trajectory.items()

@@ -40,12 +40,12 @@ def place_guides(plan: Plan, bore: GuideBore) -> tuple[Trajectory, ...]:
 
 
 def depth_stop_mm(plan: Plan, planned: PlannedTrajectory, bore: GuideBore) -> float:
-    """Return the distance from the instrument's tip to its depth stop, which rests on the guide at the target."""
+    """Return the distance from the instrument's tip to its depth stop, which rests on the guide, in mm."""
     return bore.length_mm + plan.standoff_mm + planned.depth_mm
 
 
 def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[PlannedTrajectory, float]]:
-    """Yield the trajectories whose depth stop would be beyond the instrument's end, with its position in mm."""
+    """Yield trajectories whose depth stop would be beyond the instrument's end, with its position in mm."""
     for one in plan.trajectories:
         stop_mm = depth_stop_mm(plan, one, bore)
         if stop_mm > plan.instrument_length_mm:
@@ -55,7 +55,7 @@ def find_stops_beyond_end(plan: Plan, bore: GuideBore) -> Iterable[tuple[Planned
 def instrument_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, with_rest: Array
 ) -> Array:
-    """Return the covariance (3, 3) at the target from play and depth setting, for a guide orientation (3, 3)."""
+    """Return the covariance (3, 3) at the target from play and depth setting; guide orientation (3, 3)."""
     share = (plan.standoff_mm + planned.depth_mm) / bore.length_mm  # in bore lengths beyond its lower end
     across_mm2 = (bore.play_mm / 4.0) ** 2 * ((1.0 + share) ** 2 + share**2)
     return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, SET_BY_HAND_MM**2]) @ with_rest.T)
@@ -64,7 +64,7 @@ def instrument_covariance_mm2(
 def direction_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, bore_error_rad: float, with_rest: Array
 ) -> Array:
-    """Return the covariance (3, 3) at the target from the bore's direction error (standard deviation, rad)."""
+    """Return the covariance (3, 3) at the target from the bore's direction error, standard deviation in rad."""
     lever_mm = place_guide(plan, planned, bore).beyond_mm
     across_mm2 = (bore_error_rad * lever_mm) ** 2 / 2.0
     return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, 0.0]) @ with_rest.T)

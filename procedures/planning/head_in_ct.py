@@ -56,7 +56,7 @@ class HeadEllipsoid(Strict):
     semi_axes_mm: Numbers3 = Field(description="Semi-axes along left, posterior, superior.")
 
     def side_of(self, entry_mm: Numbers3, target_mm: Numbers3) -> str:
-        """Return the patient's side of a trajectory, such as `right`, or `left to right` if it crosses over."""
+        """Return the patient's side of a trajectory: `right`, or `left to right` if it crosses over."""
         return " to ".join(dict.fromkeys(self._side(x) for x, *_ in (entry_mm, target_mm)))
 
     def _side(self, x_mm: float) -> str:
@@ -230,7 +230,7 @@ def _ball_offsets() -> Array:
 
 
 def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
-    """Return the angle of a trajectory to the skull's outer surface, pi/2 if perpendicular; None without bone."""
+    """Return the angle of a trajectory to the skull's surface, pi/2 if perpendicular; None without bone."""
     axis = np.asarray(trajectory.axis_ct, dtype=float)
     side = np.cross(axis, np.eye(3)[int(np.abs(axis).argmin())])
     side /= np.linalg.norm(side)
@@ -253,7 +253,7 @@ def skull_angle_rad(volume: Volume, trajectory: Trajectory) -> float | None:
 
 
 def _first_bone_mm(volume: Volume, places_mm: Array, steps_mm: Array) -> float:
-    """Return the distance along a ray to the first bone in mm; NaN without bone or if the ray leaves the CT."""
+    """Return the distance along a ray to the first bone, mm; NaN without bone or beyond the CT."""
     last = np.array(volume.geometry.shape) - 0.5
     index = volume.geometry.to_index(places_mm)
     mask = np.all((index > -0.5) & (index < last), axis=1)

@@ -109,7 +109,7 @@ class TrackerSight:
 def explain_hidden_frame(
     robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
 ) -> str:
-    """Explain why the tracker cannot see the frame on the arm, which faces along its z axis; empty if visible."""
+    """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if visible."""
     marker = robot_from_tracker.inverse() @ robot_from_marker
     x_mm, y_mm, z_mm = marker.translation_mm.tolist()
     depths_mm, *halves_mm = np.transpose(VOLUME_MM)

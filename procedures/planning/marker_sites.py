@@ -289,7 +289,7 @@ def _cap_directions(random: np.random.Generator) -> Array:
 
 
 def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
-    """Return the distance outwards from a point to free skin in mm; NaN without skin or if something covers it."""
+    """Return the distance outwards from a point to the skin, mm; NaN without skin or if it is covered."""
     side = np.cross(outward, np.eye(3)[np.abs(outward).argmin()])
     side /= np.linalg.norm(side)
     turns = np.arange(AROUND) * 2.0 * np.pi / AROUND
@@ -300,7 +300,7 @@ def _skin_offset_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
 
 
 def _first_solid_mm(volume: Volume, start_mm: Array, outward: Array) -> float:
-    """Return the distance outwards from a point to the first object thicker than a sheet in mm; NaN without one."""
+    """Return the distance outwards from a point to the first object thicker than a sheet, mm; or NaN."""
     steps_mm = np.arange(SKIN_MM[0], SKIN_MM[1], -SKIN_STEP_MM)
     hu = sample_hu(volume, start_mm + steps_mm[:, None] * outward)
     if len(hu) < len(steps_mm):
@@ -327,7 +327,7 @@ class _Head(Strict):
 
 
 def read_scene_head(path: Path, plan: Plan | None = None) -> HeadEllipsoid:
-    """Read the head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 if a planned target is missing."""
+    """Read the head's ellipsoid from a scene file. Raises PLAN-016; PLAN-003 without a planned target."""
     try:
         head = read_toml(path, HeadUnreadable).get("head")
     except OSError as error:

@@ -95,7 +95,7 @@ def find_unclear(
 
 
 def check_fixed_places(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """List why home or gauge cannot be reached, independent of the trajectories' angles; empty if they can."""
+    """List why home or gauge cannot be reached whatever the trajectories' angles; empty if they can."""
     for name, joints_rad in _list_fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)

@@ -84,7 +84,7 @@ class PlannerLock:
         self._is_released = False
 
     def take(self) -> bool:
-        """Take the lock; return False if another planner holds it. Returns True where files cannot be locked."""
+        """Take the lock; return False if another planner holds it, True where files cannot be locked."""
         if self._is_released:
             return False
         if self._file is None:

@@ -37,14 +37,14 @@ class PlanningScene:
     def with_stereo_head(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None = None
     ) -> Surroundings:
-        """Return the surroundings while the stereo head measures spheres, or a ball at a trajectory's target."""
+        """Return the surroundings while spheres, or a ball at a trajectory's target, are localized."""
         around = self._around(self.surroundings.stereo_head, robot_from_ct, flange_from_tool, trajectory)
         return replace(around, margin_mm=around.margin_mm + self.head_reserve_mm)
 
     def with_guide(
         self, robot_from_ct: Transform, flange_from_tool: Transform, trajectory: Trajectory | None
     ) -> Surroundings:
-        """Return the surroundings while the guide is mounted, with the corridor of this trajectory left open."""
+        """Return the surroundings while the guide is mounted, with this trajectory's corridor left open."""
         return self._around(self.surroundings.guide, robot_from_ct, flange_from_tool, trajectory)
 
     def _around(

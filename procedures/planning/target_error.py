@@ -46,7 +46,7 @@ USUAL_SEATING_MM = 0.05  # per axis, the default of a theatre file
 def predict_by_markers(
     markers_mm: Array, covariances_mm2: Array, target_mm: Sequence[float]
 ) -> TargetPrediction:
-    """Predict the target error from CT and seating errors of markers (n, 3), covariances (n, 3, 3), CT frame."""
+    """Predict the target error from CT and seating of markers (n, 3), covariances (n, 3, 3); CT frame."""
     return predict_target_error(
         markers_mm,
         target_mm,
