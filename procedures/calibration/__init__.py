@@ -1,4 +1,4 @@
-"""Fits of stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
+"""Calibration fits of stereo head, arm, tracked frame and tool tip, and their records. Pure
 numerics.
 """
 

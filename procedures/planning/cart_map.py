@@ -63,7 +63,7 @@ class PlaceMap:
         return is_inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """Return the position farthest from unsuitable ones and its tolerance in mm; None if there is none."""
+        """Return the position farthest from unsuitable ones and its tolerance in mm; None without any."""
         if not self.allowed.any():
             return None
         # nothing is known beyond the map

@@ -64,7 +64,7 @@ def instrument_covariance_mm2(
 def direction_covariance_mm2(
     plan: Plan, planned: PlannedTrajectory, bore: GuideBore, bore_error_rad: float, with_rest: Array
 ) -> Array:
-    """Return the covariance (3, 3) at the target from the bore's direction error, standard deviation in rad."""
+    """Return the covariance (3, 3) at the target from the bore's direction error (standard deviation)."""
     lever_mm = place_guide(plan, planned, bore).beyond_mm
     across_mm2 = (bore_error_rad * lever_mm) ** 2 / 2.0
     return np.asarray(with_rest @ np.diag([across_mm2, across_mm2, 0.0]) @ with_rest.T)

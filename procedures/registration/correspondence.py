@@ -31,7 +31,7 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); return '' without objection."""
+        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); return '' if there is none."""
         ...
 
 
@@ -115,7 +115,7 @@ class Match:
         runner_up: Hypothesis | None = None,
         margin_nats: float = 0.0,
     ) -> Self:
-        """Build the result from the best hypothesis, or without pairs; `counts` of image and physical points."""
+        """Build the result from the best hypothesis, or without pairs; `counts` are image and physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
         unmatched = [
             tuple(index for index in range(count) if index not in set(used.tolist()))
@@ -124,7 +124,7 @@ class Match:
         return cls(status, pairs, best and best.transform, reason, runner_up, margin_nats, *unmatched)
 
     def require_unique(self) -> RigidTransform:
-        """Return the transform. Raise REG-008 with the closest hypothesis unless the correspondence is unique."""
+        """Return the transform. Raise REG-008 with the closest hypotheses unless the match is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
             nearest = [_format_pairs(self.pairs)] if len(self.pairs) else []
             nearest += [_format_pairs(self.runner_up.pairs)] if self.runner_up else []

@@ -34,7 +34,7 @@ def degrees_of_freedom(pairs: int) -> int:
 
 
 def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
-    """Return the FLE of both spaces together from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
+    """Return the FLE of both spaces from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
     degrees_of_freedom(pairs)
     require_size("FRE", fre_mm)
     return fre_mm * math.sqrt(pairs / (pairs - 2))
@@ -124,7 +124,7 @@ def require_size(name: str, size_mm: float) -> None:
 
 
 def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:
-    """Predict rms target errors (..., m) mm for equal isotropic FLE, eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
+    """Predict target errors (..., m), rms mm, by eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
 
     `d_k` is a target's distance from principal axis k of the fiducials, `f_k` their rms distance from it.
     Points (m, 3) and sets of fiducials (..., n, 3) in one frame.

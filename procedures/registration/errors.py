@@ -99,7 +99,7 @@ class LayoutNotFound(RefusedError):
 
 
 class HeadElsewhere(RefusedError):
-    """A touched point of the head is not at its matched position, or no point distinguishes a mirror image."""
+    """A touched point of the head is not at its matched position, or cannot exclude a mirror image."""
 
     code = "REG-013"
     action = (

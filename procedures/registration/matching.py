@@ -211,7 +211,7 @@ class CorrespondenceSearch:
         return self.prior.objection(one.rotation, one.translation_mm, self.physical[paired])
 
     def _may_have_bad_pair(self, one: Candidate) -> bool:
-        """Whether a candidate may contain a pair that lowers its score, so that smaller sets must be examined.
+        """Whether a candidate may contain a pair that lowers its score, so that subsets must be examined.
 
         Up to the planned number of pairs none is doubted: they are known to exist.
         """
@@ -219,7 +219,7 @@ class CorrespondenceSearch:
         return not planned and one.score_nats < self.evidence.most_nats(one.size - 1)
 
     def _judge(self, ranked: list[Candidate], failed: list[Candidate]) -> Match:
-        """Return UNIQUE if the best candidate beats all contradicting ones, else the reason for the failure."""
+        """Return UNIQUE if the best candidate beats all contradicting ones, else the reason why not."""
         larger = [
             one for one in failed if one.size > max(FEWEST_PAIRS, ranked[0].size) and one.passed_mirrored
         ]

@@ -57,7 +57,7 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """Convert one fit, (3, 3) and (3,), without normalizing, since products of singular vectors are orthogonal.
+    """Convert a fit, (3, 3) and (3,), without normalizing: products of singular vectors are orthogonal.
 
     Normalizing would cost as much as the fit.
     """

@@ -143,7 +143,7 @@ class Landmark:
 
     @property
     def limit_mm(self) -> float:
-        """Largest accepted distance of a reading from the match, at most half the distance to a mirror image."""
+        """Largest accepted distance of a reading from the match, at most half that of a mirror image."""
         return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
 
 

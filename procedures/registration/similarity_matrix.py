@@ -61,7 +61,7 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Return similarity matrices (b, n, m) of sorted distances, image (b, n, k), physical (b, m, l), limit (b,).
+    """Return matrices (b, n, m) from sorted distances of image (b, n, k) and physical (b, m, l) points.
 
     All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
     shorter is skipped.
