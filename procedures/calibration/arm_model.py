@@ -131,7 +131,7 @@ class ArmModel:
 
     @cached_property
     def prior(self) -> Array:
-        """Prior standard deviation of each deviation, in vector order; 0 for deviations that are not estimated."""
+        """Prior standard deviation of each deviation, in vector order; 0 for those not estimated."""
         count = self.joints
         harmonics = np.tile(np.array(HARMONIC_RAD) / math.sqrt(2.0), (count, 1))
         sag = np.zeros(count)
@@ -197,7 +197,7 @@ class ArmModel:
         return self._compute_misses(values, looks, flange, self._flange_points(values, looks))
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
-        """Return the derivative (m, 3, n) of the misses by finite differences, since they are nearly linear."""
+        """Return the derivative (m, 3, n) of the misses by finite differences; misses are nearly linear."""
         levers = self._levers(looks)
         flange, flange_points = self._flange(values, looks, levers), self._flange_points(values, looks)
         here = self._compute_misses(values, looks, flange, flange_points)

@@ -1,4 +1,4 @@
-"""Combined bundle adjustment and hand-eye calibration: ball, cameras on the flange and lenses, from all views.
+"""Combined bundle adjustment and hand-eye calibration of ball, cameras on the flange and lenses.
 
 The arm is by far the least accurate instrument: it positions the ball with errors of 0.02 to 0.2 mm, while an
 outline is accurate to micrometres. Every view therefore has an unknown shift of the ball, with a common
@@ -239,7 +239,7 @@ class _Cost:
         return np.concatenate([whitened.ravel(), _prior(values)])
 
     def slopes(self, values: Array) -> Array:
-        """Return the Jacobian (m, 23 + k): by finite differences for the head, exact for the arm's k errors."""
+        """Return the Jacobian (m, 23 + k): finite differences for the head, exact for the arm's k errors."""
         here = self(values)
         slopes = np.zeros((len(here), len(values)))
         for column in range(HEAD):

@@ -1,4 +1,4 @@
-"""Errors of calibrations and checks, CAL-002 to CAL-021. CAL-001, an expired record, belongs to the record."""
+"""Errors of calibrations and checks. CAL-001, an expired record, is defined with the record."""
 
 from __future__ import annotations
 

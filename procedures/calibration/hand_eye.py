@@ -64,7 +64,7 @@ class HandEye:
 
 
 def solve(pairs: PosePairs) -> HandEye:
-    """Find the pose of the frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
+    """Find the pose of the frame on the flange from the pose pairs. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
     x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)

@@ -150,7 +150,7 @@ def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Arr
 
 
 def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """Fit FLANGE <- TOOL so that pixels around the tool centre are preserved; also return the rms misfit, mm."""
+    """Fit FLANGE <- TOOL that preserves the pixels around the tool centre; also return the rms misfit, mm."""
     tool, flange = _anchor_points(), _triangulate_anchors(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)

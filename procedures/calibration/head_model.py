@@ -70,7 +70,7 @@ class FlangeCamera:
         return distort(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Return the derivative (n, 2, 3) of `image_points` by the point, without distortion: for weights only."""
+        """Return the derivative (n, 2, 3) of `image_points` by the point, undistorted: for weighting only."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z

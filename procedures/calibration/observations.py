@@ -44,7 +44,7 @@ class Measurements(Strict, ABC):
 def require_same_theatre(
     measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
 ) -> None:
-    """Raise CAL-020 unless each record is that of the theatre file, or the file has the one in `found`.
+    """Raise CAL-020 unless the theatre has each record in use, or the one `found` from these measurements.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
     another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record

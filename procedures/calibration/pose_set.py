@@ -1,4 +1,4 @@
-"""Views of a ball for a calibration: evenly spread, deterministic tool poses, and checks of their number and spread.
+"""Views of a ball for a calibration: evenly spread, deterministic tool poses, and checks of their spread.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.

@@ -151,7 +151,7 @@ class _RunMeans:
 
 
 def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
-    """Compare the views of a check with the baseline. Raises CAL-008 for other poses, CAL-007 for large scatter."""
+    """Compare the views of a check with the baseline. Raises CAL-008 for other poses, CAL-007 for scatter."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
     then, now = (_average_run(run, head, numbers) for run in (baseline.looks, looks))

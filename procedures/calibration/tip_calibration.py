@@ -219,7 +219,7 @@ class TipFit:
 
     @property
     def hidden_gap_mm(self) -> float:
-        """Standard deviation of an undetected gap in the tip; an accepted gap is at most three times as large."""
+        """Standard deviation of a gap hidden in the tip; an accepted gap is at most three times as large."""
         return max(self.gap_error_mm, float(np.linalg.norm(self.gap_mm)) / GAP_SIGMAS)
 
 

@@ -133,7 +133,7 @@ def frames_registration(
     label: str,
     description: str,
 ) -> Dataset:
-    """Build the registration object for the pose (4, 4) mm of a second CT in the origin's frame of reference."""
+    """Build the registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
     items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),

@@ -121,7 +121,7 @@ def _label_registrations(used: Sequence[UsedRegistration]) -> dict[str, Stored[R
 
 
 def _placing(registration: Record, folder: RunFolder) -> str:
-    """Return the hash of the locked cart's record, which identifies the cart position; '' if none was locked."""
+    """Return the hash of the locked cart's record, which identifies its position; '' if none was locked."""
     by_name = {record.identifier: record for record in folder.records}
     locked = ancestor_of_kind(registration, LockedCart.kind, by_name)
     return "" if locked is None else locked.sha256

@@ -125,7 +125,7 @@ class CartCase:
         return check_branch(setting, axes, self.fiducials_mm, found.branch, first_only=True).passed
 
     def _find_unreachable(self, setting: ArmSetting) -> Verdict | None:
-        """Find the first axis with a pose that is unreachable at every turn: a cheap check before the search."""
+        """Find the first axis with a pose that is unreachable at every turn, cheaply before the search."""
         start_branch = setting.kinematics.branch_of(setting.start_rad)
         arm = setting.in_branch(start_branch)
         axes = Axes.of(setting, self.trajectories, self.fiducials_mm)

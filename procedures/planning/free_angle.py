@@ -260,7 +260,7 @@ def find_unreached(check: PathCheck, trajectories: Sequence[Trajectory]) -> dict
 
 
 def advice(alternatives_by_trajectory: Mapping[str, Sequence[Strategy]]) -> str | None:
-    """Recommend strategies that would reach the trajectories; return None, for the usual advice, if none would."""
+    """Recommend strategies that would reach the trajectories; None, for the usual advice, if none would."""
     reaching = [
         f"{name} by {' or '.join(one.name for one in others)}"
         for name, others in alternatives_by_trajectory.items()

@@ -287,7 +287,7 @@ def _check_arm(
 
 
 def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
-    """Warn of bodies closer than the margin at the start of a motion, which may not come closer."""
+    """Warn of bodies closer than the margin at the start of a motion; they must not come closer."""
     warnings_by_pair: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest

@@ -94,7 +94,7 @@ def compare_with_plan(
 def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> PostoperativeComparison:
-    """Find the objects along the trajectories for a given registration. Raises POST-006, POST-007, POST-009."""
+    """Find the objects along the trajectories, given the registration. Raises POST-006, POST-007, POST-009."""
     chosen = [one for one in plan.trajectories if not only or one.id in only]
     lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in chosen}
     candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}
@@ -253,7 +253,7 @@ def assign(
 
 
 def _assignment_cost_mm(line: PlannedLine, one: Candidate) -> float:
-    """Return the mean distance of the axis from entry and target, plus a penalty for holes and failed fits."""
+    """Return the axis' mean distance from entry and target, plus a penalty for holes and failed fits."""
     mean_mm = 0.5 * (one.axis_distance_mm(line.entry_mm) + one.axis_distance_mm(line.target_mm))
     rank = (one.kind is FoundKind.DRILL_HOLE) + 2 * bool(one.failures)
     return mean_mm + rank * SUBSTITUTE_PENALTY_MM

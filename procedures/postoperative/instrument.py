@@ -164,7 +164,7 @@ class _VoxelModel:
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
-        """Return the HU of tissue, rod and streaks, clipped; the parameters of the rod precede the streaks'."""
+        """Return the HU of tissue, rod and streaks, clipped; parameters of the rod first, then of the streaks."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
     def fit(
@@ -197,7 +197,7 @@ def _rod_share(local: Array, unknown: Array, length_mm: float) -> Array:
 
 
 def _voxel_offsets(volume: Volume, line: PlannedLine) -> Array:
-    """Return sample positions (n, 3) in a voxel relative to its centre, along and across the trajectory, mm."""
+    """Return sample positions (n, 3) in a voxel relative to its centre, along and across the path, mm."""
     geometry = volume.geometry
     shares = [(np.arange(count) + 0.5) / count - 0.5 for count in reversed(VOXEL_SAMPLES)]
     grid = np.stack(np.meshgrid(*shares, indexing="ij"), axis=-1).reshape(-1, 3)
@@ -240,7 +240,7 @@ class Slices:
 
 @dataclass(frozen=True, eq=False)
 class RodAxis:
-    """Axis of a rod: a point (3,) mm, the outward direction (3,) per mm, and the position of the tip along it."""
+    """Axis of a rod: a point (3,) mm, the outward direction (3,) per mm, and the tip's position along it."""
 
     point_mm: Array
     outwards: Array
@@ -264,7 +264,7 @@ class Streaks:
     high: Array
 
     def hu(self, unknown: Array) -> Array:
-        """Return streak HU at each voxel, given strength and origin along the rod in mm for each tip slice."""
+        """Return streak HU at each voxel, from strength and origin along the rod, mm, for each tip slice."""
         found = self.shaft_hu.copy()
         for part, (strength, along_mm) in zip(self.parts, unknown.reshape(-1, 2), strict=True):
             found[part] = strength * (_harmonics(self.slices, self.rod, along_mm, part) @ self.pattern)
@@ -278,7 +278,7 @@ def zero_streaks(slices: Slices, rod: RodAxis) -> Streaks:
 
 
 def read_streaks(slices: Slices, rod: RodAxis, rest_hu: Array, usable: NDArray[np.bool_]) -> Streaks:
-    """Estimate the streak pattern from the usable voxels (n,) along the shaft, minus a rod without streaks."""
+    """Estimate the streak pattern from usable voxels (n,) along the shaft, minus a rod without streaks."""
     steep = float(rod.outwards @ slices.normal)
     if abs(steep) < LEAST_STEEP * float(np.linalg.norm(rod.outwards)):
         return zero_streaks(slices, rod)

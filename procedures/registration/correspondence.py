@@ -31,7 +31,7 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); return '' if there is none."""
+        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); '' if there is none."""
         ...
 
 
@@ -115,7 +115,7 @@ class Match:
         runner_up: Hypothesis | None = None,
         margin_nats: float = 0.0,
     ) -> Self:
-        """Build the result from the best hypothesis, or without pairs; `counts` are image and physical points."""
+        """Build the result from the best hypothesis or without pairs; `counts` of image and physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
         unmatched = [
             tuple(index for index in range(count) if index not in set(used.tolist()))

@@ -114,7 +114,7 @@ def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | No
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
-    """Return the displacement of a single moved point in mm; None unless the others, three or more, stayed.
+    """Return the displacement of a single moved point, mm; None unless three or more others stayed in limit.
 
     Shapes like in `measure_shift`.
     """

@@ -17,7 +17,7 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 @dataclass(frozen=True)
 class Ending:
-    """Ending: `word` is one of done, in doubt, failed, refused, aborted, interrupted, left, killed, not begun.
+    """Ending: `word` is done, in doubt, failed, refused, aborted, interrupted, left, killed or not begun.
 
     `list` and `show` say running for killed while a program holds the run.
     """

@@ -1,4 +1,4 @@
-"""Files that accompany a report: pictures, tables, the truth of a simulated theatre, the postoperative check."""
+"""Files that accompany a report: pictures, tables, a simulated theatre's truth, the postoperative check."""
 
 from __future__ import annotations
 

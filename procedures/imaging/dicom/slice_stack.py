@@ -124,7 +124,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
 
 
 def _warn_unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
-    """Yield warnings about orientations typical of mirrored or reordered series; sound ones may have them too."""
+    """Yield warnings about orientations of mirrored or reordered series; sound series may have them too."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
     elif normal[2] < 0.0:
