@@ -66,8 +66,9 @@ def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) 
 def plan_centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """Plan views with the sphere at the tool centre, from number `first` on; lens and field do not matter
-    there.
+    """Plan views with the sphere at the tool centre, numbered from `first`.
+
+    Lens and field do not matter there.
     """
     return plan_poses_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD

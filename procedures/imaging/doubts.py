@@ -101,7 +101,7 @@ def assess_shape(
 def _judge_region(
     region: Region, centre_mm: Array, edge: RadialEdge, stretch: Stretch | None, *, streaked: bool = False
 ) -> tuple[Doubt, ...]:
-    """Judge one region. If it is `streaked`, the edge of each ray is halfway between that ray's own levels."""
+    """Judge one region. If it is `streaked`, each ray's edge is halfway between the ray's own levels."""
     shares = np.linspace(0.0, OUTERMOST, STEPS)
     directions = ray_directions()
     profiles = region.sample(
@@ -159,7 +159,7 @@ def _judge_region(
 
 
 def _level_shifts_hu(profiles: Array, shares: Array, edge: RadialEdge) -> Array:
-    """Return the shift (rays,) of each ray above the usual levels on both sides of the edge, limited, in HU."""
+    """Return the limited shift (rays,) in HU of each ray above the usual levels on both sides of the edge."""
     near, far = _levels_hu(profiles, shares, STEP_INSIDE, STEP_OUTSIDE)
     most_hu = MOST_SHIFTED * abs(edge.inside_hu - edge.outside_hu)
     return np.asarray(np.clip(0.5 * (near + far - edge.inside_hu - edge.outside_hu), -most_hu, most_hu))
@@ -187,7 +187,7 @@ def _levels_hu(profiles: Array, shares: Array, *spans: Span) -> list[Array]:
 
 
 def _median_around(values: Array, informative: Rays) -> Array:
-    """Return the median over each ray's neighbours, (rays,); infinite where half of them are uninformative."""
+    """Return the median over each ray's neighbours, (rays,); infinite if half of these are uninformative."""
     return np.asarray(np.median(np.where(informative, values, np.inf)[_neighbours()], axis=1))
 
 
@@ -238,7 +238,7 @@ def assess_neighbours(centres_mm: Array, others_mm: Array, diameter_mm: float) -
 
 
 def assess_sizes(radii_mm: Array, clear: NDArray[np.bool_]) -> list[Doubt]:
-    """List the doubts about each radius (n,), from its difference to the median radius of the clear spheres."""
+    """List the doubts about each radius (n,), from its difference to the median radius of clear spheres."""
     if clear.sum() < FEWEST_ALIKE:
         return [Doubt("", 0.0)] * len(radii_mm)
     usual_mm = float(np.median(radii_mm[clear]))

@@ -391,7 +391,7 @@ def _is_spoiled(edge: RadialEdge, ball: BlurredBall) -> bool:
 
 
 def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Array:
-    """Return the covariance of the edge's centre; `streaks` is the background bend relative to the contrast."""
+    """Return the covariance of the edge's centre; `streaks` is background bend relative to contrast."""
     interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
     streaks_mm = EDGE_STREAK_ERROR_MM * streaks
     return RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)

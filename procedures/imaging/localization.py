@@ -103,7 +103,7 @@ def localize(
 
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
-    """Find the local maxima of the sphere filter: grid positions (3,) mm and contrasts in HU, strongest first."""
+    """Find the maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
     response, step_mm = _filter_spheres(volume, radius_mm)
     places = np.argwhere(response > MIN_CONTRAST_HU)
     strengths = response[tuple(places.T)]

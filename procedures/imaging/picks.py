@@ -94,7 +94,7 @@ def localize_picks(
 def _measure_pick(
     volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]
 ) -> Sphere:
-    """Measure the sphere at a pick. Without a sphere, raise, with a hint if the pick looks like RAS or metres."""
+    """Measure the sphere at a pick. Without one, raise, with a hint if RAS or metres would give a sphere."""
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
@@ -203,7 +203,7 @@ def parse_points(content: bytes, name: str) -> Array:
 
 
 def _from_csv(text: str, name: str) -> list[list[float]]:
-    """Parse three columns separated by , or ; and selected by the names L_mm, P_mm, S_mm if there is a header.
+    """Parse three columns separated by , or ; and selected by L_mm, P_mm, S_mm if there is a header.
 
     Any other header is refused: it may mean other axes.
     """

@@ -109,7 +109,7 @@ class Volume:
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
 
     def sample(self, places_mm: ArrayLike, outside_hu: float) -> NDArray[Any]:
-        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; `outside_hu` outside the CT."""
+        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; `outside_hu` elsewhere."""
         index = np.moveaxis(self.geometry.to_index(places_mm), -1, 0)
         sampled = map_coordinates(self.voxels, index, output=np.float32, order=1, cval=outside_hu)
         return np.asarray(sampled)
@@ -129,7 +129,7 @@ class Region:
     spacing_mm: Array
 
     def axes_mm(self) -> tuple[Array, Array, Array]:
-        """Return the grid positions of the voxel centres along each axis, shaped to broadcast over `values`."""
+        """Return the grid positions of the voxel centres along each axis, broadcastable over `values`."""
         z, y, x = (
             (self.start[axis] + np.arange(self.values.shape[axis])) * self.spacing_mm[axis]
             for axis in range(3)

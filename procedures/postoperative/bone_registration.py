@@ -57,7 +57,7 @@ class _Level:
     geometry: VoxelGeometry
 
     def interpolate(self, points_mm: Array) -> tuple[Array, NDArray[np.bool_]]:
-        """Interpolate at patient positions (n, 3) by cubic splines; also mark the positions inside the scan."""
+        """Interpolate at patient positions (n, 3) by cubic splines; also mark positions inside the scan."""
         indices = self.geometry.to_index(points_mm).T
         last = np.array(self.geometry.shape)[:, None] - 1.0
         inside = np.all((indices >= 0.0) & (indices <= last), axis=0)

@@ -94,7 +94,7 @@ def compare_with_plan(
 def compare_registered(
     registration: BoneRegistration, plan: Plan, pre: Volume, post: Volume, only: Sequence[str] = ()
 ) -> PostoperativeComparison:
-    """Find the objects along the trajectories, given the registration. Raises POST-006, POST-007, POST-009."""
+    """Find the objects along the trajectories after registration. Raises POST-006, POST-007, POST-009."""
     chosen = [one for one in plan.trajectories if not only or one.id in only]
     lines = {one.id: PlannedLine(np.array(one.entry_mm), np.array(one.target_mm)) for one in chosen}
     candidates = {name: _candidates(line, pre, post, registration) for name, line in lines.items()}

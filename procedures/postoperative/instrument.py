@@ -164,7 +164,7 @@ class _VoxelModel:
         return np.asarray(self.background + (unknown[PLACED] - self.background) * shape)
 
     def hu(self, unknown: Array) -> Array:
-        """Return the HU of tissue, rod and streaks, clipped; parameters of the rod first, then of the streaks."""
+        """Return the HU of tissue, rod and streaks, clipped; `unknown` holds the rod's values first."""
         return np.minimum(self.without_streaks(unknown) + self.streaks.hu(unknown[ROD:]), self.ceiling)
 
     def fit(

@@ -115,7 +115,7 @@ class Match:
         runner_up: Hypothesis | None = None,
         margin_nats: float = 0.0,
     ) -> Self:
-        """Build the result from the best hypothesis or without pairs; `counts` of image and physical points."""
+        """Build the result from the best hypothesis or without pairs; `counts` of image, physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
         unmatched = [
             tuple(index for index in range(count) if index not in set(used.tolist()))

@@ -61,7 +61,7 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Return matrices (b, n, m) from sorted distances of image (b, n, k) and physical (b, m, l) points.
+    """Return matrices (b, n, m) from sorted image (b, n, k) and physical distances (b, m, l), limits e (b,).
 
     All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
     shorter is skipped.

@@ -207,7 +207,7 @@ def flat_growth(weights: Array) -> float:
 
 
 def _growth(by_residual: Array, weights: Array) -> float:
-    """Return the mean of the derivatives (n,) of w·r by r, at least a minimum, relative to the mean weight."""
+    """Return the mean derivative (n,) of w·r by r, at least a minimum, relative to the mean weight."""
     return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
 
 
@@ -277,7 +277,7 @@ class BallVoxels:
         return settled
 
     def without_outliers(self, unknowns: Array) -> BallVoxels:
-        """Return the voxels without those that do not belong to the ball, such as its post, and their blur."""
+        """Return the voxels without outliers, such as the ball's post and its blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         outlying = np.abs(residuals) > OUTLIER * scale(residuals)
@@ -324,7 +324,7 @@ class BallVoxels:
         return derivatives, weights * residuals, weights
 
     def growth(self, weights: Array) -> float:
-        """Return the mean derivative of the weighted residual by the residual, relative to the mean weight."""
+        """Return the mean derivative of the weighted residual by the residual, over the mean weight."""
         return (cauchy_growth if self.covered else flat_growth)(weights)
 
 

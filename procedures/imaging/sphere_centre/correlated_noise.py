@@ -75,7 +75,7 @@ class VoxelGrid:
         return np.column_stack([fft.irfftn(one, s=self.padded)[self.index] for one in spectra])
 
     def products(self, one: Spectrum, other: Spectrum, filtered: Array | float = 1.0) -> Array:
-        """Return scalar products (k, m) of the values behind spectra (k, ...) and (m, ...), one side filtered."""
+        """Return scalar products (k, m) of values with spectra (k, ...) and (m, ...), one side filtered."""
         return products(_parts(one).T, _parts(other * (filtered * self.share)).T)
 
     def measure_absorbed_power(self, spectra: Spectrum) -> Array:

@@ -248,7 +248,7 @@ class SliceField:
         )
 
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
-        """Return combinations of waves in the noise band that are orthonormal over a slice's clear voxels (n,)."""
+        """Return combinations of noise-band waves that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for one, waves in zip(self.slices, self.noise_terms, strict=True):
             seen = clear[one]
@@ -260,7 +260,7 @@ class SliceField:
         return tuple(modes)
 
     def fill_region(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
-        """Return the field over all voxels of a region (slices, rows, columns); 0 where nothing was fitted."""
+        """Return the field over a region's voxels (slices, rows, columns); 0 where nothing was fitted."""
         z, y, x = region.axes_mm()
         field = np.zeros(region.values.shape)
         for height_mm, found in zip(self.heights_mm, coefficients, strict=True):
