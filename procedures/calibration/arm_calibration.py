@@ -148,7 +148,7 @@ class ArmFit:
 
     @property
     def remaining(self) -> Array:
-        """Lower triangular root (k, k) of the covariance of an arm record's contents, whatever the spheres."""
+        """Lower triangular root (k, k) of the covariance of an arm record's contents, for any spheres."""
         size = self.model.size
         root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
         _, upper = np.linalg.qr(root.T)

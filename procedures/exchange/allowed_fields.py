@@ -84,7 +84,7 @@ def label_of(trajectory: str, number: int) -> str:
 
 
 def require_allowed(dicom_object: Dataset) -> Dataset:
-    """Return the object. Raises EXC-004 for an unlisted attribute, or for one that must be empty."""
+    """Return the object. Raises EXC-004 for an unlisted attribute, or for a filled one that must be empty."""
     for element in dicom_object.iterall():
         if element.keyword in EMPTY_ATTRIBUTES and element.is_empty:
             continue

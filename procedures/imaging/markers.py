@@ -132,7 +132,7 @@ class Doubt:
 
 
 def odds(doubts: Iterable[Doubt]) -> float:
-    """Combine doubts into odds [0..1] that a candidate is a marker. One doubt at its limit makes them even."""
+    """Combine doubts into odds [0..1] that a candidate is a marker; one doubt at its limit gives 0.5."""
     return float(np.prod([1.0 / (1.0 + doubt.excess**STEEPNESS) for doubt in doubts]))
 
 

@@ -44,7 +44,7 @@ class Motion:
 
     @property
     def kind(self) -> str:
-        """Kind of the motion: joint move, line, or line retraced backwards."""
+        """Kind of the motion: `move` (joints), `line`, or `back` (a line retraced)."""
         if self.is_retrace:
             return BACK
         return MOVE if self.plan.target is None else LINE

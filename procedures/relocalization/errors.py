@@ -1,4 +1,4 @@
-"""Errors of sphere measurement with the stereo head, STE-001 to STE-014."""
+"""Errors of stereo-head measurements, STE-001 to STE-014; data errors are also `ValueError`s."""
 
 from __future__ import annotations
 

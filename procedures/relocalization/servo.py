@@ -83,7 +83,7 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """Return the next pose ROBOT <- TOOL, with the tool centre on the mean of all measurements.
+        """Return the next pose ROBOT <- TOOL: same orientation, tool centre on the mean of all measurements.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.

@@ -95,7 +95,7 @@ class BoundedStream(io.BytesIO):
         self._longest_value = longest_value
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read `size` bytes. Raises without a size, since this means a deflated data set or a truncated start."""
+        """Read `size` bytes. Raises without a size, as in a deflated data set or a truncated start."""
         if size is None or size < 0:
             raise StartTooShort if self._start_bytes is not None else DataSetDeflated(self.tell())
         if self._start_bytes is not None and self.tell() + size > self._start_bytes:
