@@ -137,7 +137,7 @@ def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike
 def chi_square_of_shared(
     residuals_mm: Array, fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array
 ) -> float:
-    """Return the chi-square of residuals (n, 3) mm of a rigid fit with any weights; 3n - 6 degrees of freedom.
+    """Return chi-square of residuals (n, 3) mm of a rigid fit with any weights, 3n - 6 degrees of freedom.
 
     `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) is the independent part,
     `shared_mm` (n, 3, k) the displacement of every point by each of k unit errors. What a rigid motion can
