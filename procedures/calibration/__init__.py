@@ -1,5 +1,6 @@
-"""Fits of stereo head, arm, tracked frame and tool tip from measurements, and their records. Pure
-numerics.
+"""Calibration fits of stereo head, arm, tracked frame and tool tip, and their records.
+
+Pure numerics.
 """
 
 from procedures.calibration.bundle import BundleFit, fit_bundle

@@ -1,4 +1,4 @@
-"""Calibrate the arm with stationary spheres: links, joints, gravity, backlash, and the head on the flange.
+"""Calibrate the arm with stationary spheres: links, joints, gravity, backlash, and the stereo head's pose.
 
 Weighted least squares with prior set S. The positions of the spheres are not known beforehand, so the arm's
 pose in the room remains undetermined, and need not be known: a case measures its spheres with the same arm.
@@ -58,7 +58,7 @@ DIGITS = 5  # of the covariance: large errors cancel to some hundredths of them
 
 @dataclass(frozen=True)
 class ArmResult:
-    """New records and their quality; `tool_shift_mm` is how far the head's tool centre moved.
+    """New records and their quality; `tool_shift_mm` is the shift of the head's tool centre.
 
     Head and tip keep their dates: only the head's place on the flange was measured, not cameras and tip.
     """
@@ -118,7 +118,7 @@ def calibrate_arm(observed: ArmLooks, *, life: timedelta = LIFE) -> ArmResult:
 
 @dataclass(frozen=True)
 class ArmFit:
-    """An identified arm. `covariance` (n, n) of `values`, both ordered and scaled as in `ArmModel`.
+    """Identified arm. `covariance` (n, n) belongs to `values`; both are ordered and scaled as in `ArmModel`.
 
     `scatter_mm` is the random error of the arm per axis; `residuals_mm` (m, 3) in the robot frame; `used`
     (m,) marks the inliers.
@@ -133,7 +133,7 @@ class ArmFit:
 
     @property
     def deviations(self) -> ArmDeviations:
-        """Deviations of the arm from its nominal chain."""
+        """Identified deviations of the arm from its nominal chain."""
         return self.model.deviations(self.values)
 
     @property
@@ -143,12 +143,12 @@ class ArmFit:
 
     @property
     def learnt(self) -> Array:
-        """Standard error of each parameter except the spheres', relative to its prior."""
+        """Standard error of each parameter relative to its prior, without the sphere positions."""
         return np.asarray(np.sqrt(np.diag(self.covariance)[: self.model.size]))
 
     @property
     def remaining(self) -> Array:
-        """Lower triangle (k, k) of the covariance of an arm record's contents, for spheres anywhere."""
+        """Lower triangular root (k, k) of the covariance of an arm record's contents, for any spheres."""
         size = self.model.size
         root = self.model.to_record @ np.linalg.cholesky(self.covariance[:size, :size])
         _, upper = np.linalg.qr(root.T)
@@ -158,7 +158,7 @@ class ArmFit:
 
 
 def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
-    """Find the arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""
+    """Identify the arm that best explains the measurements. Raises CAL-002, CAL-003, CAL-004."""
     count = len(looks.joints_rad)
     require_count(count, LEAST_LOOKS, "too few measurements to calibrate an arm")
     rotations = model.rotations(looks)
@@ -185,12 +185,12 @@ def identify(model: ArmModel, looks: LookArrays) -> ArmFit:
 
 
 def whitening_of(stereo_mm2: Array, scatter_mm: float) -> Array:
-    """Matrices (m, 3, 3) that whiten misses with these covariances and this random error."""
+    """Return the matrices (m, 3, 3) that whiten misses with these covariances and this random error."""
     return np.asarray(np.linalg.inv(np.linalg.cholesky(stereo_mm2 + scatter_mm**2 * np.eye(3))))
 
 
 def _initial_values(model: ArmModel, looks: LookArrays) -> Array:
-    """Start from the nominal arm, with every sphere at the centroid of its measurements."""
+    """Return start values: the nominal arm, with every sphere at the median of its measurements."""
     values = np.zeros(model.size + 3 * looks.spheres)
     offsets_mm = model.misses(values, looks)
     places = [np.median(offsets_mm[looks.sphere == number], axis=0) for number in range(looks.spheres)]
@@ -216,7 +216,7 @@ def _step(
 
 
 def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: NDArray[np.bool_]) -> float:
-    """Random error of the arm per axis: the residuals in excess of image noise.
+    """Estimate the random error of the arm per axis in mm, from the residuals in excess of image noise.
 
     `explained` (m, 3, 3) is the covariance of the fit at the measurements, by which it has shrunk the
     residuals.
@@ -227,7 +227,7 @@ def _estimate_scatter(residuals: Array, explained: Array, stereo: Array, used: N
 
 @dataclass(frozen=True)
 class ArmValidation:
-    """Validation by held-out measurements. `misses_mm` is (m, 3), the rest in mm, 3-D rms.
+    """Validation by held-out measurements. `misses_mm` is (m, 3), all other values are 3-D rms in mm.
 
     `before_mm` is the nominal arm's error there, `predicted_mm` the error expected from the model's
     covariance and the random error, `model_mm` the model's part of it.
@@ -241,7 +241,7 @@ class ArmValidation:
 
 
 def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
-    """Judge a fit by held-out measurements. Raises CAL-002, CAL-004, CAL-011."""
+    """Validate a fit with held-out measurements. Raises CAL-002, CAL-004, CAL-011."""
     count = len(looks.joints_rad)
     require_count(count, LEAST_VALIDATION, "too few measurements to validate the arm")
     _require_both_sides(fit)
@@ -279,7 +279,7 @@ def validate(fit: ArmFit, looks: LookArrays) -> ArmValidation:
 
 
 def _require_both_sides(fit: ArmFit) -> None:
-    """Raise CAL-011 for a joint that always arrived from one side.
+    """Raise CAL-011 if a joint always arrived from the same side.
 
     Its backlash shows in no measurement, held out or not.
     """
@@ -298,7 +298,7 @@ def _require_both_sides(fit: ArmFit) -> None:
 
 
 def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
-    """Error that the fit leaves in every usual orientation, whether or not one like it was measured.
+    """Return the error that the fit leaves over all usual orientations, 3-D rms in mm.
 
     Held-out measurements share the orientations of the others, so they reveal nothing about the rest.
     """
@@ -332,7 +332,7 @@ def _around_spheres_mm(fit: ArmFit, looks: LookArrays) -> float:
 
 
 def _nominal_error_mm(fit: ArmFit, looks: LookArrays) -> float:
-    """Error of the nominal arm and head, relative to the centroid of each sphere's measurements."""
+    """Return the error of the nominal arm and head about each sphere's mean position, 3-D rms in mm."""
     nothing = np.zeros(len(fit.values))
     offsets_mm = fit.model.misses(nothing, looks)
     for number in np.unique(looks.sphere):
@@ -342,5 +342,5 @@ def _nominal_error_mm(fit: ArmFit, looks: LookArrays) -> float:
 
 
 def _size_mm(covariances_mm2: Array) -> float:
-    """3-D rms of errors with covariances (m, 3, 3)."""
+    """Return the 3-D rms in mm of errors with covariances (m, 3, 3)."""
     return float(np.sqrt(np.mean(np.einsum("mii->m", covariances_mm2))))

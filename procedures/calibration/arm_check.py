@@ -1,4 +1,4 @@
-"""Check an arm against its calibration with a few measurements of spheres, wherever they are."""
+"""Check of an arm against its calibration with a few measurements of spheres at any positions."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ FALSE_ALARM = 0.001  # one check in a thousand of an unchanged arm
 
 @dataclass(frozen=True)
 class ArmCheck:
-    """Result of a check: 3-D rms error `error_mm`, and `expected_mm` from the record."""
+    """Result of an arm check: 3-D rms error `error_mm`, and `expected_mm` from the record."""
 
     calibration: str
     looks: int
@@ -99,7 +99,7 @@ def check_arm(observed: ArmLooks) -> ArmCheck:
 def _record_displacements_mm(
     record: ArmCalibration, chain: Chain, looks: LookArrays, places_mm: Array
 ) -> Array:
-    """Displacement (m, 3, k) of each measured place by the k independent errors that the record leaves.
+    """Return the displacements (m, 3, k) of measured positions by the k independent errors of the record.
 
     They are equal in all measurements: a link that is too long stays too long.
     """

@@ -1,4 +1,4 @@
-"""Model of arm and head behind the measurements of an arm calibration, its input, and the choice of poses.
+"""Model of arm and stereo head for an arm calibration, with its input and the choice of poses.
 
 The model's vector consists of the arm's deviations, six parameters of the head on the flange, and three
 coordinates per sphere. Deviations and head are in units of their prior standard deviation for an uncalibrated
@@ -57,7 +57,7 @@ SPHERE_SIGMA_MM = 10.0  # prior uncertainty of a sphere's position
 
 
 class SphereLook(Strict):
-    """One measurement of one sphere."""
+    """One measurement of a sphere."""
 
     sphere: Annotated[int, Field(ge=0)] = Field(description="Number of the sphere.")
     joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
@@ -68,7 +68,7 @@ class SphereLook(Strict):
 
 
 class ArmLooks(Measurements):
-    """All measurements of one calibration, and the records in use."""
+    """All measurements of one arm calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: ArmName = Field(description="Name of the arm's kinematic model.")
@@ -101,12 +101,12 @@ class LookArrays:
         return int(self.sphere.max()) + 1
 
     def only(self, rows: NDArray[np.bool_]) -> LookArrays:
-        """Select measurements; sphere numbers stay."""
+        """Return the selected measurements; sphere numbers stay unchanged."""
         return LookArrays(*(getattr(self, field.name)[rows] for field in fields(self)))
 
 
 def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
-    """Convert measurements to arrays; spheres that were never seen leave no gap in the numbering."""
+    """Convert measurements to arrays; spheres without measurements leave no gap in the numbering."""
     _, sphere = np.unique([one.sphere for one in looks], return_inverse=True)
     return LookArrays(
         joints_rad=np.array([one.joints_rad for one in looks]),
@@ -119,7 +119,7 @@ def arrays_of(looks: Sequence[SphereLook]) -> LookArrays:
 
 @dataclass(frozen=True)
 class ArmModel:
-    """Model of arm and head: nominal values, and what may deviate."""
+    """Model of arm and head: nominal values and possible deviations."""
 
     kinematics: Kinematics
     flange_from_tool: Transform
@@ -131,7 +131,7 @@ class ArmModel:
 
     @cached_property
     def prior(self) -> Array:
-        """Prior standard deviation of each deviation, in order; 0 for those not estimated."""
+        """Prior standard deviation of each deviation, in vector order; 0 for those not estimated."""
         count = self.joints
         harmonics = np.tile(np.array(HARMONIC_RAD) / math.sqrt(2.0), (count, 1))
         sag = np.zeros(count)
@@ -148,12 +148,12 @@ class ArmModel:
 
     @cached_property
     def size(self) -> int:
-        """Length of the vector without spheres."""
+        """Length of the parameter vector without the spheres."""
         return int(np.count_nonzero(self.prior)) + TOOL
 
     @property
     def names(self) -> tuple[str, ...]:
-        """Name of each element of the vector, without spheres."""
+        """Name of each element of the parameter vector, without the spheres."""
         axes = self.kinematics.axis_names
         labels = [f"link {axis} {way}" for axis in axes for way in ("x", "y", "z")]
         labels += [f"link {axis} turn {way}" for axis in axes for way in ("x", "y", "z")]
@@ -165,21 +165,21 @@ class ArmModel:
         return (*free, *(f"head {way}" for way in ("x", "y", "z", "turn x", "turn y", "turn z")))
 
     def deviations(self, values: Array) -> ArmDeviations:
-        """Deviations of the arm in a vector."""
+        """Return the arm deviations of a parameter vector."""
         prior = self.prior
         row = np.zeros(len(prior))
         row[prior > 0.0] = values[: self.size - TOOL]
         return ArmDeviations.from_flat(row * prior, self.joints)
 
     def tool(self, values: Array) -> Transform:
-        """Pose FLANGE <- TOOL in a vector."""
+        """Return the pose FLANGE <- TOOL of a parameter vector."""
         head = values[self.size - TOOL : self.size]
         change = RigidTransform.from_components(TOOL_MM * head[:3], Rotation.from_rotvec(TOOL_RAD * head[3:]))
         return Transform(Frame.FLANGE, Frame.TOOL, self.flange_from_tool.rigid * change)
 
     @property
     def to_record(self) -> Array:
-        """Derivative (k, size) of the contents of an arm record by a vector without spheres.
+        """Derivative (k, size) of an arm record's contents by the parameter vector without the spheres.
 
         All deviations, then the head on the flange in mm. A turn of the head moves no sphere that it is
         centred on.
@@ -192,12 +192,12 @@ class ArmModel:
         return rows
 
     def misses(self, values: Array, looks: LookArrays) -> Array:
-        """Deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
+        """Return the deviation of each measurement from its sphere's position, (m, 3) mm, robot frame."""
         flange = self._flange(values, looks, self._levers(looks))
         return self._compute_misses(values, looks, flange, self._flange_points(values, looks))
 
     def slopes(self, values: Array, looks: LookArrays) -> Array:
-        """Derivative (m, 3, n) of the misses by finite differences; they are nearly linear."""
+        """Return the derivative (m, 3, n) of the misses by finite differences; misses are nearly linear."""
         levers = self._levers(looks)
         flange, flange_points = self._flange(values, looks, levers), self._flange_points(values, looks)
         here = self._compute_misses(values, looks, flange, flange_points)
@@ -220,12 +220,12 @@ class ArmModel:
         return gravity_levers(self.kinematics.chain, looks.joints_rad)
 
     def _flange(self, values: Array, looks: LookArrays, levers: Array) -> Array:
-        """Poses (m, 4, 4) ROBOT <- FLANGE."""
+        """Return the poses (m, 4, 4) ROBOT <- FLANGE."""
         deviations = self.deviations(values)
         return flange_poses(self.kinematics.chain, deviations, looks.joints_rad, looks.flanks, levers)
 
     def _flange_points(self, values: Array, looks: LookArrays) -> Array:
-        """Measured points (m, 3) mm in the flange frame."""
+        """Return the measured points (m, 3) in the flange frame, mm."""
         return self.tool(values).apply(looks.points_mm)
 
     def _compute_misses(self, values: Array, looks: LookArrays, flange: Array, flange_points: Array) -> Array:
@@ -233,13 +233,13 @@ class ArmModel:
         return np.asarray(places - values[self.size :].reshape(-1, 3)[looks.sphere])
 
     def rotations(self, looks: LookArrays) -> Array:
-        """Nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
+        """Return the nominal orientation (m, 3, 3) ROBOT <- TOOL of each measurement."""
         flange = flange_rotations(self.kinematics.chain, looks.joints_rad)
         return np.asarray(flange @ self.flange_from_tool.rotation_matrix)
 
 
 def choose_poses(model: ArmModel, candidates: LookArrays, count: int) -> NDArray[np.intp]:
-    """Choose the `count` poses that reveal most about an arm, by greedy D-optimal design.
+    """Choose the `count` most informative poses for an arm by greedy D-optimal design.
 
     Returns their indices.
 

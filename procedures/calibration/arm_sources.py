@@ -1,4 +1,4 @@
-"""An arm's errors as sources of a predicted target error: how each displaces the tool at every pose."""
+"""Errors of the arm as sources of a predicted target error, by the tool displacement at every pose."""
 
 from __future__ import annotations
 
@@ -75,12 +75,12 @@ def arm_sources(
 
 
 def ct_errors(covariance_mm2: ArrayLike, source: str = "CT") -> IndependentErrors:
-    """Errors of the spheres in the CT, (n, 3, 3) mm2 in the robot frame."""
+    """Return the CT errors of the spheres as independent errors, (n, 3, 3) mm2 in the robot frame."""
     return IndependentErrors(source, np.asarray(covariance_mm2, dtype=float), np.zeros((3, 3)))
 
 
 def _sum_sag(joints_mm: Array) -> Array:
-    """Add the sag of all joints up: weight bends them the same way, unlike independent errors."""
+    """Sum the sag of all joints, since weight bends them the same way, unlike independent errors."""
     harmonics, sag = np.split(joints_mm, [-len(SAGGING)], axis=2)
     return np.concatenate([harmonics, sag.sum(axis=2, keepdims=True)], axis=2)
 

@@ -1,4 +1,4 @@
-"""Reasons for refusing a calibration. CAL-001, an expired record, belongs to the record."""
+"""Errors of calibrations and checks. CAL-001, an expired record, is defined with the record."""
 
 from __future__ import annotations
 
@@ -27,14 +27,14 @@ class DoesNotFit(DataError):
 
 
 class BadObservations(DataError):
-    """A file of observations, or a baseline, is missing or has errors; all of them are listed."""
+    """A file of observations or a baseline is missing or invalid; the message lists all errors."""
 
     code = "CAL-005"
     action = "Give the folder that the calibrate command wrote, unchanged."
 
 
 class HeadMoved(RefusedError):
-    """The head no longer sees the ball where it did at calibration: a camera or the mount has moved."""
+    """The head no longer sees the ball at its calibrated position; a camera or the mount has moved."""
 
     code = "CAL-006"
     action = (
@@ -107,14 +107,14 @@ class FrameNotCarried(DataError):
 
 
 class TrackerMoved(DataError):
-    """With the arm back at an earlier pose, the tracker sees the reference frame at a different position."""
+    """The tracker sees the reference frame at a different position although the arm is back at its pose."""
 
     code = "CAL-016"
     action = "Lock the tracker's stand, the arm's platform and the frame on the mount, then calibrate again."
 
 
 class FarFromRecord(RefusedError):
-    """The result is farther from the initial record than any mount can be off."""
+    """The result deviates more from the initial record than any mount can."""
 
     code = "CAL-017"
     action = (
@@ -131,14 +131,14 @@ class ReadingImplausible(RefusedError):
 
 
 class BallAndDivotApart(DataError):
-    """The stand's divot is not where its ball was."""
+    """The stand's divot is not at the position of its ball."""
 
     code = "CAL-019"
     action = "Clean the seats of ball and divot, zero the dials, screw the stand down; then repeat."
 
 
 class OfAnotherTheatre(RefusedError):
-    """Measurements, or the arm's calibration, were made with other records than the theatre file's."""
+    """Measurements or the arm's calibration were made with other records than those of the theatre file."""
 
     code = "CAL-020"
     action = (
@@ -148,7 +148,7 @@ class OfAnotherTheatre(RefusedError):
 
 
 class ArmOlderThanHead(RefusedError):
-    """The arm was calibrated before the stereo head, whose place on the flange it had corrected."""
+    """The arm was calibrated before the stereo head, whose pose on the flange it had corrected."""
 
     code = "CAL-021"
     action = "Run ronna-arm calibrate; no motion until then."

@@ -69,7 +69,7 @@ class Use(StrEnum):
 
 
 class FrameLook(Strict):
-    """One stationary pose, and the mean of the tracker's measurements there."""
+    """Stationary pose, and the mean of the tracker's measurements at it."""
 
     use: Annotated[Use, Field(strict=False)] = Field(description="Purpose of the measurement.")
     joints_rad: Joints = Field(description="Measured joints, from the base outwards.")
@@ -81,7 +81,7 @@ class FrameLook(Strict):
 
 
 class FrameLooks(Measurements):
-    """All measurements of one calibration, and the records in use."""
+    """All measurements of one frame calibration, and the records in use."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     arm: str = Field(description="Name of the arm's kinematic model.")
@@ -97,7 +97,7 @@ class FrameLooks(Measurements):
 
 
 def assign_uses(count: int, validation: int) -> tuple[Use, ...]:
-    """Assign a purpose to each measurement, with those for validation spread evenly."""
+    """Assign a purpose to each measurement; those for validation are spread evenly."""
     total = count + validation
     held_out = choose_held_out(total, validation)
     return tuple(Use.VALIDATION if number in held_out else Use.FIT for number in range(total))
@@ -117,7 +117,7 @@ def pairs_of(looks: Sequence[FrameLook]) -> PosePairs:
 
 @dataclass(frozen=True)
 class FrameResult:
-    """New record and its quality.
+    """New record of the reference frame and its quality.
 
     `misses_mm` and `misses_rad` (m, 3) of held-out measurements; `predicted_mm` and `predicted_rad`: their
     expected 3-D rms. `arm_error_mm` is the arm's contribution, which no measurement can separate from the
@@ -170,7 +170,7 @@ def calibrate_frame(observed: FrameLooks, *, life: timedelta = LIFE) -> FrameRes
 
 
 def arm_share_mm(record: ArmCalibration | None) -> float:
-    """3-D error of the frame on the flange that comes from the arm itself and that no measurement reveals.
+    """Return the 3-D error in mm of the frame on the flange due to the arm, which no measurement reveals.
 
     It stems from the last two links: A6 turns them against each other too little to separate them from the
     frame.
@@ -180,7 +180,7 @@ def arm_share_mm(record: ArmCalibration | None) -> float:
 
 
 def _require_at_rest(returns: Sequence[FrameLook]) -> None:
-    """Raise CAL-002 without a return measurement, CAL-016 if the frame was not where it was before."""
+    """Raise CAL-002 without a return measurement, CAL-016 if the frame did not return to its position."""
     if len(returns) < 2:
         raise TooFewPoses(
             "the arm did not return to its first pose, so tracker stability is unknown",
@@ -200,7 +200,7 @@ def _require_at_rest(returns: Sequence[FrameLook]) -> None:
 
 
 def _validate(fit: HandEye, validation_pairs: PosePairs) -> tuple[Array, tuple[float, float]]:
-    """Misses (m, 6) of held-out measurements, and their expected size. Raises CAL-002, CAL-004."""
+    """Return misses (m, 6) of held-out measurements and their expected size. Raises CAL-002, CAL-004."""
     require_count(validation_pairs.count, LEAST_VALIDATION, "too few poses to validate the reference frame")
     misses = misses_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
     slopes = slopes_of(validation_pairs, fit.flange_from_marker, fit.robot_from_tracker)
@@ -221,7 +221,7 @@ def _validate(fit: HandEye, validation_pairs: PosePairs) -> tuple[Array, tuple[f
 
 
 def _change(before: Transform, after: Transform, *, limited: bool = True) -> tuple[float, float]:
-    """Distance between two poses, mm and rad; raise CAL-017 if it is limited and exceeded."""
+    """Return the distance between two poses in mm and rad; raise CAL-017 if `limited` and too large."""
     apart_mm = float(np.linalg.norm(after.translation_mm - before.translation_mm))
     apart_rad = float((before.rigid.rotation.inv() * after.rigid.rotation).magnitude())
     if limited and (apart_mm > FAR_MM or apart_rad > FAR_RAD):
@@ -235,7 +235,7 @@ def _change(before: Transform, after: Transform, *, limited: bool = True) -> tup
 
 
 def frame_poses(reference: Transform, tool_from_marker: Transform, count: int) -> tuple[PlannedLook, ...]:
-    """List poses ROBOT <- TOOL around a reference pose, each nearest in orientation to the previous one."""
+    """List poses ROBOT <- TOOL around a reference pose, ordered by similar orientation."""
     in_tool = tool_from_marker.translation_mm
     place = reference.apply(in_tool)
     looks = plan_poses_about(

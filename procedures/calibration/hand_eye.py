@@ -1,4 +1,4 @@
-"""Solve robot-world and hand-eye together: A X = Z B, with the covariance of X.
+"""Joint robot-world and hand-eye calibration, A X = Z B, with the covariance of X.
 
 A is the flange according to the arm, B the reference frame according to the tracker, X the frame on the
 flange and Z the tracker in the room. The initial solution is linear: the rotations as the null vector of R_A
@@ -37,7 +37,7 @@ UNKNOWNS = 12  # X, then Z: rotation vector (rad) in the source's own axes, and 
 
 @dataclass(frozen=True)
 class HandEye:
-    """Solution `flange_from_marker` and `robot_from_tracker` (4, 4), with the covariance (12, 12) of both.
+    """Solution `flange_from_marker` and `robot_from_tracker` (4, 4), with their covariance (12, 12).
 
     The scatters are per axis; `misses_mm` and `misses_rad` (m, 3) are in the robot frame; `used` (m,) marks
     the inliers.
@@ -59,12 +59,12 @@ class HandEye:
 
     @property
     def error_rad(self) -> float:
-        """Standard error of the frame's orientation: length of the rotation vector."""
+        """Standard error of the frame's orientation, as length of the rotation vector."""
         return float(np.sqrt(np.trace(self.covariance[:3, :3])))
 
 
 def solve(pairs: PosePairs) -> HandEye:
-    """Find the frame on the flange that best explains the poses. Raises CAL-002 to CAL-004, CAL-015."""
+    """Find the pose of the frame on the flange from the pose pairs. Raises CAL-002 to CAL-004, CAL-015."""
     _require_solvable(pairs)
     x, z = _solve_linear(pairs)
     scatter = np.array([FIRST_SCATTER_MM] * 3 + [FIRST_SCATTER_RAD] * 3)
@@ -87,7 +87,7 @@ def solve(pairs: PosePairs) -> HandEye:
 
 
 def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """Deviation of A X from Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
+    """Return the deviation of A X from Z B, (m, 6): position (mm) and rotation vector (rad), robot frame."""
     by_arm, by_tracker = pairs.robot_from_flange @ x, z @ pairs.tracker_from_marker
     apart = by_arm[:, :3, :3] @ by_tracker[:, :3, :3].transpose(0, 2, 1)
     turned = Rotation.from_matrix(apart).as_rotvec()
@@ -95,7 +95,7 @@ def misses_of(pairs: PosePairs, x: Array, z: Array) -> Array:
 
 
 def slopes_of(pairs: PosePairs, x: Array, z: Array) -> Array:
-    """Derivative (m, 6, 12) of the misses by the parameters."""
+    """Return the derivative (m, 6, 12) of the misses by the parameters."""
     slopes = np.empty((pairs.count, 6, UNKNOWNS))
     still_x, still_z = (_apply_change(pose, np.zeros(6)) for pose in (x, z))  # rounded as the others are
     for column, step in enumerate(STEP * np.eye(6)):
@@ -136,7 +136,7 @@ def _require_fit(scatter_mm: float, scatter_rad: float, used: NDArray[np.bool_])
 
 
 def _successive_angles_rad(rotations: Array) -> Array:
-    """Angle (m - 1,) from each rotation to the next."""
+    """Return the angle (m - 1,) from each rotation to the next, in rad."""
     between = rotations[:-1].transpose(0, 2, 1) @ rotations[1:]
     return np.asarray(Rotation.from_matrix(between).magnitude())
 
@@ -159,12 +159,12 @@ def _solve_linear(pairs: PosePairs) -> tuple[Array, Array]:
 
 
 def _rotation_along(matrix: Array) -> Array:
-    """Find the rotation nearest to a multiple of the matrix; a null vector has no sign or length."""
+    """Return the rotation nearest to a multiple of the matrix; a null vector has no sign or length."""
     return np.asarray(Rotation.from_matrix(np.sign(np.linalg.det(matrix)) * matrix).as_matrix())
 
 
 def _apply_change(pose: Array, change: Array) -> Array:
-    """Rotate a pose about its source's axes and translate it along its target's."""
+    """Rotate a pose about the axes of its source frame and translate it along those of its target frame."""
     here = RigidTransform.from_matrix(pose)
     turned = here.rotation * Rotation.from_rotvec(change[:3])
     return np.asarray(RigidTransform.from_components(here.translation + change[3:], turned).as_matrix())
@@ -172,7 +172,7 @@ def _apply_change(pose: Array, change: Array) -> Array:
 
 @dataclass(frozen=True)
 class PosePairs:
-    """Poses as matrices (m, 4, 4): ROBOT <- FLANGE from the arm, TRACKER <- MARKER from the tracker."""
+    """Pose pairs as matrices (m, 4, 4): ROBOT <- FLANGE from the arm, TRACKER <- MARKER from the tracker."""
 
     robot_from_flange: Array
     tracker_from_marker: Array

@@ -1,4 +1,4 @@
-"""Calibrate the stereo head: from the adjusted head to the records, with tool frame, stated errors and dates.
+"""Calibration of the stereo head: adjustment, tool frame, and dated records with stated errors.
 
 Images and arm determine where the cameras are on the flange. The tool frame relative to them is a convention,
 and whatever shares the mount (guide tip, reference frame) is known relative to it. So it is kept where the
@@ -43,7 +43,7 @@ ANCHOR_REACH_MM = 6.0  # of the points around the tool centre that keep their pi
 
 @dataclass(frozen=True)
 class HeadResult:
-    """New records and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
+    """New records of the head and their quality. Covariance (3, 3) mm2 of the tool centre on the flange.
 
     `tool_error_mm` is its standard error; the record states that of a point measured in the tool frame, where
     errors of the arm hardly count. `tool_shift_mm` is how far the tool centre moved on the flange. A shift
@@ -119,12 +119,12 @@ def _standard_error_mm(covariance_mm2: Array) -> float:
 
 
 def new_identifier(name: str, created: datetime) -> str:
-    """Combine name and time."""
+    """Return a record identifier composed of name and time."""
     return name + identifier_suffix(created)
 
 
 def move_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> ToolTipCalibration:
-    """Move the tip with the tool frame of the head on the same mount, relative to which it is known.
+    """Return the tip moved with the tool frame of the head, which is on the same mount.
 
     Its dates and stated error remain: the tip itself was not measured.
     """
@@ -136,13 +136,13 @@ def move_tip(tip: ToolTipCalibration, before: Transform, after: Transform) -> To
 
 
 def _anchor_points() -> Array:
-    """Tool centre, and the corners of a cube around it, (9, 3) mm in the tool frame."""
+    """Return the tool centre and the corners of a cube around it, (9, 3) mm in the tool frame."""
     corners = np.array(np.meshgrid(*3 * ([-ANCHOR_REACH_MM, ANCHOR_REACH_MM],))).reshape(3, -1).T
     return np.vstack([np.zeros(3), corners])
 
 
 def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Array:
-    """Points of the flange frame at which these cameras see the pixels of the kept points."""
+    """Return the flange points at which these cameras see the pixels of the anchor points."""
     tool = before.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     points = tool.apply(_anchor_points())
     left, right = cameras_of(before)
@@ -150,7 +150,7 @@ def _triangulate_anchors(before: StereoHeadCalibration, cameras: Cameras) -> Arr
 
 
 def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Transform, float]:
-    """Find FLANGE <- TOOL that preserves the pixels around the tool centre, and the rms misfit, mm."""
+    """Fit FLANGE <- TOOL that preserves the pixels around the tool centre; also return the rms misfit, mm."""
     tool, flange = _anchor_points(), _triangulate_anchors(before, cameras)
     middle_tool, middle_flange = tool.mean(axis=0), flange.mean(axis=0)
     rotation, _ = Rotation.align_vectors(flange - middle_flange, tool - middle_tool)
@@ -163,7 +163,7 @@ def _fit_tool_frame(before: StereoHeadCalibration, cameras: Cameras) -> tuple[Tr
 
 
 def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
-    """Standard error of a point measured in the tool frame, rms over the kept points."""
+    """Return the standard error of a point measured in the tool frame, rms over the anchor points, mm."""
 
     def points_in_tool(cameras: Cameras) -> Array:
         flange_from_tool, _ = _fit_tool_frame(before, cameras)
@@ -173,7 +173,7 @@ def _point_error_mm(before: StereoHeadCalibration, fit: BundleFit) -> float:
 
 
 def _covariance(fit: BundleFit, evaluate: Callable[[Cameras], Array]) -> Array:
-    """Covariance (n, n) of n values that follow from the cameras."""
+    """Return the covariance (n, n) of n values computed from the cameras."""
     middle = CAMERA_PARAMETERS
     slopes = []
     for step in DERIVATIVE_STEP * np.eye(2 * middle):

@@ -1,4 +1,4 @@
-"""Projection model of both cameras on the flange: the image of a ball at a position in the flange frame.
+"""Projection model of both cameras on the flange: image of a ball at a position in the flange frame.
 
 Pinhole with OpenCV's distortion k1 k2 p1 p2 k3. Free per camera: rotation and translation relative to the
 initial record (rad, mm), focal length (relative), principal point (px) and k1. The pixel aspect ratio and the
@@ -25,7 +25,7 @@ UNDISTORT_STEPS = 12  # each gains about three digits with lenses of this kind
 
 @dataclass(frozen=True)
 class FlangeCamera:
-    """A camera: its pose CAMERA <- FLANGE as rotation matrix and translation (mm), and its lens."""
+    """Camera on the flange: pose CAMERA <- FLANGE as rotation matrix and translation (mm), and lens."""
 
     rotation: Array
     translation_mm: Array
@@ -35,7 +35,7 @@ class FlangeCamera:
 
     @classmethod
     def from_record(cls, camera: CameraCalibration, flange_from_tool: Transform) -> FlangeCamera:
-        """Build the camera from a record and the tool frame it refers to."""
+        """Build the camera from a record and the tool frame to which the record refers."""
         pose = camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL) @ flange_from_tool.inverse()
         return cls(
             pose.rotation_matrix,
@@ -46,7 +46,7 @@ class FlangeCamera:
         )
 
     def with_increments(self, increments: Array) -> FlangeCamera:
-        """Change the ten parameters by these increments."""
+        """Return the camera with its ten parameters changed by these increments."""
         turn = Rotation.from_rotvec(increments[:3]).as_matrix()
         k1, *others = self.distortion
         k2, p1, p2, k3 = others
@@ -70,7 +70,7 @@ class FlangeCamera:
         return distort(out, self.distortion) * self.focal_px + self.principal_px
 
     def slopes(self, points_mm: Array) -> Array:
-        """Derivative (n, 2, 3) of `image_points` by the point, without distortion: for weighting only."""
+        """Return the derivative (n, 2, 3) of `image_points` by the point, undistorted: for weighting only."""
         x, y, z = (points_mm @ self.rotation.T + self.translation_mm).T
         slope = np.zeros((len(points_mm), 2, 3))
         slope[:, 0, 0] = slope[:, 1, 1] = 1.0 / z
@@ -78,7 +78,7 @@ class FlangeCamera:
         return np.asarray(slope * self.focal_px[:, None] @ self.rotation)
 
     def rays(self, pixels: Array) -> tuple[Array, Array]:
-        """Centre of projection (3,) and unnormalised directions (n, 3) in the flange frame."""
+        """Return the centre of projection (3,) and unnormalized directions (n, 3) in the flange frame."""
         image_points = (pixels - self.principal_px) / self.focal_px
         straight = image_points
         for _ in range(UNDISTORT_STEPS):
@@ -109,13 +109,13 @@ Cameras = tuple[FlangeCamera, FlangeCamera]
 
 
 def cameras_of(calibration: StereoHeadCalibration) -> Cameras:
-    """Place left and right camera of a record on the flange."""
+    """Build the left and right camera of a record, relative to the flange."""
     tool = calibration.flange_from_tool.transform(Frame.FLANGE, Frame.TOOL)
     return FlangeCamera.from_record(calibration.left, tool), FlangeCamera.from_record(calibration.right, tool)
 
 
 def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[Array, Array]:
-    """Midpoints (n, 3) between the two lines of sight in the flange frame, and the gaps (n,), mm.
+    """Return the midpoints (n, 3) between lines of sight in the flange frame and the gaps (n,), mm.
 
     The gap is signed: positive when the right line of sight passes on the side of left x right.
     """
@@ -131,7 +131,7 @@ def intersect_rays(cameras: Cameras, left_px: Array, right_px: Array) -> tuple[A
 
 
 def pose_record(pose: Transform) -> PoseRecord:
-    """Convert a transform to plain numbers."""
+    """Convert a transform to a pose record."""
     x, y, z = pose.translation_mm.tolist()
     qw, qx, qy, qz = pose.quaternion_wxyz.tolist()
     return PoseRecord(translation_mm=(x, y, z), quaternion_wxyz=(qw, qx, qy, qz))

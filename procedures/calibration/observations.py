@@ -1,4 +1,4 @@
-"""Stored measurements of a calibration, and whether they belong to the theatre whose records they replace."""
+"""Stored measurements of a calibration, and their match with the records of the theatre."""
 
 from __future__ import annotations
 
@@ -44,7 +44,7 @@ class Measurements(Strict, ABC):
 def require_same_theatre(
     measured: Measurements, theatre: Calibrations, found: Mapping[str, Any] | None = None
 ) -> None:
-    """Raise CAL-020 unless each record is the theatre's, or the theatre's is what these measurements `found`.
+    """Raise CAL-020 unless the theatre has each record in use, or the one `found` from these measurements.
 
     A calibration says where something is relative to what its records say of the rest: with another head, or
     another mount, it is wrong by their difference. Before anything is computed (`found` is None), a record
@@ -74,7 +74,7 @@ def require_same_theatre(
 
 
 def identifier_suffix(created: datetime) -> str:
-    """Return the end of the identifiers of records computed from measurements of this time."""
+    """Return the suffix of identifiers of records computed from measurements of this time."""
     return f"-{created:%Y%m%dT%H%M%S}"
 
 
@@ -101,7 +101,7 @@ def _is_alike(one: Any, other: Any) -> bool:
 
 
 class Outline(Strict):
-    """The ball's outline in one image, full-sensor pixels, major semi-axis first; perspective bias kept."""
+    """Outline of the ball in one image, full-sensor pixels, major semi-axis first, with perspective bias."""
 
     centre_px: Pixels = Field(description="Centre of the ellipse, x and y.")
     axes_px: tuple[Positive, Positive] = Field(description="Semi-axes, major first.")
@@ -113,12 +113,12 @@ class Outline(Strict):
 
     @classmethod
     def of(cls, sphere: SphereImage) -> Self:
-        """Convert a measurement; only reliable ones are stored."""
+        """Convert a measured outline; only reliable outlines are stored."""
         return cls(**{name: getattr(sphere, name) for name in cls.model_fields})
 
 
 class Observation(Strict):
-    """One view: the flange pose by the nominal arm model, and the ball in both images.
+    """One view of the ball: nominal flange pose, and the ball's outline in both images.
 
     `orientation` is the number of a self-check orientation; None for views used only for calibration.
     """
@@ -138,7 +138,7 @@ class Observation(Strict):
 
 
 class ObservationSet(Measurements):
-    """All views of one calibration, and the records it started from."""
+    """All views of one head calibration, and the records that it started from."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema", description="Version of the file format.")
     serials: tuple[str, str] = Field(description="Serial numbers of the left and the right camera.")

@@ -1,4 +1,4 @@
-"""Views of a ball for a calibration: evenly spread tool poses, deterministic; and whether they suffice.
+"""Views of a ball for a calibration: evenly spread, deterministic tool poses, and checks of their spread.
 
 Every view is tilted away from the reference orientation and rotated about the tool axis. The ball appears at
 a different position in the field each time, nearer or farther, so that the lenses can be calibrated too.
@@ -40,7 +40,7 @@ LEAST_SPREAD_DEG = 8.0  # rms over the poses, for the direction that varies leas
 
 @dataclass(frozen=True)
 class PlannedLook:
-    """A pose ROBOT <- TOOL from which the ball should appear at `ball_in_tool_mm`.
+    """Pose ROBOT <- TOOL at which the ball should appear at `ball_in_tool_mm`.
 
     `orientation` is the number of a self-check orientation, None for the others.
     """
@@ -51,7 +51,7 @@ class PlannedLook:
 
 
 def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) -> tuple[PlannedLook, ...]:
-    """Spread views of a ball (3,) in the robot frame around the orientation robot <- tool."""
+    """Plan views of a ball (3,) in the robot frame, spread around the reference orientation robot <- tool."""
     share = (0.5 + np.outer(np.arange(count), _STEPS)) % 1.0
     looks = []
     for tilt, azimuth, turn, *field in share:
@@ -66,8 +66,9 @@ def plan_calibration_looks(reference: Rotation, ball_mm: ArrayLike, count: int) 
 def plan_centred_looks(
     reference: Rotation, sphere_mm: ArrayLike, count: int, first: int = 0
 ) -> tuple[PlannedLook, ...]:
-    """List views from number `first` on with the sphere at the tool centre; lens and field do not matter
-    there.
+    """Plan views with the sphere at the tool centre, numbered from `first`.
+
+    Lens and field do not matter there.
     """
     return plan_poses_about(
         reference, sphere_mm, count, first, tilt_rad=CENTRED_TILT_RAD, turn_rad=CENTRED_TURN_RAD
@@ -84,7 +85,7 @@ def plan_poses_about(
     turn_rad: float,
     offset_mm: ArrayLike = (0.0, 0.0, 0.0),
 ) -> tuple[PlannedLook, ...]:
-    """List poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
+    """Plan poses rotated about a point (3,) of the robot frame, which is at `offset_mm` in the tool frame.
 
     Tilted by up to `tilt_rad` from the reference, rotated by up to `turn_rad` either way; from number `first`
     on.
@@ -107,7 +108,7 @@ def plan_poses_about(
 
 
 def self_check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) -> tuple[PlannedLook, ...]:
-    """List one orientation of the self-check, and alternatives if it is not reachable."""
+    """Return the view of one self-check orientation, followed by alternatives if it is unreachable."""
     turn = CHECK_TURN_RAD * (1.0 if number % 2 else -1.0)
     azimuth = 2.0 * np.pi * number / CHECK_ORIENTATIONS
     ball = np.asarray(ball_mm, dtype=float)
@@ -123,7 +124,7 @@ def self_check_variants(reference: Rotation, ball_mm: ArrayLike, number: int) ->
 
 
 def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
-    """Order views so that each is nearest in orientation to the previous one."""
+    """Sort views so that each is nearest in orientation to the previous one."""
     if not looks:
         return []
     rotations = np.array([look.pose.rotation_matrix for look in looks])
@@ -139,7 +140,7 @@ def order_by_orientation(looks: Sequence[PlannedLook]) -> list[PlannedLook]:
 
 
 def move_look(look: PlannedLook, ball_mm: ArrayLike) -> PlannedLook:
-    """Move a view to a ball at another position."""
+    """Return a view moved to another ball position."""
     return _build_look(
         look.pose.rigid.rotation,
         np.asarray(ball_mm, dtype=float),
@@ -166,23 +167,23 @@ def _build_look(
 
 
 def choose_held_out(count: int, validation: int) -> tuple[int, ...]:
-    """Choose indices to hold out for validation: evenly distributed, in order of orientation."""
+    """Choose indices to hold out for validation, evenly distributed in order of orientation."""
     return tuple(sorted({round((number + 0.5) * count / validation) for number in range(validation)}))
 
 
 def rms_mm(misses_mm: Array) -> float:
-    """3-D rms of misses (m, 3)."""
+    """Return the 3-D rms of misses (m, 3)."""
     return float(np.sqrt(np.mean(np.sum(misses_mm**2, axis=1))))
 
 
 def require_count(count: int, least: int, what: str, action: str | None = None) -> None:
-    """Raise CAL-002, naming `what`, below the minimum count."""
+    """Raise CAL-002, with `what` as its text, if the count is below the minimum."""
     if count < least:
         raise TooFewPoses(what, expected=f"at least {least}", got=str(count), action=action)
 
 
 def require_spread(rotations: NDArray[np.float64], what: str, action: str | None = None) -> None:
-    """Raise CAL-003, naming `what`, if rotations (n, 3, 3) hardly vary in one direction."""
+    """Raise CAL-003, with `what` as its text, if rotations (n, 3, 3) hardly vary about some axis."""
     if (spread := orientation_spread(rotations)) < math.sin(math.radians(LEAST_SPREAD_DEG)):
         raise DegeneratePoses(
             what,
@@ -203,7 +204,7 @@ def require_consistent(used: NDArray[np.bool_], most_outliers: float, what: str)
 
 
 def orientation_spread(rotations: NDArray[np.float64]) -> float:
-    """Rms variation of rotations (n, 3, 3) in the direction that varies least; 0 about a single axis."""
+    """Return the rms variation of rotations (n, 3, 3) along its smallest direction; 0 about a single axis."""
     deviations = rotations - rotations.mean(axis=0)
     scatter = np.einsum("nki,nkj->ij", deviations, deviations) / len(rotations)
     return float(np.sqrt(max(0.0, np.linalg.eigvalsh(scatter)[0])))

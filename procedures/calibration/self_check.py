@@ -1,4 +1,4 @@
-"""Self-check: does the head see the ball where it did at calibration, from the same eight poses?
+"""Self-check: does the head see the ball at its calibrated position, from the same eight poses?
 
 Since calibration the ball may have been put down elsewhere (b, robot frame); the arm repeats to some
 micrometres. A camera or mount that has moved shows up in the head's own frame. Three signs are checked:
@@ -48,7 +48,7 @@ ARM_FLOOR_MM = 0.005
 
 
 class Baseline(Strict):
-    """The views of the eight orientations at calibration, and the record they are evaluated with."""
+    """Views of the eight orientations at calibration, and the record for their evaluation."""
 
     schema_version: Literal[1] = Field(default=1, alias="schema")
     created: datetime
@@ -70,7 +70,7 @@ class Baseline(Strict):
         return np.asarray(np.mean(in_robot, axis=0))
 
     def require_complete(self) -> None:
-        """Raise CAL-008 unless every orientation of a check was viewed often enough to compare with."""
+        """Raise CAL-008 unless every orientation was viewed often enough for a comparison."""
         if (count := len(self.orientations)) < LEAST_ORIENTATIONS:
             raise NotTheBaseline(
                 "the baseline has too few orientations", expected=str(LEAST_ORIENTATIONS), got=str(count)
@@ -80,7 +80,7 @@ class Baseline(Strict):
 
 @dataclass(frozen=True)
 class Sign:
-    """A sign that the head has changed: value, standard deviation, chi-square statistic and limit."""
+    """Sign of a change of the head: value, standard deviation, chi-square statistic and limit."""
 
     name: str
     unit: str
@@ -97,7 +97,7 @@ class Sign:
 
 @dataclass(frozen=True)
 class CheckResult:
-    """Result of a check: `shift` of the measured ball in the tool frame, `ball_moved_mm` in the robot frame.
+    """Result of a self-check: `shift` of the ball in the tool frame, `ball_moved_mm` in the robot frame.
 
     `repeatability_mm` is the scatter of the arm per axis in this run and in the baseline.
     """
@@ -151,7 +151,7 @@ class _RunMeans:
 
 
 def compare_with_baseline(looks: Sequence[Observation], baseline: Baseline) -> CheckResult:
-    """Evaluate the views of a check. Raises CAL-008 for other poses, CAL-007 if they scatter too much."""
+    """Compare the views of a check with the baseline. Raises CAL-008 for other poses, CAL-007 for scatter."""
     _require_same_poses(looks, baseline)
     head, numbers = baseline.stereo_head, baseline.orientations
     then, now = (_average_run(run, head, numbers) for run in (baseline.looks, looks))
@@ -254,7 +254,7 @@ def _average_run(
     freedom = int(visits.sum()) - len(groups)
 
     def scatter(values: Array) -> float:
-        """Pooled variance between visits of the same pose, per axis."""
+        """Return the pooled variance between visits of the same pose, per axis."""
         columns = values.reshape(len(run), -1)
         total = sum(float(np.sum((columns[group] - columns[group].mean(axis=0)) ** 2)) for group in groups)
         return total / (freedom * columns.shape[1])
@@ -274,5 +274,5 @@ def _average_run(
 
 
 def _centre(look: Observation, side: int) -> tuple[float, float]:
-    """Centre of the outline; its perspective bias is equal in both runs and cancels."""
+    """Return the centre of the outline; its perspective bias is equal in both runs and cancels."""
     return (look.left, look.right)[side].centre_px

@@ -1,4 +1,4 @@
-"""Whether a theatre's calibration records may be used, and which command creates each."""
+"""Validity of a theatre's calibration records, and the commands that create them."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ DRAWN, FIRST_DAY = ("tracker_frame", "tool_tip"), " --first-day"  # simulated re
 
 
 def options_of(theatre_file: Path) -> str:
-    """Return the options with which those commands read a theatre file and write the record into it."""
+    """Return the command options to read a theatre file and write the new record into it."""
     file = shlex.quote(str(theatre_file))
     return f"--config {file} --write {file}"
 
@@ -32,7 +32,7 @@ def options_of(theatre_file: Path) -> str:
 def require_valid(
     calibrations: Calibrations, moment: datetime, options: str = "", starts: Set[str] = frozenset()
 ) -> None:
-    """Raise CAL-001 listing every record that has expired by `moment`, and the commands that create them.
+    """Raise CAL-001 with every record that has expired by `moment`, and the commands to renew them.
 
     `options` select this theatre for those commands; the records in `starts` may have expired. Raises CAL-020
     and CAL-021 like `require_consistent_arm`.

@@ -1,1 +1,1 @@
-"""Export of results in formats of other programs: DICOM registration and fiducials, Slicer markups, CSV."""
+"""Export of results for other programs: DICOM registration and fiducials, Slicer markups, CSV."""

@@ -1,4 +1,4 @@
-"""Registrations, fiducials and the postoperative check as DICOM objects.
+"""DICOM objects for registrations, fiducials and the postoperative check.
 
 They carry no patient identity unless `name_patient` adds it. Attributes that DICOM requires but allows to be
 empty stay empty: a clinical archive fills them in on import. Identifiers are derived from the content, so the
@@ -44,7 +44,7 @@ POINTS_FILE = "postoperative-points.dcm"
 
 @dataclass(frozen=True)
 class Origin:
-    """Origin of a result: the CT series, its frame of reference, when it was made, and a key.
+    """Origin of a result: CT series, frame of reference, time of creation, and a key.
 
     `key`, for example a record's hash, makes the identifiers unique to this result.
     """
@@ -56,12 +56,12 @@ class Origin:
 
 
 def fiducial_uid(origin: Origin, name: str) -> str:
-    """The UID of a sphere, both in the fiducials object and in a registration that used it."""
+    """Return the UID of a sphere, the same in the fiducials object and in registrations that use it."""
     return str(uid(origin, "fiducial", name))
 
 
 def sphere_fiducials(markers: Sequence[Marker], origin: Origin) -> Dataset:
-    """Build the object for the spheres of one CT series, M1, M2, ... in their order."""
+    """Build the fiducials object for the spheres of a CT series, named M1, M2, ... in order."""
     points = [
         _point(name, marker.centre_mm, origin, "marker sphere", marker.sigma_mm)
         for name, marker in name_spheres(markers).items()
@@ -81,7 +81,7 @@ def _spatial_fiducials(points: list[Dataset], origin: Origin, label: str, descri
 def _point(
     name: str, place_mm: Sequence[float], origin: Origin, description: str, uncertainty_mm: float = 0.0
 ) -> Dataset:
-    """An item for a point, LPS mm; an uncertainty (3-D rms) of 0 is not stated."""
+    """Build the item of a point in LPS mm; an uncertainty (3-D rms) of 0 is not stated."""
     item = Dataset()
     item.FiducialIdentifier = name
     item.FiducialDescription = description
@@ -104,7 +104,7 @@ def spatial_registration(
     description: str = "",
     fiducial_uids: Sequence[str] = (),
 ) -> Dataset:
-    """Build the object for a pose robot <- CT.
+    """Build the registration object for a pose robot <- CT.
 
     Its own frame of reference is the robot's; the pose maps the CT's into it. `fiducial_uids` name the
     spheres used by the fit, in the fiducials object of the origin `spheres` (by default the same). All
@@ -133,7 +133,7 @@ def frames_registration(
     label: str,
     description: str,
 ) -> Dataset:
-    """Build the object for the pose (4, 4) mm of a second CT in the origin's frame of reference."""
+    """Build the registration object for the pose (4, 4) mm of a second CT in the origin's frame."""
     items = [
         _item(origin.frame_of_reference_uid, np.eye(4), CONTENT_ALIGNMENT),
         _item(second_frame_uid, first_from_second, CONTENT_ALIGNMENT),
@@ -177,7 +177,7 @@ def _used_fiducial_item(fiducial_uid: str, origin: Origin) -> Dataset:
 
 
 def write_postoperative(check: PostoperativeCheck, frames: tuple[str, str], folder: Path) -> tuple[Path, ...]:
-    """Write both objects; `frames` are the frames of reference of the planned CT and the later one.
+    """Write fiducials and registration; `frames` are the frames of reference of planned and later CT.
 
     The registration is left out when both CTs claim the same frame of reference. Raises EXC-002, EXC-004.
     """
@@ -215,7 +215,7 @@ def _trajectory_points(check: PostoperativeCheck, origin: Origin) -> list[Datase
 
 
 def new_object(origin: Origin, sop_class: UID, modality: str, label: str, description: str) -> Dataset:
-    """Build an object that lacks only its content."""
+    """Build an object that is complete except for its content."""
     instance = instance_uid(origin, modality)
     meta = FileMetaDataset()
     meta.MediaStorageSOPClassUID = sop_class
@@ -245,23 +245,23 @@ def new_object(origin: Origin, sop_class: UID, modality: str, label: str, descri
 
 
 def name_patient(made: Dataset, name: str, identifier: str, birth_date: str, sex: str) -> None:
-    """Set the patient identity, in the series' own notation (birth date YYYYMMDD)."""
+    """Set the patient identity in the notation of the series (birth date YYYYMMDD)."""
     made.PatientName, made.PatientID = name, identifier
     made.PatientBirthDate, made.PatientSex = birth_date, sex
 
 
 def instance_uid(origin: Origin, modality: str) -> UID:
-    """The SOP instance UID of the object of this modality for a result."""
+    """Return the SOP instance UID of a result's object of this modality."""
     return uid(origin, modality, "instance")
 
 
 def uid(origin: Origin, *what: str) -> UID:
-    """A UID derived from the origin and its purpose."""
+    """Return a UID derived from the origin and the purpose."""
     return generate_uid(entropy_srcs=[MAKER, origin.series_instance_uid, origin.key, *what])
 
 
 def code_item(value: str, scheme: str, meaning: str) -> Dataset:
-    """An item of a code sequence."""
+    """Build an item of a code sequence."""
     item = Dataset()
     item.CodeValue = value
     item.CodingSchemeDesignator = scheme
@@ -270,12 +270,12 @@ def code_item(value: str, scheme: str, meaning: str) -> Dataset:
 
 
 def decimals(values: Sequence[float]) -> list[str]:
-    """Numbers as decimal strings of at most 16 characters, with as many digits as fit."""
+    """Format numbers as decimal strings of at most 16 characters, with as many digits as fit."""
     return [_decimal(float(value)) for value in values]
 
 
 def write(made: Dataset, path: Path) -> Path:
-    """Write an object as a DICOM file; raises EXC-002."""
+    """Write an object as a DICOM file. Raises EXC-002."""
     content = BytesIO()
     made.save_as(content, enforce_file_format=True)
     try:

@@ -1,4 +1,4 @@
-"""Errors of exporting results."""
+"""Errors of the export of results, EXC-001 to EXC-004."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ from ronna_hw.errors import ConfigurationError, DataError
 
 
 class UnknownForm(ConfigurationError):
-    """No exchange format has this file name extension."""
+    """The file name extension belongs to no exchange format."""
 
     code = "EXC-001"
     action = "Use a name that ends in .dcm, .json, .mrk.json or .csv."
@@ -27,7 +27,7 @@ class NothingToExport(DataError):
 
 
 class FieldNotAllowed(DataError):
-    """An object to be exported has an attribute that is not on the allow-list."""
+    """An object for export has an attribute that is not on the allow-list."""
 
     code = "EXC-004"
     action = "This is a fault of the program: nothing of that object was written."

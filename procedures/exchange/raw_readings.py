@@ -1,4 +1,4 @@
-"""Raw readings of a run for other programs: images, tracker frames, arm states, and how far they extend.
+"""Raw readings of a run for other programs: images, tracker frames, arm states, and their extent.
 
 They are what the run's tape keeps for replay: every device answer that a result is based on, lossless. A
 folder states its extent, because a later program of the run may not have written its own readings.
@@ -50,7 +50,7 @@ Value = str | int | float | bool | None
 
 @dataclass(frozen=True)
 class RawReading:
-    """A device's answer in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
+    """Answer of a device in a step: a `StereoReading`, a `TrackerFrame` or an `ArmReading`."""
 
     step: str
     device: str
@@ -60,7 +60,7 @@ class RawReading:
 
 
 def raw_readings(run: Path | str) -> Iterator[RawReading]:
-    """The readings in a run's folder, in order; a damaged one ends the iteration. Raises PRO-024."""
+    """Yield the readings in a run folder, in order, up to the first damaged one. Raises PRO-024."""
     run = Path(run)
     if not (run / READINGS_FOLDER / READINGS_FILE).is_file():
         raise NotRecorded(
@@ -80,7 +80,7 @@ def raw_readings(run: Path | str) -> Iterator[RawReading]:
 
 
 def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[Path, bool]:
-    """Write them as PNG and CSV, with their extent, into the folder `out`, which must not exist yet.
+    """Write the readings as PNG and CSV, with their extent, into the new folder `out`.
 
     Returns the folder and whether it is complete: about `most_bytes` are written at most. Raises EXC-002,
     EXC-003, PRO-024, and then leaves nothing behind.
@@ -103,7 +103,7 @@ def write_raw(run: Path, out: Path, most_bytes: int = MOST_RAW_BYTES) -> tuple[P
 
 
 class RawExtent(BaseModel):
-    """The content of `extent.json`."""
+    """Content of `extent.json`."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", strict=True)
 
@@ -120,7 +120,7 @@ def write_extent(folder: Path, extent: RawExtent) -> None:
 
 
 def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
-    """Describe what is missing from the run's own folder of raw readings; `lines` are those of its journal.
+    """Describe what is missing in a run's folder of raw readings, compared with its journal `lines`.
 
     None if nothing is missing, or if there is no such folder.
     """
@@ -139,7 +139,7 @@ def missing_in_raw(run: Path, lines: tuple[Line, ...]) -> str | None:
 
 
 def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
-    """Write all tables and pictures; returns whether everything fitted."""
+    """Write all tables and pictures; return whether everything fitted."""
     files: dict[str, TextIO] = {}
     pictures, frames, size, readings = 0, 0, 0, 0
     try:
@@ -177,7 +177,7 @@ def _write_all(run: Path, folder: Path, most_bytes: int) -> bool:
 
 
 def _write_picture(path: Path, image: CameraImage) -> int:
-    """Write the pixels as received, 8 or 16 bits; returns the bytes written."""
+    """Write the pixels as received, 8 or 16 bits; return the number of bytes."""
     import cv2  # only here: `show` and `verify` read the extent alone
 
     _, content = cv2.imencode(".png", image.pixels)
@@ -200,7 +200,7 @@ def _picture_row(path: Path, side: str, image: CameraImage, reading: RawReading)
 
 
 def _frame_rows(number: int, frame: TrackerFrame, reading: RawReading) -> list[Sequence[Value]]:
-    """Build a row per tool and per stray marker; a single row for an empty frame."""
+    """Build one row for each tool and stray marker, or a single row for an empty frame."""
     head = (number, reading.step, reading.theatre_time_s, frame.stamp.device_clock)
     nothing = (None,) * 3
     rows: list[Sequence[Value]] = [

@@ -28,7 +28,7 @@ TEMPLATE = "ct.html.j2"
 def ct_page(
     volume: Volume, name: str, markers: Sequence[Marker], candidates: Sequence[Candidate], outcome: str
 ) -> str:
-    """Render the page with the heading `name` and one sentence on the search, `outcome`.
+    """Render the page with `name` as heading and `outcome`, one sentence on the search.
 
     Neither may name a patient.
 
@@ -91,14 +91,14 @@ def _candidate_content(word: str, candidates: Sequence[Candidate]) -> list[dict[
 
 @dataclass(frozen=True, eq=False)
 class ViewVolume:
-    """Grey levels (slices, rows, columns), 0 at -1024 HU and 255 at 2048 HU, and their geometry."""
+    """Volume thinned for viewing: grey levels (slices, rows, columns), 0 at -1024 HU and 255 at 2048 HU."""
 
     grey: NDArray[np.uint8]
     geometry: VoxelGeometry
 
 
 def view_volume(volume: Volume) -> ViewVolume:
-    """Average whole blocks of voxels, at most 256 along each axis; drop incomplete blocks."""
+    """Average blocks of voxels to at most 256 along each axis; incomplete blocks are dropped."""
     geometry = volume.geometry
     factor = [-(-count // MOST_VOXELS) for count in geometry.shape]
     shape = tuple(count // by for count, by in zip(geometry.shape, factor, strict=True))
@@ -123,7 +123,7 @@ def view_volume(volume: Volume) -> ViewVolume:
 
 
 def tile_slices(view: ViewVolume) -> tuple[bytes, int]:
-    """Tile all slices row by row into a JPEG; return it and the number of slices per row."""
+    """Tile all slices row by row into a JPEG; return the JPEG and the number of slices per row."""
     import cv2
 
     slices, rows, columns = view.grey.shape

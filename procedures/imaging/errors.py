@@ -148,7 +148,7 @@ class PicksUnreadable(DataError):
 
 
 class PickRefused(DataError):
-    """There is no sphere at a pick."""
+    """No sphere was found at a pick."""
 
     code = "CT-019"
     action = "Check the images there; pick the middle of the sphere, or omit this sphere."
@@ -170,7 +170,7 @@ class ScoutView(DataError):
 
 
 class VolumeMalformed(DataError):
-    """A volume not read from a series has voxels or geometry that no CT has."""
+    """A volume built without a series has voxels or a geometry that no CT has."""
 
     code = "CT-022"
     action = "Give int16 voxels (slices, rows, columns) in HU and their geometry."
@@ -184,7 +184,7 @@ class PatientMoved(DataError):
 
 
 class SlicesMisplaced(DataError):
-    """By the shape of the markers, the slices are not where the scanner says."""
+    """The marker shapes show that the slices are not where the headers place them."""
 
     code = "CT-024"
     action = "Have the scanner's table feed and gantry tilt checked, and scan again."
@@ -192,7 +192,7 @@ class SlicesMisplaced(DataError):
 
 
 class SeriesMirrored(DataError):
-    """The image orientation contradicts the patient position: no scanner stores slices so."""
+    """The image orientation contradicts the patient position; no scanner stores slices this way."""
 
     code = "CT-025"
     action = (

@@ -1,4 +1,4 @@
-"""Decide whether a place in the scan holds a marker: find a surface, check its size, measure and judge it.
+"""Decide whether a position in the scan holds a marker: find a surface, check its size, measure and judge it.
 
 Two estimators measure a sphere whose surface has been found; under strong streaks it is measured jointly
 with them. The estimators see the same noise, so their errors are correlated. Where they differ by more than
@@ -83,7 +83,7 @@ IS_MARKER = "is a marker"
 
 @dataclass(frozen=True, eq=False)
 class Sphere:
-    """A measured sphere in grid mm (slice, row, column), and the doubts that it is a marker.
+    """Measured sphere in grid mm (slice, row, column), with the doubts whether it is a marker.
 
     `agreement_mm` is the distance between both estimates of the centre, `metal_share` the part of the surface
     too close to metal to be used. `stretch` is None if too little of the surface shows to determine it from
@@ -106,22 +106,22 @@ class Sphere:
     picked: bool = False
 
     def with_doubts(self, doubts: Iterable[Doubt]) -> Sphere:
-        """Add doubts, which may push the odds below even."""
+        """Return the sphere with additional doubts, which may push the odds below even."""
         return replace(self, doubts=(*self.doubts, *doubts))
 
     @property
     def odds(self) -> float:
-        """Odds [0..1] that this is a marker."""
+        """Odds [0..1] that the sphere is a marker."""
         return odds(self.doubts)
 
     @property
     def accepted(self) -> bool:
-        """Whether this counts as a marker."""
+        """Whether the sphere counts as a marker."""
         return self.picked or self.odds >= EVEN
 
     @property
     def reason(self) -> str:
-        """Verdict in words, for the candidate list."""
+        """Verdict in words for the candidate list."""
         return IS_MARKER if self.odds >= EVEN else f"is doubtful: {reasons(self.doubts)}"
 
 
@@ -134,7 +134,7 @@ def examine_place(
     *,
     min_surface_share: float = MIN_SURFACE_SHARE,
 ) -> Sphere | Candidate:
-    """Examine a place (3,) grid mm; return a sphere, or the candidate with the reason why it is none."""
+    """Examine a position (3,) in grid mm; return a sphere, or the rejected candidate with the reason."""
 
     def reject(edge: RadialEdge | None, reason: str) -> Candidate:
         return Candidate(
@@ -173,7 +173,7 @@ def examine_place(
 
 
 def judge_shape(sphere: Sphere, volume: Volume, radius_mm: float) -> Sphere:
-    """Add the doubts about a sphere's shape.
+    """Return the sphere with doubts about its shape.
 
     Streaks distort a shape: a doubtful sphere is judged again without its streaks, and accepted if that
     clears it.
@@ -197,7 +197,7 @@ def _assess_sphere(sphere: Sphere, region: Region) -> tuple[Doubt, ...]:
 
 
 def _is_half_covered(edge: RadialEdge) -> bool:
-    """Whether a sphere shows less than half its surface, but all that it can, with an edge under the rest.
+    """Whether a body with an edge under it hides up to half of the sphere, while the rest is fully seen.
 
     A cylinder or a bone has open sides that are on no sphere; the end of a rounded rod continues where a
     sphere would end.
@@ -235,7 +235,7 @@ def as_marker(
 
 
 def as_candidate(sphere: Sphere, volume: Volume) -> Candidate:
-    """Return the verdict on a sphere, in patient coordinates."""
+    """Convert a sphere to a candidate with its verdict, in patient coordinates."""
     return Candidate(
         centre_mm=volume.patient_mm(sphere.centre_mm),
         accepted=sphere.accepted,
@@ -268,7 +268,7 @@ def _list_flags(
 
 
 def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
-    """Measure the sphere whose surface `edge` was fitted to; None if no ball fits.
+    """Measure the sphere whose surface is `edge`; return None if no ball fits.
 
     A level that no polymer has is possible only if there are streaks to explain it.
     """
@@ -307,7 +307,7 @@ def measure_ball(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> 
 
 
 def measure_under_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: float) -> Sphere | None:
-    """Measure the sphere together with the streaks in each slice.
+    """Measure the sphere and the streaks in each slice together.
 
     Streaks hide directions from the rays. Those that show once they are removed are used in a second fit.
     """
@@ -340,7 +340,7 @@ def _measure_with_streaks(region: Region, edge: RadialEdge, nominal_radius_mm: f
 
 
 def combine_estimates(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> Sphere:
-    """Combine both estimates, or take the edges alone where streaks have spoiled the ball."""
+    """Combine both estimates, or use the edge alone where streaks have spoiled the ball fit."""
     if _is_spoiled(edge, ball):
         centre_mm, radius_mm = edge.centre_mm, edge.radius_mm
         streaks = ball.streak_hu / abs(edge.inside_hu - edge.outside_hu)
@@ -378,7 +378,7 @@ def _weighted_mean(edge: RadialEdge, ball: BlurredBall, spacing_mm: Array) -> tu
 
 
 def _is_streaked(edge: RadialEdge, ball: BlurredBall) -> bool:
-    """Whether streaks bend the background so much that neither fit's covariance can be trusted."""
+    """Whether streaks bend the background so much that the covariance of neither fit can be trusted."""
     apart_mm = float(np.linalg.norm(edge.centre_mm - ball.centre_mm))
     is_bent = ball.streak_hu > STREAKED_SHARE * abs(ball.contrast_hu)
     return is_bent or apart_mm > AGREEMENT_MM or _is_spoiled(edge, ball)
@@ -391,7 +391,7 @@ def _is_spoiled(edge: RadialEdge, ball: BlurredBall) -> bool:
 
 
 def _edge_covariance(edge: RadialEdge, spacing_mm: Array, streaks: float) -> Array:
-    """Covariance of the edge's centre under streak bend terms of this size relative to the contrast."""
+    """Return the covariance of the edge's centre; `streaks` is background bend relative to contrast."""
     interpolation = np.diag((INTERPOLATION_ERROR_PER_MM * spacing_mm**2) ** 2)
     streaks_mm = EDGE_STREAK_ERROR_MM * streaks
     return RAY_CORRELATION * edge.covariance_mm2 + interpolation + streaks_mm**2 / 3.0 * np.eye(3)

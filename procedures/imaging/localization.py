@@ -103,7 +103,7 @@ def localize(
 
 
 def find_peaks(volume: Volume, radius_mm: float) -> list[tuple[Array, float]]:
-    """Local maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
+    """Find the maxima of the sphere filter, strongest first: grid positions (3,) mm and contrasts in HU."""
     response, step_mm = _filter_spheres(volume, radius_mm)
     places = np.argwhere(response > MIN_CONTRAST_HU)
     strengths = response[tuple(places.T)]
@@ -136,7 +136,7 @@ def _filter_spheres(volume: Volume, radius_mm: float) -> tuple[NDArray[np.float3
 
 
 def _resample(volume: Volume, step_mm: float) -> tuple[NDArray[np.float32], Array]:
-    """Return HU above air on a coarse grid of about `step_mm`, and its exact spacing (3,) mm."""
+    """Resample HU above air to a coarse grid of about `step_mm`; also return the exact spacing (3,) mm."""
     slices, rows, columns = volume.geometry.shape
     counts = np.maximum(np.rint(volume.extent_mm / step_mm).astype(int), 1)
     planes = np.empty((slices, counts[1], counts[2]), dtype=np.float32)
@@ -199,7 +199,7 @@ def _transform_kernel(kernel: NDArray[np.float32], shape: list[int]) -> NDArray[
 def judge_spheres(
     found: Sequence[Sphere], refused: Sequence[Candidate], geometry: VoxelGeometry, diameter_mm: float
 ) -> list[Sphere]:
-    """Add the doubts that spheres and rejected candidates raise about each other."""
+    """Add the doubts that spheres and rejected candidates cast on each other."""
     if not found:
         return []
     centres_mm = np.array([one.centre_mm for one in found])
@@ -217,7 +217,7 @@ def judge_spheres(
 
 
 def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
-    """Keep only the clear markers if exactly as many as expected stand out; else keep all."""
+    """Keep only the clear markers if exactly the expected number stands out; else keep all."""
     accepted = sorted((one for one in judged if one.accepted), key=lambda one: -one.odds)
     if not 0 < expected < len(accepted):
         return list(judged)
@@ -229,7 +229,7 @@ def _keep_clear(judged: Sequence[Sphere], expected: int) -> list[Sphere]:
 
 
 def require_count(found: int, expected: int | None, candidates: tuple[Candidate, ...]) -> None:
-    """Raise CT-016 if the count is not as expected, or zero with none expected."""
+    """Raise CT-016 unless the count is as expected; without an expected count, if it is zero."""
     if expected is None and found == 0:
         raise MarkerCountWrong("no marker found", candidates=candidates)
     if expected is not None and found != expected:
@@ -239,7 +239,7 @@ def require_count(found: int, expected: int | None, candidates: tuple[Candidate,
 
 
 def check_request(volume: object, diameter_mm: float, expected: int | None) -> None:
-    """Raise CT-017 unless volume, diameter and count make sense together."""
+    """Raise CT-017 unless volume, diameter and expected count are valid together."""
     if not isinstance(volume, Volume):
         raise LocalizationMisused(
             "spheres are localized in a Volume, which carries its geometry in mm",
@@ -269,6 +269,6 @@ def _is_same_object(one: Candidate, other: Candidate) -> bool:
 
 
 def superior_first_key(centre_mm: Sequence[float]) -> tuple[float, ...]:
-    """Sort key of LPS positions from superior to inferior."""
+    """Return a sort key that orders LPS positions from superior to inferior."""
     x, y, z = centre_mm
     return -z, x, y

@@ -1,4 +1,4 @@
-"""Results of the localizer: markers, candidates, and the doubts that decide between them."""
+"""Results of the localizer: markers, candidates, and the doubts that separate markers from the rest."""
 
 from __future__ import annotations
 
@@ -29,7 +29,7 @@ PICKED = "picked"  # a person indicated where to search
 
 
 class Marker(BaseModel):
-    """One sphere in the CT."""
+    """One marker sphere in the CT."""
 
     model_config = ConfigDict(frozen=True, extra="forbid", allow_inf_nan=False)
 
@@ -50,17 +50,17 @@ class Marker(BaseModel):
 
     @property
     def sigma_mm(self) -> float:
-        """Predicted error of the centre, rms in 3-D."""
+        """Predicted error of the centre, 3-D rms."""
         return float(np.sqrt(np.trace(np.array(self.covariance_mm2))))
 
     def document(self) -> dict[str, Any]:
-        """Return plain data for JSON, without the agreement."""
+        """Return the marker as plain data for JSON, without the agreement."""
         return self.model_dump(mode="json", exclude={"agreement_mm"})
 
 
 @dataclass(frozen=True, eq=False)
 class Localization:
-    """Markers of one volume, from superior to inferior, and every candidate.
+    """Markers of one volume, from superior to inferior, and all candidates.
 
     `warnings` are sentences on what the markers together reveal about the scan.
     """
@@ -74,23 +74,23 @@ class Localization:
 
     @property
     def doubtful(self) -> tuple[Candidate, ...]:
-        """Spheres of the right size that may not be whole spheres, likeliest first."""
+        """Candidates of the right size that may not be whole spheres, likeliest first."""
         return tuple(likeliest_first(one for one in self.candidates if one.doubtful))
 
     @property
     def centres_mm(self) -> Array:
-        """All centres, (n, 3) LPS mm."""
+        """Centres of all markers, (n, 3) LPS mm."""
         return np.array([marker.centre_mm for marker in self.markers]).reshape(-1, 3)
 
     @property
     def covariances_mm2(self) -> Array:
-        """All covariances, (n, 3, 3) LPS mm²."""
+        """Covariances of all centres, (n, 3, 3) LPS mm²."""
         return np.array([marker.covariance_mm2 for marker in self.markers]).reshape(-1, 3, 3)
 
 
 @dataclass(frozen=True)
 class Candidate:
-    """A place that looked like a marker at first sight, and the verdict on it.
+    """A position examined as a possible marker, and the verdict.
 
     `centre_mm` is LPS. `accepted` candidates are the markers; for the others, and for a doubtful one that a
     person picked, `reason` says why not. `surface_share` [0..1] is the part of the sphere's surface found
@@ -108,7 +108,7 @@ class Candidate:
 
     @property
     def doubtful(self) -> bool:
-        """Whether a sphere of the right size was fitted that may not be a whole one."""
+        """Whether a sphere of the right size was fitted that may not be whole."""
         return 0.0 < self.odds < EVEN
 
     def describe(self) -> str:
@@ -119,20 +119,20 @@ class Candidate:
 
 
 def likeliest_first(candidates: Iterable[Candidate]) -> list[Candidate]:
-    """Sort candidates: accepted ones, then doubtful ones by odds, then the rest by the surface found."""
+    """Sort candidates: accepted first, then doubtful ones by odds, then the rest by surface share."""
     return sorted(candidates, key=lambda one: (not one.accepted, -one.odds, -(one.surface_share or 0.0)))
 
 
 @dataclass(frozen=True)
 class Doubt:
-    """Reason why something may not be a marker; an `excess` of 1 alone makes the odds even."""
+    """Reason why a candidate may not be a marker; an `excess` of 1 alone makes the odds even."""
 
     reason: str
     excess: float
 
 
 def odds(doubts: Iterable[Doubt]) -> float:
-    """Combine doubts into odds [0..1] of a marker: a score, with each limit at even odds."""
+    """Combine doubts into odds [0..1] that a candidate is a marker; one doubt at its limit gives 0.5."""
     return float(np.prod([1.0 / (1.0 + doubt.excess**STEEPNESS) for doubt in doubts]))
 
 

@@ -1,4 +1,4 @@
-"""Manual fallback: a person picks the spheres roughly, the estimators measure them.
+"""Manual fallback: a person picks the approximate sphere centres, and the estimators measure them.
 
 A pick replaces detection, and a marker at a pick may show less of its surface than a detected one, or be
 doubtful. It never replaces the measurement: a pick without a sphere is refused with the reason. Picks come
@@ -94,7 +94,7 @@ def localize_picks(
 def _measure_pick(
     volume: Volume, number: int, pick_mm: Array, radius_mm: float, known: list[Sphere]
 ) -> Sphere:
-    """Measure the sphere at a pick. Without one, refuse it, with a hint if RAS or metres would give one."""
+    """Measure the sphere at a pick. Without one, raise, with a hint if RAS or metres would give a sphere."""
     try:
         return _measure_at(volume, number, pick_mm, radius_mm, known)
     except PickRefused as refused:
@@ -140,7 +140,7 @@ def _measure_at(volume: Volume, number: int, pick_mm: Array, radius_mm: float, k
 
 
 def _describe_extent(geometry: VoxelGeometry) -> str:
-    """Describe the scanned range along the patient's axes."""
+    """Describe the scanned range along the patient axes."""
     corners = np.array(list(product(*((-0.5, size - 0.5) for size in geometry.shape))))
     places_mm = geometry.to_patient_mm(corners)
     ends = zip("LPS", places_mm.min(axis=0), places_mm.max(axis=0), strict=True)
@@ -181,7 +181,7 @@ def read_picks(path: Path) -> Array:
 
 
 def parse_points(content: bytes, name: str) -> Array:
-    """Parse the content of a file with this name into points (n, 3) LPS mm, n > 0. Raises CT-018."""
+    """Parse the content of a point file into points (n, 3) LPS mm, n > 0. Raises CT-018."""
     try:
         is_json = name.lower().endswith(".json")
         rows = _from_json(parse_json(content)) if is_json else _from_csv(content.decode("utf-8-sig"), name)
@@ -203,7 +203,7 @@ def parse_points(content: bytes, name: str) -> Array:
 
 
 def _from_csv(text: str, name: str) -> list[list[float]]:
-    """Read three columns, or those named L_mm, P_mm, S_mm if there is a header, separated by , or ;
+    """Parse three columns separated by , or ; and selected by L_mm, P_mm, S_mm if there is a header.
 
     Any other header is refused: it may mean other axes.
     """

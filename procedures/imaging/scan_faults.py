@@ -51,7 +51,7 @@ REFUSED = 0.015
 
 
 def check_motion(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> tuple[str, ...]:
-    """Warn of a jump between slices; raise CT-023 beyond 1 mm, sideways or back along the table."""
+    """Warn of a jump between slices; raise CT-023 if it exceeds 1 mm, sideways or back along the table."""
     if len(voxels) < AROUND or geometry.spacing_mm[0] > THICKEST_MM:
         return ()
     found = estimate_jumps(voxels, geometry)
@@ -97,7 +97,7 @@ class Jumps:
 
 
 def estimate_jumps(voxels: NDArray[np.int16], geometry: VoxelGeometry) -> Jumps:
-    """Estimate how much each slice seems to jump, whether or not it does."""
+    """Estimate the apparent jump at each inner slice; small values are noise."""
     _, rows, columns = geometry.shape
     down_mm, across_mm = geometry.spacing_mm[1:].tolist()
     size = (max(round(columns * across_mm / PIXEL_MM), 3), max(round(rows * down_mm / PIXEL_MM), 3))
@@ -118,7 +118,7 @@ def _reduce_slice(plane: NDArray[np.int16], size: tuple[int, int]) -> Plane:
 
 
 def _estimate_jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm: float) -> tuple[float, ...]:
-    """Estimate the jump between the middle two of six slices: `Jumps`' fields, and the outline's strength."""
+    """Estimate the jump between the middle two of six slices: fields of `Jumps`, then outline strength."""
     middle = 0.5 * (planes[2] + planes[3])
     slopes = np.gradient(middle, *steps_mm)
     outline = np.hypot(*slopes) > OUTLINE_HU_PER_MM
@@ -136,7 +136,7 @@ def _estimate_jump(planes: list[Plane], steps_mm: tuple[float, float], slice_mm:
 
 
 def _estimate_return(changes: Array, slice_mm: float) -> tuple[float, float]:
-    """Distance by which the table seems to go back, mm, and the correlation with the changes around.
+    """Estimate the apparent return of the table in mm, and the correlation with the changes around it.
 
     Those have no slice in common with the middle one, whose noise would otherwise count.
     """
@@ -153,7 +153,7 @@ def _correlation(one: Array, other: Array) -> float:
 
 @dataclass(frozen=True)
 class Distortion:
-    """Distortion common to the markers: `scale`, true over stated feed minus 1, and `shear`, mm per mm.
+    """Distortion common to all markers: `scale`, true over stated feed minus 1, and `shear`, mm per mm.
 
     Each comes with its standard error.
     """
@@ -166,7 +166,7 @@ class Distortion:
 
 
 def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> Distortion | None:
-    """Take medians over the markers whose stretch is known; None with fewer than four."""
+    """Estimate the distortion from medians over the markers' stretches; return None for fewer than four."""
     shapes = [stretch.terms_mm / radius_mm for stretch in stretches if stretch is not None]
     if len(shapes) < FEWEST:
         return None
@@ -183,7 +183,7 @@ def measure_distortion(stretches: Sequence[Stretch | None], radius_mm: float) ->
 
 
 def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> tuple[str, ...]:
-    """Warn of a certain distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
+    """Warn of a significant distortion; raise CT-024 beyond 1.5 % of scale or 0.9 degrees of tilt."""
     found = measure_distortion(stretches, radius_mm)
     if found is None:
         return ()
@@ -200,7 +200,7 @@ def check_distortion(stretches: Sequence[Stretch | None], radius_mm: float) -> t
 
 
 def _word_distortion(wording: str, value: float, limit: float, unit: str, markers: int) -> str:
-    """Word one distortion; raise CT-024 beyond the limit."""
+    """Describe one distortion in a sentence; raise CT-024 beyond the limit."""
     if value > limit:
         raise SlicesMisplaced(
             f"by the shape of {markers} markers {wording.format(format_against_limit(value, limit, 1))}",

@@ -71,7 +71,7 @@ def read_series(directory: Path, *, progress: Progress | None = None) -> Volume:
 
 
 def read_pixels_into(target: NDArray[np.int16], header: SliceHeader, decoder: FrameDecoder) -> None:
-    """Fill `target` (rows, columns) with the HU of one slice.
+    """Read the HU of one slice into `target` (rows, columns).
 
     Raises CT-005 (truncated), CT-013 (unsupported compression), CT-014 (not a CT slice).
     """

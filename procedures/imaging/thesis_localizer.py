@@ -1,4 +1,4 @@
-"""The thesis' localizer, for comparison with ours on the same data. Not for patients.
+"""The localizer of the thesis, for comparison with ours on the same data. Not for patients.
 
 Šuligoj, Spatial patient registration in robotic neurosurgery, Zagreb 2018, section 5.1. The thesis names the
 steps but no parameters: every constant here is our estimate. Steps 1 to 3: HU filter, regions, circles in the
@@ -61,7 +61,7 @@ COVARIANCE_ASSUMED = "covariance_assumed"
 
 
 class ThesisFit(StrEnum):
-    """The thesis' two fits of the centre."""
+    """The two centre fits of the thesis."""
 
     LINE = "thesis-line"
     SPHERE = "thesis-sphere"
@@ -75,7 +75,7 @@ def localize_as_thesis(
     expected: int | None = None,
     progress: Callable[[float], None] = lambda share: None,
 ) -> Localization:
-    """Localize spheres with the thesis' pipeline; arguments and errors as for `localize`."""
+    """Localize spheres with the thesis pipeline; arguments and errors as for `localize`."""
     check_request(volume, diameter_mm, expected)
     radius_mm = 0.5 * diameter_mm
     candidates: list[Candidate] = []
@@ -128,7 +128,7 @@ def _build_marker(
 
 @dataclass(frozen=True, eq=False)
 class Circles:
-    """Circles of one stack: centres (n, 3) grid mm (slice, row, column), radii (n,) mm."""
+    """Circles found along one axis: centres (n, 3) in grid mm (slice, row, column), radii (n,) in mm."""
 
     centres_mm: Array
     radii_mm: Array
@@ -136,7 +136,7 @@ class Circles:
 
 
 def find_regions(volume: Volume) -> list[Box]:
-    """Box everything that is neither air nor head."""
+    """Find the bounding boxes of all objects that are neither air nor head."""
     spacing_mm = volume.geometry.spacing_mm
     skip = np.maximum(np.rint(REGION_STEP_MM / spacing_mm).astype(int), 1)
     body = volume.voxels[:: skip[0], :: skip[1], :: skip[2]] > BODY_HU
@@ -166,7 +166,7 @@ def find_regions(volume: Volume) -> list[Box]:
 
 
 def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
-    """Find circles in every plane of a box perpendicular to `axis`."""
+    """Find the circles in every plane of a box perpendicular to `axis`."""
     spacing_mm = volume.geometry.spacing_mm
     start = np.array([part.start for part in box])
     planes = np.moveaxis(volume.voxels[box], axis, 0)
@@ -185,7 +185,7 @@ def find_circles(volume: Volume, box: Box, axis: int) -> Circles:
 
 
 def _find_plane_circles(plane: NDArray[np.int16], spacing_mm: Array) -> tuple[Array, Array]:
-    """Find circles (column, row, radius) of a plane in fine pixels; also return the pixel size in mm."""
+    """Find the circles (column, row, radius) of a plane in fine pixels; also return the pixel size in mm."""
     low, high = POLYMER_HU
     grey = np.clip((plane.astype(np.float32) - low) * (255.0 / (high - low)), 0.0, 255.0).astype(np.uint8)
     size = np.maximum(np.rint(np.array(plane.shape) * spacing_mm / PIXEL_MM).astype(int), 1)
@@ -213,13 +213,13 @@ def _disk(diameters: Array) -> NDArray[np.uint8]:
 
 @dataclass(frozen=True, eq=False)
 class Cluster(Circles):
-    """Stacked circles of one plane direction, and the sphere centre they imply."""
+    """Stacked circles along one axis, and the sphere centre that they imply."""
 
     middle_mm: Array
 
 
 def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
-    """Cluster circles that grow and shrink like those of a sphere of `radius_mm`."""
+    """Cluster circles whose radii grow and shrink like those of a sphere of `radius_mm`."""
     order = np.argsort(circles.centres_mm[:, circles.axis], kind="stable")
     across = [other for other in range(3) if other != circles.axis]
     open_chains: list[list[int]] = []
@@ -240,7 +240,7 @@ def cluster_circles(circles: Circles, radius_mm: float) -> list[Cluster]:
 
 
 def pair_clusters(axial: list[Cluster], sagittal: list[Cluster]) -> list[tuple[Cluster, Cluster]]:
-    """Pair clusters of both stacks around the same point, nearest first; each is used once."""
+    """Pair the axial and sagittal clusters of the same sphere, nearest first; each is used once."""
     pairs = sorted(
         (float(np.linalg.norm(one.middle_mm - other.middle_mm)), i, j)
         for i, one in enumerate(axial)
@@ -278,7 +278,7 @@ def _as_cluster(circles: Circles, chain: list[int], radius_mm: float) -> Cluster
 
 
 def fit_lines(axial: Cluster, sagittal: Cluster) -> Array:
-    """Find the point (3,) grid mm nearest to the lines through both clusters' centres."""
+    """Return the point (3,) in grid mm nearest to the lines through both clusters' centres."""
     (p, u), (q, v) = (_fit_line(cluster.centres_mm) for cluster in (axial, sagittal))
     offset, cosine = q - p, float(u @ v)
     # the feet of the common perpendicular
@@ -288,7 +288,7 @@ def fit_lines(axial: Cluster, sagittal: Cluster) -> Array:
 
 
 def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
-    """Fit a sphere: centre (3,) grid mm, radius mm, and the share of circle points on it."""
+    """Fit a sphere to the circles: centre (3,) in grid mm, radius in mm, share of circle points on it."""
     points = np.concatenate([_circle_points(cluster) for cluster in (axial, sagittal)])
 
     def mark_on_sphere(sample: Array) -> NDArray[np.bool_]:
@@ -303,7 +303,7 @@ def fit_sphere(axial: Cluster, sagittal: Cluster) -> tuple[Array, float, float]:
 
 
 def _fit_line(points: Array) -> tuple[Array, Array]:
-    """Fit a line: a point on it and its unit direction."""
+    """Fit a line; return a point on it and its unit direction."""
 
     def mark_on_line(sample: Array) -> NDArray[np.bool_]:
         direction = sample[1] - sample[0]
@@ -321,7 +321,7 @@ def _fit_line(points: Array) -> tuple[Array, Array]:
 def _find_consensus(
     points: Array, count: int, mark_agreeing: Callable[[Array], NDArray[np.bool_]]
 ) -> NDArray[np.bool_]:
-    """Largest set of points (n,) that agree with `count` of them, drawn at random (RANSAC)."""
+    """Find the largest set of points (n,) that agrees with `count` points drawn at random (RANSAC)."""
     random = np.random.default_rng(SEED)
     best = np.zeros(len(points), dtype=bool)
     for _ in range(TRIALS):

@@ -31,7 +31,7 @@ Line = tuple[Array, Array]  # entry and target, LPS mm
 
 
 def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str) -> bytes:
-    """Draw a PNG of the axial, coronal and sagittal plane through the target of trajectory `name`.
+    """Draw a PNG with the axial, coronal and sagittal planes through the target of trajectory `name`.
 
     `lines` are entry and target, LPS mm, by name; each fades with its distance from the plane.
     """
@@ -50,7 +50,7 @@ def trajectory_cuts(volume: Volume, lines: Mapping[str, Line], name: str) -> byt
 
 
 def _sample_plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -> Picture:
-    """Sample grey values (n, n, 3) around a point."""
+    """Sample grey values (n, n, 3) on a plane around a point."""
     offsets = np.arange(-round(HALF_WIDTH_MM / STEP_MM), round(HALF_WIDTH_MM / STEP_MM) + 1) * STEP_MM
     places = middle_mm + offsets[:, None, None] * down + offsets[None, :, None] * right
     values = volume.sample(places, UNSCANNED_HU)
@@ -60,7 +60,7 @@ def _sample_plane(volume: Volume, middle_mm: Array, right: Array, down: Array) -
 
 
 def _draw_line(picture: Picture, line: Line, middle_mm: Array, axes: Array, *, is_own: bool) -> None:
-    """Draw a trajectory from entry to target, piece by piece."""
+    """Draw a trajectory from entry to target in short pieces."""
     import cv2
 
     entry, target = line
@@ -87,7 +87,7 @@ def _clamp(picture: Picture, pixel: float) -> int:
 
 
 def _write(picture: Picture, title: str, letters: tuple[str, str, str, str]) -> None:
-    """Write the plane's name, and the patient's sides at the edges."""
+    """Write the plane's name and, at the edges, the patient's sides."""
     import cv2
 
     size = picture.shape[0]

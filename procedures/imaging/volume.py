@@ -1,4 +1,4 @@
-"""A CT as numbers: voxels in HU, the geometry that relates them to the patient, and pieces cut from it.
+"""CT volumes: voxels in HU, the geometry that relates them to the patient, and regions cut from them.
 
 Grid millimetres are voxel indices (slice, row, column) times their spacing: a Cartesian frame that differs
 from the patient's only by rotation and translation.
@@ -28,7 +28,7 @@ OUTSIDE_FIELD_HU = -1500  # scanners pad outside their round field with values f
 
 @dataclass(frozen=True, eq=False)
 class VoxelGeometry:
-    """Position of voxels in patient coordinates (DICOM LPS, mm).
+    """Voxel positions in patient coordinates (DICOM LPS, mm).
 
     Voxel indices are (slice, row, column); integers are voxel CENTRES, so the volume begins half a voxel
     before index 0. The columns of `axes` (3, 3) are the unit directions in which the slice, row and column
@@ -53,24 +53,24 @@ class VoxelGeometry:
             raise VolumeMalformed("the axes are not perpendicular unit vectors")
 
     def to_patient_mm(self, indices: ArrayLike) -> Array:
-        """Patient positions (..., 3) mm of voxel indices (..., 3), which may be fractional."""
+        """Return the patient positions (..., 3) mm of voxel indices (..., 3), which may be fractional."""
         return self.origin_mm + self.directions_to_patient(np.asarray(indices, dtype=float) * self.spacing_mm)
 
     def to_index(self, points_mm: ArrayLike) -> Array:
-        """Fractional voxel indices (..., 3) of patient positions (..., 3) mm."""
+        """Return the fractional voxel indices (..., 3) of patient positions (..., 3) mm."""
         offsets = np.asarray(points_mm, dtype=float) - self.origin_mm
         return np.asarray(offsets @ self.axes / self.spacing_mm)
 
     def grid_mm_to_patient_mm(self, points_mm: ArrayLike) -> Array:
-        """Patient positions (..., 3) mm of index times spacing (..., 3)."""
+        """Return the patient positions (..., 3) mm of grid positions (..., 3), index times spacing."""
         return self.origin_mm + self.directions_to_patient(points_mm)
 
     def directions_to_patient(self, vectors: ArrayLike) -> Array:
-        """Vectors (..., 3) along (slice, row, column) as vectors along the patient axes L, P, S."""
+        """Rotate vectors (..., 3) from (slice, row, column) to the patient axes L, P, S."""
         return np.asarray(np.asarray(vectors, dtype=float) @ self.axes.T)
 
     def covariance_to_patient(self, covariance: ArrayLike) -> Array:
-        """A covariance (3, 3) in (slice, row, column) axes, rotated to L, P, S."""
+        """Rotate a covariance (3, 3) from (slice, row, column) to the patient axes L, P, S."""
         return np.asarray(self.axes @ np.asarray(covariance, dtype=float) @ self.axes.T)
 
     @property
@@ -105,31 +105,31 @@ class Volume:
 
     @cached_property
     def extent_mm(self) -> Array:
-        """Size along (slice, row, column) from face to face, (3,) mm."""
+        """Size along (slice, row, column) between the outer faces, (3,) mm."""
         return np.asarray(self.geometry.spacing_mm * self.geometry.shape)
 
     def sample(self, places_mm: ArrayLike, outside_hu: float) -> NDArray[Any]:
-        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; else `outside_hu`."""
+        """Interpolate HU linearly, as float32, at patient positions (..., 3) mm; `outside_hu` elsewhere."""
         index = np.moveaxis(self.geometry.to_index(places_mm), -1, 0)
         sampled = map_coordinates(self.voxels, index, output=np.float32, order=1, cval=outside_hu)
         return np.asarray(sampled)
 
     def patient_mm(self, grid_mm: ArrayLike) -> tuple[float, float, float]:
-        """Patient position (LPS) of a grid position (3,) mm."""
+        """Return the patient position (LPS) of a grid position (3,) mm."""
         x, y, z = self.geometry.grid_mm_to_patient_mm(grid_mm).tolist()
         return x, y, z
 
 
 @dataclass(frozen=True, eq=False)
 class Region:
-    """Voxels (slices, rows, columns) in HU, NaN outside the scan; `start` is the first index."""
+    """Cuboid of voxels (slices, rows, columns) in HU, NaN outside the scan; `start` is the first index."""
 
     values: Array
     start: NDArray[np.int64]
     spacing_mm: Array
 
     def axes_mm(self) -> tuple[Array, Array, Array]:
-        """Grid positions of the voxel centres along each axis, shaped to broadcast over `values`."""
+        """Return the grid positions of the voxel centres along each axis, broadcastable over `values`."""
         z, y, x = (
             (self.start[axis] + np.arange(self.values.shape[axis])) * self.spacing_mm[axis]
             for axis in range(3)
@@ -176,7 +176,7 @@ def cut_region(volume: Volume, centre_mm: Array, half_width_mm: float) -> Region
 
 
 def cube_around(geometry: VoxelGeometry, centre_mm: Array, half_width_mm: float) -> tuple[slice, ...]:
-    """Voxels (slices, rows, columns) within a cube around a grid position, at least one along each axis."""
+    """Return the slices of the voxels in a cube around a grid position, at least one along each axis."""
     shape = np.array(geometry.shape)
     low = np.clip(np.floor((centre_mm - half_width_mm) / geometry.spacing_mm).astype(int), 0, shape - 1)
     high = np.ceil((centre_mm + half_width_mm) / geometry.spacing_mm).astype(int) + 1

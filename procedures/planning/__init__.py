@@ -1,1 +1,1 @@
-"""The plan and all that is checked before anything moves: CT, reach, paths, cart position, markers."""
+"""The plan and its checks before any motion: CT, reach, paths, cart position, markers."""

@@ -1,4 +1,4 @@
-"""Map of cart positions from which the plan can be carried out, and the best of them.
+"""Map of cart positions from which the plan can be executed, and the best of these positions.
 
 Positions on a grid are judged in separate processes, refined where positions that serve meet others. A square
 is reachable if all its corners serve; squares at the edge are halved twice. The map therefore errs on the
@@ -41,7 +41,7 @@ REACHABLE, REFUSED, BEST = "#bfe3c8", "#f1d3cf", "#1f6f8b"
 
 @dataclass(frozen=True, eq=False)
 class PlaceMap:
-    """Judged relative to the assumed position: `verdicts` by node, `allowed` (n, n) by square, x first.
+    """Map around the assumed position: `verdicts` by grid node, `allowed` (n, n) by square, x first.
 
     The cart is rotated by `turn_rad` from its assumed orientation everywhere.
     """
@@ -53,17 +53,17 @@ class PlaceMap:
 
     @property
     def within_mm(self) -> float:
-        """Extent of the map in each direction."""
+        """Half width of the map."""
         return self.half * FINEST_MM
 
     def allows(self, x_mm: float, y_mm: float) -> bool:
-        """Whether the map calls a position reachable; none outside the map is."""
+        """Return whether the map allows a position; positions outside the map are not allowed."""
         i, j = (int(np.floor(value / FINEST_MM)) + self.half for value in (x_mm, y_mm))
         is_inside = 0 <= i < 2 * self.half and 0 <= j < 2 * self.half
         return is_inside and bool(self.allowed[i, j])
 
     def best(self) -> tuple[CartMove, float] | None:
-        """Return the position farthest from any that does not serve, and its tolerance in mm; or None."""
+        """Return the position farthest from unsuitable ones and its tolerance in mm; None without any."""
         if not self.allowed.any():
             return None
         # nothing is known beyond the map
@@ -106,7 +106,7 @@ def map_places(
     progress: Callable[[float], None] = lambda share: None,
     turn_rad: float = 0.0,
 ) -> PlaceMap:
-    """Judge positions up to `within_mm` from the assumed one in x and y; a whole number of coarse squares.
+    """Judge positions up to `within_mm` from the assumed one in x and y, rounded to whole coarse squares.
 
     With `turn_rad` the cart is rotated by that everywhere, about the z axis of its base,
     counter-clockwise from above.
@@ -146,7 +146,7 @@ def map_places(
 
 
 def _inner_neighbours(node: Node) -> list[Node]:
-    """Inner neighbours on the coarsest grid, nearest first; outer ones are not judged yet."""
+    """Return the neighbours on the coarsest grid, nearest first."""
     i, j = node
     ways = [(a, b) for a in (-COARSE, 0, COARSE) for b in (-COARSE, 0, COARSE) if a or b]
     return [(i + a, j + b) for a, b in sorted(ways, key=lambda way: abs(way[0]) + abs(way[1]))]
@@ -163,7 +163,7 @@ def _middles(i: int, j: int, size: int) -> list[Node]:
 
 @contextmanager
 def open_judge(case: CartCase, workers: int | None = None) -> Iterator[Judge]:
-    """Provide a judge of many positions; `workers` 1 uses this process, None every processor.
+    """Provide a judge of many positions. `workers` 1 uses this process, None all processors.
 
     Raises PRC-001 when the processes halt.
     """
@@ -187,7 +187,7 @@ def _judge(case: CartCase, requests: Sequence[Request]) -> list[Verdict]:
 
 @dataclass(frozen=True, eq=False)
 class PlaceProposal:
-    """Proposed offset of the cart from the assumed position, and its tolerance.
+    """Proposed offset of the cart from its assumed position, with tolerance.
 
     `free_mm` in any direction; or half of that plus a further rotation by `turns_deg` (negative, positive).
     """
@@ -199,11 +199,11 @@ class PlaceProposal:
 
     @property
     def assumed(self) -> Verdict:
-        """Verdict on the cart's assumed position, with the map's rotation."""
+        """Verdict on the cart's assumed position at the map's rotation."""
         return self.places.verdicts[(0, 0)]
 
     def as_payload(self) -> dict[str, Any]:
-        """Return plain values for a file or a script; rows of the map run along x, from the lowest y."""
+        """Return plain values for a file or a script; map rows run along x, starting at the lowest y."""
         places = self.places
         return {
             "best_mm": [self.best.x_mm, self.best.y_mm],
@@ -228,7 +228,7 @@ class PlaceProposal:
 
 
 def propose_place(places: PlaceMap, judge: Judge) -> PlaceProposal:
-    """Propose the best position. Raises PLAN-020 when none serves."""
+    """Propose the best position. Raises PLAN-020 if no position is suitable."""
     found = places.best()
     if found is None:
         reasons = Counter(one.reason for one in places.verdicts.values() if one.reason)
@@ -264,7 +264,7 @@ def _shift_place(best: CartMove, step_mm: float, way: tuple[float, float], turn_
 
 
 def draw_place(found: PlaceProposal, case: CartCase) -> bytes:
-    """Draw an SVG: the reachable area, the assumed position, the best one and its tolerance."""
+    """Draw an SVG of the reachable area, the assumed position, and the best position with its tolerance."""
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.colors import ListedColormap
     from matplotlib.figure import Figure

@@ -1,4 +1,4 @@
-"""Errors of plans, PLAN-001 to PLAN-029, and of the tool records that they rely on, TOOL-002 and TOOL-003.
+"""Errors of plans, PLAN-001 to PLAN-029, and of the tool records they use, TOOL-002 and TOOL-003.
 
 Several errors of one check are raised as one error; if they are all of one kind it has that kind's
 code, otherwise PLAN-002.
@@ -23,7 +23,7 @@ class PlanError(DataError):
 
 
 class PlanMistakes(PlanError):
-    """The plan has wrong keys or values, or several kinds of mistakes; all are listed."""
+    """The plan has invalid keys or values, or several kinds of mistakes; the message lists all."""
 
     code = "PLAN-002"
     action = "Correct every line listed; docs/reference/plan-file.md describes every key."
@@ -231,7 +231,7 @@ class ForeignTool(RefusedError):
 
 
 def raise_together(findings: Sequence[RonnaError], what: str) -> None:
-    """Raise nothing for no findings, the finding itself for one, and one error listing them for several."""
+    """Raise nothing for no findings, the finding itself for a single one, or one error that lists several."""
     if not findings:
         return
     if len(findings) == 1:
@@ -249,5 +249,5 @@ def raise_together(findings: Sequence[RonnaError], what: str) -> None:
 
 
 def summarize_finding(finding: RonnaError, with_code: bool) -> str:
-    """Summarize a finding with its values, without the advice."""
+    """Summarize a finding with its values, without the recommended action."""
     return f"{finding.code} {finding.summary}" if with_code else finding.summary

@@ -1,4 +1,4 @@
-"""Lines of sight of stereo head and tracker at the planned poses.
+"""Lines of sight of the stereo head and the tracker at the planned poses.
 
 Stereo head: spheres are compared by their outlines in a camera. Two outlines must not touch, whichever sphere
 is nearer, because a bright neighbour behind the rim is as harmful as one in front.
@@ -45,11 +45,11 @@ class StereoSight:
 
     @classmethod
     def of(cls, calibration: StereoHeadCalibration) -> Self:
-        """Read the cameras' positions from the calibration record of the stereo head."""
+        """Read the camera positions from the calibration record of the stereo head."""
         return cls(_projection_centre(calibration.left), _projection_centre(calibration.right))
 
     def unmet(self, visits: Sequence[Visit], spheres_mm: ArrayLike) -> tuple[Unmet, ...]:
-        """Find localizations in which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
+        """List localizations at which a neighbour touches the sphere's outline; spheres (n, 3) in robot mm.
 
         Row k of the spheres is the one measured by a visit with `fiducial` k.
         """
@@ -67,7 +67,7 @@ class StereoSight:
 
 
 def _projection_centre(camera: CameraCalibration) -> Array:
-    """Centre of projection in the tool frame; either camera's frame name will do."""
+    """Return the projection centre in the tool frame, for either camera."""
     return camera.camera_from_tool.transform(Frame.CAMERA_LEFT, Frame.TOOL).inverse().translation_mm
 
 
@@ -84,13 +84,13 @@ def _find_touching(camera_mm: Array, spheres_mm: Array, index: int) -> int | Non
 
 @dataclass(frozen=True)
 class TrackerSight:
-    """The tracker at the pose found by global localization; `spheres_mm` (n, 3) in its frame."""
+    """Tracker at the pose found by global localization; `spheres_mm` (n, 3) in the tracker frame."""
 
     robot_from_tracker: Transform
     spheres_mm: Array
 
     def seen(self, arm: ArmBodies, surroundings: Surroundings, joints_rad: JointVector) -> NDArray[np.bool_]:
-        """Flag the spheres (n,) that both sensors see past the arm and its tool. Static bodies hide none.
+        """Flag the spheres (n,) that both sensors see past the arm and its tool. Static bodies are ignored.
 
         The head hid none of them when they were localized, nor do clamp and table.
         """
@@ -109,7 +109,7 @@ class TrackerSight:
 def explain_hidden_frame(
     robot_from_tracker: Transform, robot_from_marker: Transform, arm: ArmBodies, joints_rad: JointVector
 ) -> str:
-    """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if it may."""
+    """Explain why the tracker cannot see the frame on the arm, facing along its z axis; empty if visible."""
     marker = robot_from_tracker.inverse() @ robot_from_marker
     x_mm, y_mm, z_mm = marker.translation_mm.tolist()
     depths_mm, *halves_mm = np.transpose(VOLUME_MM)

@@ -28,7 +28,7 @@ AT_THE_END = 0.95  # of a line: 3 mm from where it ends
 
 @dataclass(frozen=True)
 class Motion:
-    """One motion of the procedure: a joint move from one named place to another, or a straight line at one.
+    """One motion of the procedure: a joint move between named places, or a straight line at one of them.
 
     `plan` is at working speed; the arm drives it at `speed_fraction` of that. `is_cleared` says that another
     sweep covers it: the one that chose it, or that of the line it retraces (`is_retrace`).
@@ -44,7 +44,7 @@ class Motion:
 
     @property
     def kind(self) -> str:
-        """`move`, `line` or `is_retrace`."""
+        """Kind of the motion: `move` (joints), `line`, or `back` (a line retraced)."""
         if self.is_retrace:
             return BACK
         return MOVE if self.plan.target is None else LINE
@@ -58,7 +58,7 @@ class PreviewedMotion:
     preview: PathPreview
 
     def as_payload(self) -> dict[str, Any]:
-        """Plain numbers for a record."""
+        """Return plain values for a record."""
         motion = self.motion
         return {"from": motion.start, "to": motion.end, "kind": motion.kind, **self.preview.as_payload()}
 
@@ -71,7 +71,7 @@ def find_unclear(
     *,
     first_only: bool = False,
 ) -> tuple[Unmet, ...]:
-    """Find the motions of a procedure that are not clear, once all its poses are reached.
+    """Find the motions of a procedure that are not clear, once all poses are reached.
 
     With `first_only` it stops at the first and skips its closest point: for trying many angles.
     """
@@ -95,7 +95,7 @@ def find_unclear(
 
 
 def check_fixed_places(setting: ArmSetting) -> tuple[Unmet, ...]:
-    """Find reasons why home or gauge cannot be reached at any angle of the trajectories."""
+    """List why home or gauge cannot be reached whatever the trajectories' angles; empty if they can."""
     for name, joints_rad in _list_fixed_places(setting):
         try:
             require_in_range(setting.kinematics, joints_rad, setting.limits)
@@ -119,7 +119,7 @@ def _list_fixed_places(setting: ArmSetting) -> Iterator[tuple[str, JointVector]]
 
 
 def _plan_gauge_motions(setting: ArmSetting, scene: PlanningScene) -> Iterator[Motion]:
-    """Plan the motions of the tool check, from home and back."""
+    """Plan the motions of the tool check, from home to the gauge and back."""
     if setting.gauge_rad is None:
         return
     around = scene.with_guide(setting.robot_from_ct, setting.flange_from_tool, None)
@@ -131,7 +131,7 @@ def _plan_gauge_motions(setting: ArmSetting, scene: PlanningScene) -> Iterator[M
 def preview_motions(
     setting: ArmSetting, scene: PlanningScene, check: PathCheck, trajectories: Sequence[Trajectory]
 ) -> tuple[PreviewedMotion, ...]:
-    """Preview the motions of the procedure in order."""
+    """Preview all motions of the procedure in order."""
     return tuple(_preview(setting, motion) for motion in plan_motions(setting, scene, check, trajectories))
 
 
@@ -197,7 +197,7 @@ def _plan_visit(
 
 
 def _reverse(setting: ArmSetting, line: MotionPlan) -> MotionPlan:
-    """Reverse the line, with the same poses and speed limits."""
+    """Return the reversed line, with the same poses and speed limits."""
     start_pose = setting.kinematics.forward(line.start_rad)
     return replace(line, start_rad=line.target_rad, target_rad=line.start_rad, target=start_pose)
 
@@ -213,7 +213,7 @@ def _plan_homing(
 
 
 def _describe_collision(motion: Motion, breach: ClosestPair, standoff_mm: float | None = None) -> str:
-    """Describe a collision; `standoff_mm` is the plan's for the target at the motion's end."""
+    """Describe a collision; `standoff_mm` is the planned stand-off of the target at the motion's end."""
     lead_in = (
         "on the line to it" if motion.kind == LINE else (f"on the path from {motion.start} to {motion.end}")
     )

@@ -1,4 +1,4 @@
-"""Check that the arm can execute the whole procedure: every pose, approach and line in one branch.
+"""Check that the arm can execute the whole procedure: every pose, approach and line in a single branch.
 
 Poses are checked in the order of the procedure: all localizations, then every target.
 """
@@ -47,7 +47,7 @@ def check_paths(
 
 
 def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> PathCheck:
-    """Check axes that have already been turned; otherwise as `check_paths`."""
+    """Check axes that have already been turned; otherwise like `check_paths`."""
     best: PathCheck | None = None
     for branch in order_branches(setting, axes, fiducials_mm):
         checked = check_branch(setting, axes, fiducials_mm, branch)
@@ -59,7 +59,7 @@ def check_axes(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> Path
 
 
 def order_branches(setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike) -> tuple[Branch, ...]:
-    """Order the branches by promise for these axes."""
+    """Return the branches in order of promise for these axes."""
     own = setting.kinematics.branch_of(setting.start_rad)
     try:
         visits = list_visits(setting, axes, fiducials_mm, own)
@@ -77,7 +77,7 @@ def check_branch(
     *,
     first_only: bool = False,
 ) -> PathCheck:
-    """Find the joints for every pose in order, in this branch, and its failures.
+    """Solve for the joints at every pose, in order and in this branch, and list the failures.
 
     Clearance of the motions between them is checked last, once all poses are reached. With `first_only` it
     stops at the first failure.
@@ -109,7 +109,7 @@ def check_branch(
 def _iterate_visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch, unmet: list[Unmet]
 ) -> Iterator[Visit]:
-    """Yield visits in order; add to `unmet` the axes for which the strategy finds no poses in this branch."""
+    """Yield visits in order; append to `unmet` the axes without localization poses in this branch."""
     for axis in axes.localized:
         try:
             yield from list_localizations(setting, axis, fiducials_mm, branch)
@@ -128,7 +128,7 @@ def _select_tool(setting: ArmSetting, visit: Visit) -> Transform:
 def rank_branches(
     kinematics: Kinematics, flanges: Sequence[Transform], start_rad: JointVector
 ) -> tuple[Branch, ...]:
-    """Order the branches by how many of the flange poses they reach; the start's own wins a tie.
+    """Sort the branches by the number of flange poses they reach; the branch of the start wins ties.
 
     Among others that reach equally many, the one whose joints stay closest to the start comes first.
     """

@@ -1,4 +1,4 @@
-"""Check of a plan against the CT series, the fiducials found in it, and the arm's reach."""
+"""Check of a plan against its CT series, the fiducials found in it, and the reach of the arm."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ KNOWN_TOOLS = ("guide",)  # the only one in a theatre's calibration records
 
 @dataclass(frozen=True)
 class PlanCheck:
-    """Result of a check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
+    """Result of a plan check: `findings` refuse the plan, `warnings` are for the surgeon to weigh.
 
     If an arm was given and reaches everything, `motions` are those of the whole procedure, `turns_rad` has
     each trajectory's turn about its axis, and `paths` the joints. `distances` are from every trajectory to
@@ -78,15 +78,15 @@ class PlanCheck:
 
     @property
     def passed(self) -> bool:
-        """Whether nothing refuses the plan."""
+        """Whether the plan has no findings."""
         return not self.findings
 
     def require(self) -> None:
-        """Raise the finding, or one error listing all of them."""
+        """Raise the only finding, or one error that lists all; nothing if there are none."""
         raise_together(self.findings, "the plan")
 
     def as_payload(self) -> dict[str, Any]:
-        """Plain values for a record or a script."""
+        """Return plain values for a record or a script."""
         return {
             "passed": self.passed,
             "series_instance_uid": self.plan.series_instance_uid,
@@ -125,7 +125,7 @@ def check_plan(
     sight: StereoSight | None = None,
     bore: GuideBore | None = None,
 ) -> PlanCheck:
-    """Check a plan against its CT series, and against fiducials (n, 3) in LPS mm, arm and guide if given.
+    """Check a plan against its CT series and, if given, fiducials (n, 3) in LPS mm, arm and guide.
 
     Without `to_fiducials` they are counted, but the arm's motions to them are omitted. With `sight` the arm
     may turn trajectories about their axes, as the procedure does, so that the stereo head sees the fiducials
@@ -171,7 +171,7 @@ def check_plan(
 
 
 def _check_series(plan: Plan, volume: Volume) -> CheckResult:
-    """Check that the plan belongs to this series, in which every trajectory leads into the head."""
+    """Check that the plan belongs to this series and that every trajectory leads into the head."""
     if plan.series_instance_uid != volume.series_instance_uid:
         wrong = WrongSeries(
             "the plan belongs to another CT series",
@@ -191,7 +191,7 @@ def _check_series(plan: Plan, volume: Volume) -> CheckResult:
 
 
 def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
-    """Check the patient's position, and for enough fiducials to notice one that moves."""
+    """Check the patient position, and that there are enough fiducials to detect a displaced one."""
     findings: list[RonnaError] = []
     warnings: list[str] = []
     if not volume.patient_position:
@@ -210,7 +210,7 @@ def _check_patient(plan: Plan, volume: Volume) -> CheckResult:
 
 
 def _check_fiducials(plan: Plan, points_mm: Array) -> CheckResult:
-    """Check the number of fiducials (n, 3) in the CT, and that their layout is distinguishable.
+    """Check that the fiducials (n, 3) in the CT have the planned number and a distinguishable layout.
 
     The x-shaped frame must be found; further spheres are reported.
     """
@@ -247,7 +247,7 @@ def _check_arm(
     arm: ArmSetting,
     sight: StereoSight | None,
 ) -> PlanCheck:
-    """Add the arm's paths: findings that prevent them, or turns and, if there is a scene, motions."""
+    """Add the check of the arm's paths: findings, or turns and, with a scene, motions."""
     from procedures.planning.free_angle import (
         TurnedPaths,
         advice,
@@ -287,7 +287,7 @@ def _check_arm(
 
 
 def _warn_close_at_start(motions: Sequence[PreviewedMotion]) -> list[str]:
-    """Warn of bodies closer than the margin at the start of a motion; they may stay or move away."""
+    """Warn of bodies closer than the margin at the start of a motion; they must not come closer."""
     warnings_by_pair: dict[tuple[str, str], str] = {}
     for one in motions:
         closest = one.preview.closest
@@ -320,7 +320,7 @@ def _check_instrument(plan: Plan, bore: GuideBore) -> list[RonnaError]:
 
 
 def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
-    """Find points outside the CT, beyond the outer faces of the outermost voxels."""
+    """Find entries and targets beyond the outer faces of the CT's outermost voxels."""
     found: list[RonnaError] = []
     last = np.array(volume.geometry.shape) - 0.5
     for one in plan.trajectories:
@@ -335,14 +335,14 @@ def _find_points_outside(plan: Plan, volume: Volume) -> list[RonnaError]:
 
 
 def least_side_difference_mm(triangle_mm: ArrayLike) -> float:
-    """The smallest difference between two sides of a triangle of fiducials (3, 3) in mm."""
+    """Return the smallest difference between two sides of a triangle of fiducials (3, 3), in mm."""
     points = np.asarray(triangle_mm, dtype=float)
     sides = np.sort([np.linalg.norm(points[a] - points[b]) for a, b in combinations(range(3), 2)])
     return float(np.diff(sides).min())
 
 
 def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
-    """Whether fiducials (n, 3) of a CT contain those of a template (k, 3), in one way only; both in mm."""
+    """Return whether CT fiducials (n, 3) contain a template (k, 3) in exactly one way; both in mm."""
     found = match(
         template_mm,
         fiducials_mm,
@@ -354,7 +354,7 @@ def shows_template(template_mm: ArrayLike, fiducials_mm: ArrayLike) -> bool:
 
 
 def warn_of_ambiguity(fiducials_mm: NDArray[np.float64]) -> list[str]:
-    """Warn of an ambiguous layout of fiducials (n, 3) in mm."""
+    """Return warnings about an ambiguous layout of fiducials (n, 3), in mm."""
     if len(fiducials_mm) == 3:
         smallest = least_side_difference_mm(fiducials_mm)
         if smallest >= LEAST_SIDE_DIFFERENCE_MM:

@@ -1,4 +1,4 @@
-"""The plan file `plan.toml`: new, read, written and sealed. All mistakes in a file are reported at once.
+"""The plan file `plan.toml`: create, read, write and seal. All mistakes in a file are reported together.
 
 Values typical of metres or centimetres are refused in files and in the planner, but not in records, which
 must stay readable. A seal states who saved a plan, on which voxels, and that it has not been altered since.
@@ -132,7 +132,7 @@ def write_plan(path: Path, plan: Plan, notes: Iterable[str] = ()) -> None:
 
 
 def _name_item(line: str, place: tuple[int | str, ...], content: dict[str, Any]) -> str:
-    """Name the trajectory or structure in the line, or else give its number."""
+    """Replace the index of a trajectory or structure in the line by its name, or by its number."""
     match place:
         case ("trajectories" | "structures" as table, int(index), *_):
             kind, key = NAMED[table]
@@ -149,7 +149,7 @@ def _advise_missing_key(mistake: Mapping[str, Any]) -> str:
 
 
 def _count_ids(content: dict[str, Any]) -> Counter[str]:
-    """Count the ids in the raw content, as other mistakes may prevent parsing the model."""
+    """Count the trajectory ids in the raw content, since other mistakes may prevent parsing the model."""
     rows = content.get("trajectories")
     if not isinstance(rows, list):
         return Counter()
@@ -157,7 +157,7 @@ def _count_ids(content: dict[str, Any]) -> Counter[str]:
 
 
 def find_unit_mistakes(plan: Plan) -> list[PlanMistakes]:
-    """List values of a plan that are typical of another unit."""
+    """List plan values that suggest another unit."""
     found = [
         PlanMistakes(
             f"trajectory {one.id}.margin_mm: {one.margin_mm:g} mm is less than any case can achieve: "
@@ -185,7 +185,7 @@ def find_unit_mistakes(plan: Plan) -> list[PlanMistakes]:
 
 
 def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
-    """List values of a structure that are typical of another unit."""
+    """List structure values that suggest another unit."""
     found = []
     if structure.margin_mm < LEAST_MARGIN_MM:
         found.append(
@@ -205,7 +205,7 @@ def find_structure_unit_mistakes(structure: Structure) -> list[PlanMistakes]:
 
 
 def seal_plan(plan: Plan, author: str, volume: Volume) -> Plan:
-    """Seal a plan. Raises pydantic's ValidationError for an author without a name."""
+    """Return the plan with a seal. Raises pydantic's ValidationError for an invalid author."""
     open_seal = Seal(author=author, ct_sha256=ct_digest(volume), plan_sha256=UNSEALED)
     unsealed = plan.model_copy(update={"seal": open_seal})
     return unsealed.model_copy(
@@ -220,7 +220,7 @@ def require_unaltered(plan: Plan, name: str) -> None:
 
 
 def check_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
-    """Return a finding if a sealed plan was made on other voxels, else None."""
+    """Return a finding if a sealed plan was made on different voxels; else None."""
     if plan.seal is None:
         return None
     digest = ct_digest(volume)
@@ -234,7 +234,7 @@ def check_voxels(plan: Plan, volume: Volume) -> OtherVoxels | None:
 
 
 def ct_digest(volume: Volume) -> str:
-    """SHA-256 of a CT's voxels and geometry."""
+    """Return the SHA-256 of a CT's voxels and geometry."""
     geometry = volume.geometry
     place = {
         "series": volume.series_instance_uid,
@@ -261,7 +261,7 @@ def _plan_digest(plan: Plan) -> str:
 def compose_plan(
     series_instance_uid: str, patient_position: str, spheres_mm: Sequence[Sequence[float]], source: str
 ) -> str:
-    """Compose the text of a new plan on the series `source`, with its spheres (n, 3) LPS mm as comments."""
+    """Compose the text of a new plan for the series `source`, with its spheres (n, 3) LPS mm as comments."""
     return "\n".join(_compose_lines(series_instance_uid, patient_position, spheres_mm, source)) + TRAJECTORY
 
 

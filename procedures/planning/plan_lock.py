@@ -1,4 +1,4 @@
-"""Locks of a plan: a running case keeps it from being overwritten, a planner from other planners."""
+"""Locks on a plan: a running case prevents overwriting, and a planner excludes other planners."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from ronna_hw.bounded_input import LARGEST_TOML_BYTES
 
 @dataclass(frozen=True)
 class LockedPlan:
-    """Content of a plan file when a case locked it."""
+    """Content of a plan file at the time a case locked it."""
 
     content: bytes
 
@@ -28,7 +28,7 @@ class LockedPlan:
 
 @contextmanager
 def lock_plan(path: Path) -> Iterator[LockedPlan]:
-    """Hold a plan file for a case, shared with other cases; released when the program ends, in any way.
+    """Hold a plan file for a case, shared with other cases; released however the program ends.
 
     Raises PLAN-001.
     """
@@ -44,7 +44,7 @@ def lock_plan(path: Path) -> Iterator[LockedPlan]:
 
 @contextmanager
 def plan_replacement(path: Path) -> Iterator[None]:
-    """Keep cases from starting on a plan file while it is being replaced. Raises PLAN-025, PLAN-026.
+    """Prevent cases from starting on a plan file while it is replaced. Raises PLAN-025, PLAN-026.
 
     A file that does not exist yet is held by no one.
     """
@@ -76,7 +76,7 @@ def is_plan_in_use(path: Path) -> bool:
 
 
 class PlannerLock:
-    """Lock that lets one planner change a plan, from the first successful `take` until `leave`."""
+    """Lock for one planner to change a plan, from the first successful `take` until `leave`."""
 
     def __init__(self, plan: Path) -> None:
         self._path = plan.with_name(f".{plan.name}.planner")  # the plan itself is replaced when saved
@@ -84,7 +84,7 @@ class PlannerLock:
         self._is_released = False
 
     def take(self) -> bool:
-        """Take the lock; False if another planner holds it. True where files cannot be locked."""
+        """Take the lock; return False if another planner holds it, True where files cannot be locked."""
         if self._is_released:
             return False
         if self._file is None:
@@ -101,7 +101,7 @@ class PlannerLock:
         return True
 
     def leave(self) -> None:
-        """Release it for good."""
+        """Release the lock permanently."""
         self._is_released = True
         if self._file is not None:
             with suppress(OSError):  # in a folder that is no longer writable; only the lock counts
@@ -111,7 +111,7 @@ class PlannerLock:
 
 
 def _lock(path: Path, kind: int) -> int:
-    """Open and lock the file at this path, again if it was replaced meanwhile."""
+    """Open and lock the file at this path; repeat if the file was replaced meanwhile."""
     while True:
         file = _open(path) if kind & fcntl.LOCK_EX else os.open(path, os.O_RDONLY | os.O_CLOEXEC)
         try:
@@ -125,7 +125,7 @@ def _lock(path: Path, kind: int) -> int:
 
 
 def _open(path: Path) -> int:
-    """Open writable if possible, as exclusive locks on a network file system require."""
+    """Open a file for writing if possible, since exclusive locks on network file systems require it."""
     try:
         return os.open(path, os.O_RDWR | os.O_CLOEXEC)
     except FileNotFoundError:

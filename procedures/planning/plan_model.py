@@ -1,4 +1,4 @@
-"""The plan: what was planned on which CT, for which patient position, with which tool.
+"""Data model of a plan: trajectories on a CT, for a patient position and a tool.
 
 Strict: unknown keys are errors, and nothing that decides side or patient has a default.
 """
@@ -43,7 +43,7 @@ Point = tuple[Coordinate, Coordinate, Coordinate]
 
 
 class PatientPosition(StrEnum):
-    """Patient position in DICOM's terms: head or feet first; supine, prone or on a side."""
+    """Patient position in DICOM terms: head or feet first; supine, prone or on a side."""
 
     HFS = "HFS"
     HFP = "HFP"
@@ -56,14 +56,14 @@ class PatientPosition(StrEnum):
 
 
 class FiducialKind(StrEnum):
-    """Single spheres on screws, or the x-shaped frame with four of them."""
+    """Kind of fiducials: single spheres on screws, or the x-shaped frame with four spheres."""
 
     FREE = "free"
     XFRAME = "xframe"
 
 
 class PlannedTrajectory(Strict):
-    """One trajectory: entry and target in CT coordinates (LPS, mm), the angle about the axis, the margin.
+    """Planned trajectory: entry and target in CT coordinates (LPS, mm), angle about the axis, margin.
 
     `margin_mm` is the target error that the surgeon accepts; with a larger predicted error the
     trajectory is refused.
@@ -102,12 +102,12 @@ class PlannedTrajectory(Strict):
 
     @property
     def trajectory(self) -> Trajectory:
-        """This trajectory for the strategies, angle in radians."""
+        """The trajectory as strategies use it, with the angle in radians."""
         return Trajectory(self.id, self.entry_mm, self.target_mm, math.radians(self.free_angle_deg))
 
 
 class Structure(Strict):
-    """One structure, drawn or imported: points in CT coordinates (LPS, mm) and the margin to keep."""
+    """Drawn or imported structure: points in CT coordinates (LPS, mm) and the margin to keep."""
 
     name: str = Field(min_length=1, max_length=32, pattern=STRUCTURE_NAME_PATTERN, description="Its name.")
     margin_mm: float = Field(
@@ -137,7 +137,7 @@ def _check_count(trajectories: tuple[PlannedTrajectory, ...]) -> tuple[PlannedTr
 
 
 class Seal(Strict):
-    """Who saved a plan, on which voxels; a plan altered since is refused."""
+    """Seal of a plan: author and digests of CT and plan. A plan altered after sealing is refused."""
 
     author: str = Field(min_length=1, max_length=LONGEST_AUTHOR, description="Who saved it, in the planner.")
     ct_sha256: str = Field(pattern=DIGEST_PATTERN, description="Digest of the CT it was made on.")
@@ -145,7 +145,7 @@ class Seal(Strict):
 
 
 class Plan(Strict):
-    """A whole plan, as in `plan.toml`."""
+    """Complete plan, as stored in `plan.toml`."""
 
     schema_version: Literal[1] = Field(alias="schema", description="Version of the file format.")
     series_instance_uid: str = Field(
@@ -243,12 +243,12 @@ class Plan(Strict):
 
 
 def span(points: ArrayLike) -> float:
-    """Diagonal of the box around points (n, 3), in their unit."""
+    """Return the diagonal of the box around points (n, 3), in their unit."""
     return float(np.linalg.norm(np.ptp(np.asarray(points, dtype=float), axis=0)))
 
 
 def is_in_metres(points: ArrayLike) -> bool:
-    """Whether points (n, 3), given as millimetres, are so close together that they must be metres.
+    """Return whether points (n, 3), given as millimetres, span so little that they must be in metres.
 
     One point alone, as drawn first, says nothing about its unit.
     """

@@ -1,4 +1,4 @@
-"""The proposed cart position as a case reads it, and the cart's deviation from it."""
+"""The proposed cart position as used by a case, and the cart's deviation from it."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ TURNED_SHARE = 0.5  # of an unrotated cart's tolerance, at which rotations are t
 
 @dataclass(frozen=True)
 class ProposalDeviation:
-    """The cart relative to its proposed position: x and y in the assumed $ROBROOT, and rotation.
+    """Deviation of the cart from its proposed position: x and y in the assumed $ROBROOT, and rotation.
 
     `head_mm` and `head_deg` are deviations that a cart on the floor cannot cause: the head
     is higher, or tilted.
@@ -44,12 +44,12 @@ class ProposalDeviation:
 
     @property
     def off_mm(self) -> float:
-        """Distance from the proposal."""
+        """Distance from the proposed position."""
         return math.hypot(self.x_mm, self.y_mm)
 
 
 class ProposedPlace(Strict):
-    """The part of `place.json` that a case needs; the map itself is ignored."""
+    """The part of `place.json` that a case needs; the map is ignored."""
 
     model_config = ConfigDict(extra="ignore")
 
@@ -65,7 +65,7 @@ class ProposedPlace(Strict):
     turns_deg: tuple[Turn, Turn] = Field(description="Rotation tolerance, negative and positive.")
 
     def drift(self, robot_from_ct: Transform) -> ProposalDeviation:
-        """Deviation of a cart that sees the CT at this pose ROBOT <- CT."""
+        """Return the deviation of a cart from which the CT has this pose ROBOT <- CT."""
         assumed = Pose.from_kuka(*self.assumed_robot_from_ct)
         assumed_ct = Transform.of(
             Frame.ROBOT, Frame.CT, translation_mm=assumed.position_mm, quaternion_wxyz=assumed.quaternion()
@@ -83,7 +83,7 @@ class ProposedPlace(Strict):
         )
 
     def allows(self, drift: ProposalDeviation) -> bool:
-        """Whether a deviation is within the tolerance, rotated no more than was tried."""
+        """Return whether a deviation is within the position tolerance and the examined rotations."""
         most_negative_deg, most_positive_deg = self.turns_deg
         turned = abs(drift.turned_deg) > UNTURNED_DEG
         free_mm = self.free_mm * TURNED_SHARE if turned else self.free_mm
@@ -94,14 +94,14 @@ class ProposedPlace(Strict):
 
 @dataclass(frozen=True)
 class PlaceFile:
-    """A proposal and the SHA-256 of its file."""
+    """A proposal with the SHA-256 of its file."""
 
     place: ProposedPlace
     sha256: str
 
 
 def read_place(path: Path) -> PlaceFile | None:
-    """Read a proposal; None without a file. Raises PLAN-022."""
+    """Read a proposal; return None if there is no file. Raises PLAN-022."""
     try:
         content = read_json_bytes(path, LARGEST_FILE_BYTES, MOST_VALUES)
         return PlaceFile(ProposedPlace.model_validate_json(content), hashlib.sha256(content).hexdigest())

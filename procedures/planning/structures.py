@@ -1,4 +1,4 @@
-"""Structures that trajectories must avoid, above all vessels: their distances, gaps and errors."""
+"""Structures that trajectories must avoid, above all vessels: distances, gaps and errors."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ MOST_OUTSIDE = 0.5  # of the points: with more, it belongs to another CT or its 
 
 @dataclass(frozen=True)
 class StructureDistance:
-    """Least distance of a trajectory's axis from a structure, and the structure's nearest point.
+    """Smallest distance of a trajectory's axis from a structure, and the nearest point of the structure.
 
     Half the widest gap between points, and the effect of thinning, are subtracted.
     """
@@ -57,7 +57,7 @@ class StructureDistance:
 
 
 def measure_distances(plan: Plan) -> tuple[StructureDistance, ...]:
-    """Distances from every trajectory to every structure."""
+    """Measure the distance from every trajectory to every structure."""
     return tuple(
         _measure_distance(structure, one.id, one.entry_mm, one.target_mm)
         for structure in plan.structures or ()
@@ -82,7 +82,7 @@ def _measure_distance(
 
 @lru_cache(maxsize=4 * MOST_STRUCTURES)
 def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
-    """The widest gap that must be bridged to go from every point to every other; 0 for one point.
+    """Return the widest gap to bridge so that all points are connected, in mm; 0 for one point.
 
     The longest edge of the minimum spanning tree: also between slices whose own points lie close together.
     """
@@ -92,7 +92,7 @@ def widest_gap_mm(points_mm: tuple[tuple[float, float, float], ...]) -> float:
 
 
 def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm: float = 0.0) -> Structure:
-    """Build a structure from any number of points (n, 3), thinned to as many as a plan stores.
+    """Build a structure from any number of points (n, 3), thinned to the number that a plan can store.
 
     All of it is within `within_mm` of these points. Raises pydantic's ValidationError for a name or position
     that a plan does not accept.
@@ -108,7 +108,7 @@ def build_structure(name: str, margin_mm: float, points_mm: ArrayLike, within_mm
 
 
 def _thinning_gap_mm(points: Array, kept: Array) -> float:
-    """Largest distance from a dropped point to the nearest kept one, rounded up."""
+    """Return the largest distance from a dropped point to the nearest kept one in mm, rounded up."""
     from scipy.spatial import cKDTree
 
     if len(points) == len(kept):
@@ -140,7 +140,7 @@ def read_structure(
 def check_structures(
     plan: Plan, distances: Sequence[StructureDistance], volume: Volume
 ) -> tuple[list[RonnaError], list[str]]:
-    """Findings that refuse the plan, and warnings for the surgeon."""
+    """Return findings that refuse the plan, and warnings for the surgeon."""
     findings: list[RonnaError] = [
         NearStructure(
             f"trajectory {one.trajectory} comes too close to {one.structure}",
@@ -166,6 +166,6 @@ def check_structures(
 
 
 def _share_outside(points_mm: ArrayLike, geometry: VoxelGeometry) -> float:
-    """Fraction of points (n, 3) beyond the outer faces of the outermost voxels."""
+    """Return the fraction of points (n, 3) beyond the outer faces of the CT's outermost voxels."""
     index = geometry.to_index(points_mm)
     return float(np.any((index < -0.5) | (index > np.array(geometry.shape) - 0.5), axis=1).mean())

@@ -1,4 +1,4 @@
-"""Records of the tools that can be mounted, from the theatre file, and their consistency."""
+"""Records of mountable tools in the theatre file, and their consistency."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ GUIDE, STEREO_HEAD = "guide", "stereo_head"  # names in the theatre file
 
 @dataclass(frozen=True)
 class GuideRecord:
-    """The guide's record, with the parts that a guide must have."""
+    """Record of the guide, with bore and gauge."""
 
     record: ToolRecord
     bore: GuideBore
@@ -31,7 +31,7 @@ class GuideRecord:
 
 @dataclass(frozen=True)
 class ToolRecords:
-    """Records by name, and the flange on which the tools must have been measured.
+    """Tool records by name, and the flange on which the tools must have been measured.
 
     While `calibrating` the tip, its record may refer to a former one.
     """
@@ -47,7 +47,7 @@ class ToolRecords:
 
     @property
     def guide(self) -> GuideRecord:
-        """Record of the guide. Raises TOOL-002 if there is none, or if it is not that of a guide."""
+        """Record of the guide. Raises TOOL-002 if it is missing or describes another kind of tool."""
         found = self.records.get(GUIDE)
         if found is None:
             raise NoToolRecord("the theatre file has no record of the guide", expected=f"[tools.{GUIDE}]")
@@ -60,7 +60,7 @@ class ToolRecords:
         return GuideRecord(found, found.bore, found.gauge)
 
     def check(self, calibrations: Calibrations, moment: datetime) -> None:
-        """Raise CAL-001 for a record that is not valid at this moment, TOOL-002, TOOL-003."""
+        """Check all records. Raises CAL-001 if one is not valid at this moment, TOOL-002, TOOL-003."""
         for name, record in self.records.items():
             record.check_valid_at(moment)
             check_flange(record, self.flange)
@@ -101,7 +101,7 @@ def check_flange(record: ToolRecord, flange: str) -> None:
 
 
 def check_tip(record: ToolRecord, calibrations: Calibrations) -> None:
-    """Raise TOOL-003 unless a tool's record refers to this calibration of its tip, with these numbers."""
+    """Raise TOOL-003 unless a tool's record refers to this tip calibration, with the same numbers."""
     tip = calibrations.tool_tip
     if record.tip != tip.identifier:
         raise ForeignTool(

@@ -1,4 +1,4 @@
-"""The poses that the arm visits in a procedure, and the result of checking them.
+"""The poses that the arm visits in a procedure, and the results of their check.
 
 Each pose is approached and left along the tool axis, from a point outside.
 """
@@ -37,7 +37,7 @@ class VisitKind(StrEnum):
 
 @dataclass(frozen=True)
 class Visit:
-    """One pose of the procedure, ROBOT <- TOOL, and its approach point back along the tool axis.
+    """Pose ROBOT <- TOOL of the procedure, with an approach point back along the tool axis.
 
     `identifier` reads like `T1/fiducial 2` (fiducials counted from 0) or `T1/target`. `approach_mm` is the
     distance of the approach point from the pose; the retreat is the same line reversed.
@@ -52,13 +52,13 @@ class Visit:
 
     @property
     def approach(self) -> Transform:
-        """The approach pose ROBOT <- TOOL."""
+        """Approach pose ROBOT <- TOOL."""
         return back_along_axis(self.pose, self.approach_mm)
 
 
 @dataclass(frozen=True)
 class Reached:
-    """A visit with the joint angles at its approach point, and the line from there to the pose."""
+    """A visit with the joint angles at its approach point, and the line to its pose."""
 
     visit: Visit
     approach_rad: JointVector
@@ -72,7 +72,7 @@ class Reached:
 
 @dataclass(frozen=True)
 class Unmet:
-    """A failed precondition: which pose, and why.
+    """Unmet precondition: the pose and the reason.
 
     `short_mm` is how much clearance a motion to the pose lacks; None if that is not what fails.
     """
@@ -83,13 +83,13 @@ class Unmet:
 
     @classmethod
     def from_error(cls, pose: str, error: LimitError) -> Self:
-        """Build the failure that an error of the arm's kinematics or planner describes."""
+        """Build the failure from an error of the arm's kinematics or planner."""
         return cls(pose, f"{error.summary} [{error.code}]")
 
 
 @dataclass(frozen=True)
 class PathCheck:
-    """The result: every visit with its joints in one branch, or the failures in the best branch.
+    """Result of a path check: all visits with joints in one branch, or the failures in the best branch.
 
     `largest_turn_rad` is the largest turn of any axis between two approach points, or from the start.
     """
@@ -106,7 +106,7 @@ class PathCheck:
 
     @property
     def joint_ranges_rad(self) -> tuple[tuple[float, float], ...]:
-        """Lowest and highest angle per axis over all poses; empty if nothing is reached."""
+        """Lowest and highest angle of each axis over all poses; empty if no pose is reached."""
         angles = [joints for one in self.reached for joints in (one.approach_rad, one.at_rad)]
         return tuple((min(axis), max(axis)) for axis in zip(*angles, strict=True))
 
@@ -118,7 +118,7 @@ class PathCheck:
         raise KeyError(identifier)
 
     def require(self, advice: str | None = None) -> None:
-        """Raise PLAN-007 listing every failed precondition, with `advice` instead of the usual one."""
+        """Raise PLAN-007 with every unmet precondition; `advice` replaces the usual action."""
         if self.unmet:
             lines = "; ".join(f"{one.pose}: {one.reason}" for one in self.unmet)
             raise NotReachable(f"{len(self.unmet)} pose(s) cannot be reached: {lines}", action=advice)
@@ -126,7 +126,7 @@ class PathCheck:
 
 @dataclass(frozen=True)
 class ArmSetting:
-    """The arm as the check needs it: the assumed pose of the CT, what is mounted, the start.
+    """Arm setting for the check: assumed CT pose, mounted tools, start.
 
     `robot_from_ct` is the coarse transform, `flange_from_tool` the guide, `flange_from_stereo` the stereo
     head's tool centre point (the same by design; None uses the guide's). `limits` are those that the arm
@@ -155,7 +155,7 @@ class ArmSetting:
             require_frames(self.flange_from_stereo, Frame.FLANGE, Frame.TOOL)
 
     def in_branch(self, branch: Branch) -> ArmInBranch:
-        """Return this arm in a branch, for strategies."""
+        """Return the arm in this branch for use by strategies."""
         return ArmInBranch(
             self.kinematics,
             flange_from_guide=self.flange_from_tool,
@@ -168,7 +168,7 @@ class ArmSetting:
 
 @dataclass(frozen=True)
 class Axes:
-    """The axes of a procedure: those along which the spheres are localized, and those of the targets.
+    """Axes of a procedure: those along which spheres are localized, and those of the targets.
 
     They are the same if the strategy localizes for every trajectory.
     """
@@ -188,14 +188,14 @@ class Axes:
         return tuple({one.identifier: one for one in (*self.localized, *self.targeted)}.values())
 
     def only(self, identifier: str) -> Axes:
-        """Return the part of the procedure along one axis."""
+        """Return only the axes of one trajectory."""
         return Axes(
             tuple(one for one in self.localized if one.identifier == identifier),
             tuple(one for one in self.targeted if one.identifier == identifier),
         )
 
     def turned(self, turns_rad: Mapping[str, float]) -> Axes:
-        """Turn each axis about itself by the angle under its name."""
+        """Return the axes, each turned about itself by the angle stored under its identifier."""
 
         def turn(axes: Sequence[Trajectory]) -> tuple[Trajectory, ...]:
             return tuple(
@@ -208,7 +208,7 @@ class Axes:
 def list_visits(
     setting: ArmSetting, axes: Axes, fiducials_mm: ArrayLike, branch: Branch
 ) -> tuple[Visit, ...]:
-    """List poses in the order of the procedure: localizations, then, after the tool change, targets.
+    """List the poses in the order of the procedure: localizations, then, after the tool change, targets.
 
     Raises the strategy's errors when it finds no poses in this branch.
     """
@@ -239,7 +239,7 @@ def list_localizations(
 
 
 def build_target_visit(setting: ArmSetting, trajectory: Trajectory) -> Visit:
-    """Pose at a target, with the guide held outside the skin."""
+    """Build the visit to a target, with the guide held outside the skin."""
     pose = target_pose(trajectory, setting.robot_from_ct)
     name = trajectory.identifier
     return Visit(f"{name}/target", VisitKind.TARGET, name, None, pose, setting.approach_mm)

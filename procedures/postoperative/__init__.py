@@ -1,1 +1,1 @@
-"""The postoperative check: registers both CTs on bone, finds what was inserted, measures its errors."""
+"""The postoperative check: registers both CTs on bone, finds the inserted objects, measures their errors."""

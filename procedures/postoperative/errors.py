@@ -21,7 +21,7 @@ class HeadsDiffer(DataError):
 
 
 class SeriesSwapped(DataError):
-    """The plan belongs to the CT that was given as the postoperative one."""
+    """The plan belongs to the CT that was given as postoperative."""
 
     code = "POST-003"
     action = "Give the planning CT first, then the postoperative one."
@@ -59,14 +59,14 @@ class InstrumentAmbiguous(DataError):
 
 
 class RunOfAnotherPlan(DataError):
-    """The run whose report should show the result followed another plan, or a plan on another CT."""
+    """The run for the report followed another plan, or a plan on another CT."""
 
     code = "POST-008"
     action = "Give the run of this operation, or omit --run."
 
 
 class FitFailed(DataError):
-    """The object along a trajectory cannot be fitted as a rod or a round hole: its axis is unknown."""
+    """The object along a trajectory does not fit a rod or a round hole, so its axis is unknown."""
 
     code = "POST-009"
     action = "Check the CT there: a bent lead, a larger opening? Leave that trajectory out with --only."

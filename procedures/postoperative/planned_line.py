@@ -22,7 +22,7 @@ AT_BOUND = 1e-3  # of the range between the two bounds
 
 @dataclass(frozen=True, eq=False)
 class PlannedLine:
-    """A straight line from `entry_mm` to `target_mm`, (3,) each, patient coordinates."""
+    """Straight line from `entry_mm` to `target_mm`, (3,) each, in patient coordinates."""
 
     entry_mm: Array
     target_mm: Array
@@ -39,7 +39,7 @@ class PlannedLine:
 
     @cached_property
     def axes(self) -> Array:
-        """Direction along the trajectory, and two across it, as columns."""
+        """Unit vectors as columns: one along the trajectory, two across it."""
         along = self.inwards
         helper = np.eye(3)[int(np.argmin(np.abs(along)))]
         across = np.cross(along, helper)
@@ -47,21 +47,21 @@ class PlannedLine:
         return np.column_stack([along, across, np.cross(along, across)])
 
     def apply_pose(self, pose: RigidTransform) -> PlannedLine:
-        """Move the line by a pose."""
+        """Return the line moved by a pose."""
         return PlannedLine(pose.apply(self.entry_mm), pose.apply(self.target_mm))
 
     def to_patient_mm(self, local_mm: Array) -> Array:
-        """Patient positions (..., 3) of positions along and across, mm from the entry."""
+        """Return patient positions (..., 3) of positions along and across, mm from the entry."""
         return np.asarray(self.entry_mm + local_mm @ self.axes.T)
 
     def to_local_mm(self, points_mm: Array) -> Array:
-        """Positions along and across, mm from the entry, of patient positions (..., 3)."""
+        """Return positions along and across, mm from the entry, of patient positions (..., 3)."""
         return np.asarray((points_mm - self.entry_mm) @ self.axes)
 
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), and its positions (..., 3) mm.
+    """HU on a grid of `STEP_MM` around a trajectory, (along, across, across), with positions (..., 3) mm.
 
     NaN outside the scan, where nothing is known.
     """
@@ -71,7 +71,7 @@ class Surroundings:
 
 
 def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: float) -> Surroundings:
-    """Sample HU around a trajectory between two distances from its entry, by linear interpolation."""
+    """Sample HU linearly around a trajectory between two distances from its entry."""
     side = np.arange(-SEARCH_MM, SEARCH_MM + STEP_MM / 2, STEP_MM)
     along = np.arange(first_mm, last_mm, STEP_MM)
     local = np.stack(np.meshgrid(along, side, side, indexing="ij"), axis=-1)
@@ -81,7 +81,7 @@ def sample_along(volume: Volume, line: PlannedLine, first_mm: float, last_mm: fl
 def select_voxels(
     volume: Volume, line: PlannedLine, between_mm: tuple[float, float], radius_mm: float
 ) -> tuple[Array, Array]:
-    """Centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
+    """Return centres (n, 3), along and across in mm, and HU of the voxels within a radius of a trajectory.
 
     The grid continues beyond the scan, with NaN.
     """
@@ -110,7 +110,7 @@ def select_voxels(
 
 @dataclass(frozen=True)
 class FitQuality:
-    """Quality of a fit: `whole` if the scan shows all it needs, `inside` if its position is within bounds.
+    """Quality of a fit: `whole` if the scan shows all it needs, `inside` if within the bounds.
 
     Residual in HU, radius in mm.
     """
@@ -124,7 +124,7 @@ class FitQuality:
 
 @dataclass(frozen=True, eq=False)
 class FittedAxis:
-    """Axis of an object: its tip, or a point in the bone, (3,) mm, and the unit vector out of the head."""
+    """Axis of an object: tip or point in the bone, (3,) mm, and the unit vector out of the head."""
 
     point_mm: Array
     outwards: Array
@@ -133,13 +133,13 @@ class FittedAxis:
 
 @dataclass(frozen=True)
 class ExpectedFit:
-    """Usual fits of real objects: the largest residual in HU, and the range of radii in mm."""
+    """Limits of plausible fits: the largest residual in HU, and the range of radii in mm."""
 
     residual_hu: float
     radius_mm: tuple[float, float]
 
     def failures(self, quality: FitQuality) -> tuple[str, ...]:
-        """List reasons why position and direction are unknown."""
+        """List the reasons why position and direction are unknown."""
         sentences = []
         if not quality.whole:
             sentences.append("the CT ends there")
@@ -150,7 +150,7 @@ class ExpectedFit:
         return tuple(sentences)
 
     def doubts(self, quality: FitQuality) -> tuple[str, ...]:
-        """List reasons why they may be wrong."""
+        """List the reasons why position and direction may be wrong."""
         sentences = []
         if quality.residual_hu > self.residual_hu:
             sentences.append(

@@ -1,4 +1,4 @@
-"""Correspondence, rigid registration and prediction of its error.
+"""Correspondence of points, rigid registration, and prediction of the registration error.
 
     from procedures.registration import match, register
 

@@ -1,4 +1,4 @@
-"""Register point clouds without correspondence: principal axes as a start, then iterative closest points.
+"""Register point clouds without correspondence: principal axes as start, then iterative closest points.
 
 For surfaces and dense scans; fiducials are paired by `match`, which states its certainty. Nearest neighbours
 come from SciPy's k-d tree; every step uses the same rigid fit as the fiducials. Iterative closest points:
@@ -40,7 +40,7 @@ MOST_STEPS = 200
 
 @dataclass(frozen=True)
 class CloudFit:
-    """A fit physical <- image of two clouds, with the rms distance to the nearest physical points.
+    """Fit physical <- image of two clouds, with the rms distance to the nearest physical points.
 
     The residual says how similar the clouds are, not how accurate the registration is.
     """
@@ -53,7 +53,7 @@ class CloudFit:
 def register_clouds(
     image_mm: ArrayLike, physical_mm: ArrayLike, *, start: RigidTransform | None = None, overlap: float = 1.0
 ) -> CloudFit:
-    """Register clouds (n, 3) and (m, 3) in mm, of any order and size.
+    """Register clouds (n, 3) and (m, 3) in mm, of any point order and size.
 
     `start` is an approximate transform physical <- image; without it the principal axes yield four, and both
     clouds must cover the same part. `overlap` is the share of the image points that have a counterpart.
@@ -118,7 +118,7 @@ def _as_fit(fit: _Fit) -> CloudFit:
 def _iterate_closest_points(
     image: Array, physical: Array, tree: cKDTree, start: Array, overlap: float
 ) -> _Fit:
-    """Pair each image point with the nearest physical one and fit, until the residual stops changing."""
+    """Pair each image point with the nearest physical point and fit, until the residual stops changing."""
     matrix, before_mm = start, np.inf
     kept = round(overlap * len(image))
     for step in range(1, MOST_STEPS + 1):
@@ -135,7 +135,7 @@ def _iterate_closest_points(
 
 
 def _align_axes(image: Array, physical: Array) -> list[Array]:
-    """Align the principal axes of both clouds: four proper rotations."""
+    """Align the principal axes of both clouds in all four proper rotations."""
     image_axes, physical_axes = _principal_axes(image, "image"), _principal_axes(physical, "physical")
     starts = []
     for first, second in product((1.0, -1.0), repeat=2):
@@ -149,7 +149,7 @@ def _align_axes(image: Array, physical: Array) -> list[Array]:
 
 
 def _principal_axes(points: Array, name: str) -> Array:
-    """Find the principal axes, longest first, as columns. Raises REG-011 when two are equally long."""
+    """Return the principal axes as columns, longest first. Raises REG-011 if two are equally long."""
     _, spread, axes = np.linalg.svd(points - points.mean(axis=0), full_matrices=False)
     if np.any(spread[:-1] < DISTINCT_AXES * spread[1:]):
         raise SymmetricCloud(f"two principal axes of the {name} cloud are equally long")

@@ -1,4 +1,4 @@
-"""A correspondence with its certainty, and the approximate orientation known beforehand."""
+"""Correspondence of two point sets with its certainty, and prior knowledge of the orientation."""
 
 from __future__ import annotations
 
@@ -31,19 +31,19 @@ class PosePrior(Protocol):
     """Evidence about the pose physical <- image that is independent of the distances."""
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); empty without one."""
+        """State the objection to a pose, (3, 3) and (3,), of paired points (k, 3); '' if there is none."""
         ...
 
 
 @dataclass(frozen=True)
 class Prior:
-    """Approximate rotation physical <- image, and how far the true one may deviate from it."""
+    """Approximate rotation physical <- image, with the largest deviation of the true rotation."""
 
     rotation: Rotation
     tolerance_rad: float = DEFAULT_PRIOR_TOLERANCE_RAD
 
     def __post_init__(self) -> None:
-        """Raise REG-007 for anything but one rotation and an angle up to pi."""
+        """Raise REG-007 unless the prior is one rotation with an angle of at most pi."""
         if not isinstance(self.rotation, Rotation) or np.shape(self.rotation.as_quat()) != (4,):
             raise BadParameter(
                 "a prior needs one SciPy Rotation physical <- image",
@@ -59,7 +59,7 @@ class Prior:
             )
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the rotation's excess over the tolerance; empty if it is within."""
+        """State by how much the rotation exceeds the tolerance; return '' if it does not."""
         turned_rad = turn_rad(np.asarray(self.rotation.as_matrix(), dtype=float), rotation)
         if turned_rad <= self.tolerance_rad:
             return ""
@@ -68,14 +68,14 @@ class Prior:
 
 
 def turn_rad(one: Array, other: Array) -> float:
-    """Angle between two rotations (3, 3)."""
+    """Return the angle between two rotations (3, 3), in rad."""
     cosine = 0.5 * (float(np.vdot(one, other)) - 1.0)  # the trace of one^T other
     return math.acos(min(1.0, max(-1.0, cosine)))
 
 
 @dataclass(frozen=True)
 class Hypothesis:
-    """One possible correspondence: `pairs` (k, 2) of image and physical indices, with transform and score."""
+    """Possible correspondence: `pairs` (k, 2) of image and physical indices, with transform and score."""
 
     pairs: NDArray[np.intp]
     transform: RigidTransform
@@ -115,7 +115,7 @@ class Match:
         runner_up: Hypothesis | None = None,
         margin_nats: float = 0.0,
     ) -> Self:
-        """Answer with the best hypothesis, or without pairs; `counts` of image and physical points."""
+        """Build the result from the best hypothesis or without pairs; `counts` of image, physical points."""
         pairs = np.zeros((0, 2), dtype=np.intp) if best is None else best.pairs
         unmatched = [
             tuple(index for index in range(count) if index not in set(used.tolist()))
@@ -124,7 +124,7 @@ class Match:
         return cls(status, pairs, best and best.transform, reason, runner_up, margin_nats, *unmatched)
 
     def require_unique(self) -> RigidTransform:
-        """Return the transform; raise REG-008 with the nearest miss unless the correspondence is unique."""
+        """Return the transform. Raise REG-008 with the closest hypotheses unless the match is unique."""
         if self.status is not MatchStatus.UNIQUE or self.transform is None:
             nearest = [_format_pairs(self.pairs)] if len(self.pairs) else []
             nearest += [_format_pairs(self.runner_up.pairs)] if self.runner_up else []
@@ -135,5 +135,5 @@ class Match:
 
 
 def _format_pairs(pairs: NDArray[np.intp]) -> str:
-    """Format pairs for a person, counting from 1."""
+    """Format pairs for display, counting from 1."""
     return "image-physical " + " ".join(f"{i + 1}-{j + 1}" for i, j in pairs.tolist())

@@ -1,4 +1,4 @@
-"""Fiducial and target errors of a rigid registration: the formulas, numbered as in the thesis.
+"""Fiducial and target errors of a rigid registration, with formulas numbered as in the thesis.
 
 FLE is the 3-D rms localization error of BOTH spaces together; FRE the rms residual after the fit; TRE the
 rms error at a target. FRE says nothing about TRE: use it only as a gate. Sources: Fitzpatrick, West, Maurer
@@ -27,21 +27,21 @@ DEFAULT_CONFIDENCE = 0.95
 
 
 def degrees_of_freedom(pairs: int) -> int:
-    """Residual degrees of freedom of a rigid fit of `pairs` points: 3n - 6. Raises REG-002."""
+    """Return the residual degrees of freedom of a rigid fit of `pairs` points, 3n - 6. Raises REG-002."""
     if pairs < FEWEST_PAIRS:
         raise TooFewPoints(f"{pairs} pair(s) given", expected=f"at least {FEWEST_PAIRS}")
     return 3 * pairs - POSE_UNKNOWNS
 
 
 def fle_from_fre_mm(fre_mm: float, pairs: int) -> float:
-    """FLE of both spaces together from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
+    """Return the FLE of both spaces from one FRE, eq. 36: FLE^2 = n/(n-2) FRE^2. Raises REG-002, REG-007."""
     degrees_of_freedom(pairs)
     require_size("FRE", fre_mm)
     return fre_mm * math.sqrt(pairs / (pairs - 2))
 
 
 def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
-    """FLE of each of two spaces with equal FLE, from the FREs of several registrations, eq. 37 and 38.
+    """Return the FLE of each of two spaces of equal FLE from several FREs, eq. 37 and 38.
 
     The squares are averaged over the registrations and halved between the two spaces. Raises REG-002,
     REG-007.
@@ -54,7 +54,7 @@ def fle_of_one_space_mm(fre_mm: ArrayLike, pairs: int) -> float:
 
 
 def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDENCE) -> float:
-    """FRE that a valid registration exceeds with probability 1 - confidence.
+    """Return the FRE that a valid registration exceeds with probability 1 - confidence, in mm.
 
     3 n FRE^2 FLE^2 is chi-square with 3n - 6 degrees of freedom if FLE is isotropic and equal.
     """
@@ -65,7 +65,7 @@ def fre_limit_mm(fle_mm: float, pairs: int, confidence: float = DEFAULT_CONFIDEN
 
 
 def chi_square_limit(freedom: int, confidence: float) -> float:
-    """Chi-square value that is exceeded with probability 1 - confidence. Raises REG-007."""
+    """Return the chi-square value that is exceeded with probability 1 - confidence. Raises REG-007."""
     _require_confidence(confidence)
     return float(chdtri(freedom, 1.0 - confidence))
 
@@ -79,7 +79,7 @@ def _require_confidence(confidence: float) -> None:
 
 @dataclass(frozen=True)
 class FreGate:
-    """Result of the chi-square gate on a residual. Passing it does not make a registration accurate."""
+    """Result of the chi-square gate on a residual. A passed gate does not prove accuracy."""
 
     fre_mm: float
     chi_square: float
@@ -93,13 +93,13 @@ class FreGate:
 
     @property
     def limit_mm(self) -> float:
-        """FRE at which this registration would just pass."""
+        """Largest FRE that would pass the gate."""
         if self.chi_square == 0.0:
             return math.inf
         return self.fre_mm * math.sqrt(self.chi_square_limit / self.chi_square)
 
     def require(self) -> None:
-        """Raise REG-010 when the residual is too large."""
+        """Raise REG-010 if the residual is too large."""
         if not self.passed:
             fre, limit = format_distinct(self.fre_mm, self.limit_mm, 3)
             raise ResidualTooLarge(
@@ -124,7 +124,7 @@ def require_size(name: str, size_mm: float) -> None:
 
 
 def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) -> Array:
-    """Target error (..., m) rms mm for isotropic, equal FLE, eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
+    """Predict target errors (..., m), rms mm, by eq. 39: FLE^2/n (1 + 1/3 sum_k d_k^2 / f_k^2).
 
     `d_k` is a target's distance from principal axis k of the fiducials, `f_k` their rms distance from it.
     Points (m, 3) and sets of fiducials (..., n, 3) in one frame.
@@ -139,7 +139,7 @@ def tre_principal_axes_mm(points_mm: Array, fiducials_mm: Array, fle_mm: float) 
 
 
 def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: bool) -> Array:
-    """Covariance (6, 6) of the fitted pose about the fiducials' centre: rad^2, rad mm and mm^2.
+    """Return the covariance (6, 6) of the fitted pose about the fiducials' centroid: rad^2, rad mm and mm^2.
 
     If the fit was `weighted` with the inverse covariances, this is the inverse normal matrix; for plain least
     squares, the sandwich form, valid for any fiducial error.
@@ -153,13 +153,13 @@ def pose_covariance(fiducials_mm: Array, covariance_mm2: Array, *, weighted: boo
 
 
 def target_covariance_mm2(points_mm: Array, fiducials_mm: Array, pose: Array) -> Array:
-    """Covariance (m, 3, 3) of mapped targets (m, 3) from the covariance of the pose."""
+    """Return the covariance (m, 3, 3) of mapped targets (m, 3) from the covariance of the pose."""
     jacobian = pose_jacobian(points_mm, fiducials_mm.mean(axis=0))
     return np.asarray(jacobian @ pose @ np.swapaxes(jacobian, -1, -2))
 
 
 def error_limit_mm(covariance_mm2: Array, confidence: float, freedom: int | None = None) -> Array:
-    """Radius (m,) in mm that contains the error vector with the given probability.
+    """Return the radius (m,) in mm that contains the error vector with the given probability.
 
     The squared length is a sum of unequal squares, approximated by a scaled chi-square with the same mean and
     variance. `freedom` is given when the size of the error was itself estimated from that many residual

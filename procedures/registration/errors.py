@@ -13,7 +13,7 @@ class BadPoints(DataError):
 
 
 class TooFewPoints(DataError):
-    """A rigid transform needs at least three pairs."""
+    """Fewer than three pairs were given for a rigid transform."""
 
     code = "REG-002"
     action = "Measure at least three fiducials; five are recommended."
@@ -27,7 +27,7 @@ class CollinearPoints(DataError):
 
 
 class DuplicatePoints(DataError):
-    """Two points of one set are closer together than two spheres can be: one was measured twice."""
+    """Two points of one set are closer than two spheres can be; one sphere was measured twice."""
 
     code = "REG-004"
     action = "Remove the duplicate point; it would silently count twice."
@@ -41,7 +41,7 @@ class BadCovariance(DataError):
 
 
 class NotConverged(DataError):
-    """A weighted fit or a cloud registration did not converge: its inputs contradict each other."""
+    """A weighted fit or a cloud registration did not converge, since its inputs contradict each other."""
 
     code = "REG-006"
     action = (
@@ -57,7 +57,7 @@ class BadParameter(DataError):
 
 
 class NoUniqueMatch(RefusedError):
-    """Attempt to use a correspondence that is not unique."""
+    """A correspondence that is not unique was about to be used."""
 
     code = "REG-008"
     action = (
@@ -68,7 +68,7 @@ class NoUniqueMatch(RefusedError):
 
 
 class UnsoundRegistration(RefusedError):
-    """Attempt to use a mirrored or ill-posed registration."""
+    """A mirrored or ill-posed registration was about to be used."""
 
     code = "REG-009"
     action = "Check left and right in the series and in the pairing; measure a fiducial outside the plane."
@@ -99,7 +99,7 @@ class LayoutNotFound(RefusedError):
 
 
 class HeadElsewhere(RefusedError):
-    """A touched point of the head is not where the match has it, or no point tells it from a mirror image."""
+    """A touched point of the head is not at its matched position, or cannot exclude a mirror image."""
 
     code = "REG-013"
     action = (

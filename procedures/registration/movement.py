@@ -1,4 +1,4 @@
-"""Detect how known points have moved, from a second measurement in the same frame."""
+"""Detect how known points have moved from a second measurement in the same frame."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ SIGMA_MM = 0.15  # per axis, of averaged tracker points, where they must be reco
 
 @dataclass(frozen=True)
 class RigidMove:
-    """A fit after <- before; its errors are those of the two measurements."""
+    """Rigid motion after <- before, with the errors of both measurements."""
 
     fit: Registration
 
@@ -42,22 +42,22 @@ class RigidMove:
 
     @property
     def rms_mm(self) -> float:
-        """Rms displacement of the points under the move."""
+        """Rms displacement of the points under the motion."""
         displacements = np.asarray(self.fit.transform.apply(self.fit.image_mm)) - self.fit.image_mm
         return math.sqrt(float(np.square(displacements).sum(axis=1).mean()))
 
     @property
     def gate(self) -> FreGate:
-        """Chi-square gate on the covariances: did the points move as one body?"""
+        """Chi-square gate, by the covariances, on whether the points moved as one body."""
         return self.fit.gate(confidence=GATE_CONFIDENCE)
 
     def error_mm(self, place_mm: ArrayLike) -> float:
-        """Predicted rms error of the move at a position (3,) mm before it."""
+        """Predict the rms error of the motion at a position (3,) mm before it."""
         return float(self.fit.predict_tre_mm(np.reshape(np.asarray(place_mm, dtype=float), (1, 3)))[0])
 
 
 def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: ArrayLike) -> RigidMove:
-    """Fit the move of paired points (n, 3), n >= 3.
+    """Fit the rigid motion of paired points (n, 3), n >= 3.
 
     `covariance_mm2` (n, 3, 3) is the sum over both measurements of each point. Raises REG-001 to REG-006, and
     REG-009 for a mirrored set.
@@ -69,7 +69,7 @@ def fit_rigid_move(before_mm: ArrayLike, after_mm: ArrayLike, covariance_mm2: Ar
 
 @dataclass(frozen=True)
 class PointShift:
-    """Mean displacement (3,) mm of points, its rms under the rigid motion, and the number of points."""
+    """Mean displacement (3,) mm of points, rms displacement under the rigid motion, and number of points."""
 
     mean_mm: Array
     rms_mm: float
@@ -83,7 +83,7 @@ class PointShift:
 
 
 def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Shift of at least two points, each near its recorded position; None for fewer.
+    """Measure the shift of two or more points, each near its recorded position; return None for fewer.
 
     Unlike in `measure_shift`, `rms_mm` is of the displacements themselves.
     """
@@ -99,7 +99,7 @@ def measure_shift_of_few(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShi
 
 
 def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | None:
-    """Shift of points (n, 3), given new readings (m, 3) in any order among others.
+    """Measure the shift of points (n, 3) from new readings (m, 3) in any order, among other points.
 
     None when fewer than three of them are seen, or when their identity is not clear.
     """
@@ -114,7 +114,7 @@ def measure_shift(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> PointShift | No
 
 
 def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: float) -> float | None:
-    """Displacement of one point while the others, three or more, stayed within the limit; None otherwise.
+    """Return the displacement of a single moved point, mm; None unless three or more others stayed in limit.
 
     Shapes like in `measure_shift`.
     """
@@ -127,7 +127,7 @@ def lone_displacement_mm(recorded_mm: ArrayLike, seen_mm: ArrayLike, limit_mm: f
 
 
 def identify_points(recorded_mm: ArrayLike, seen_mm: ArrayLike) -> list[tuple[int, int]] | None:
-    """Row indices of points (n, 3) and of the same points in a new reading (m, 3), in any order among others.
+    """Find points (n, 3) in a new reading (m, 3) of any order and return pairs of row indices.
 
     Matched to the nearest, or by their layout if too few match or the match is not clear. None when fewer
     than three are seen, or when their identity is not clear.

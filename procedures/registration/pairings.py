@@ -1,4 +1,4 @@
-"""Candidate pairings of two point sets: which pairs are compatible, and how likely a set of pairs is.
+"""Candidate pairings of two point sets: compatibility of pairs, and likelihood of sets of pairs.
 
 A node of the consistency graph is one possible pair (image i, physical j). Two nodes are joined when the
 distance between the two image points equals that between the two physical points, within what the noise
@@ -52,7 +52,7 @@ def consistency_graph(image_mm: Array, physical_mm: Array, tolerance_mm: float) 
 
 
 def prune(neighbours: list[int], smallest: int) -> list[int]:
-    """Remove the nodes and edges that cannot be part of a clique of `smallest` nodes.
+    """Remove nodes and edges that cannot be part of a clique of `smallest` nodes.
 
     In such a clique every node has all the others as neighbours, and both ends of an edge
     have them in common.
@@ -78,7 +78,7 @@ def prune(neighbours: list[int], smallest: int) -> list[int]:
 
 
 def _drop_lonely(kept: list[int], fewest: int) -> None:
-    """Repeatedly remove, in place, nodes with too few neighbours."""
+    """Remove nodes with too few neighbours, repeatedly and in place."""
     lonely = [node for node, row in enumerate(kept) if row and row.bit_count() < fewest]
     while lonely:
         removed = 0
@@ -93,7 +93,7 @@ def _drop_lonely(kept: list[int], fewest: int) -> None:
 
 @dataclass
 class CliqueSearch:
-    """Bron-Kerbosch search with pivoting over bit sets, for the maximal cliques near the largest size.
+    """Bron-Kerbosch search with pivoting over bit sets for the maximal cliques near the largest size.
 
     `exhausted` is true when the search was cut off, so cliques may be missing.
     """
@@ -122,7 +122,7 @@ class CliqueSearch:
         return max(self.fewest, self.largest - self.slack)
 
     def _grow_greedily(self) -> int:
-        """Grow one large clique from the best connected node; its size is a first bound for the search."""
+        """Grow a large clique from the best connected node; return its size as first bound of the search."""
         best = max(self._neighbours, key=int.bit_count, default=0)
         if not best:
             return 0
@@ -169,31 +169,31 @@ def bits(mask: int) -> list[int]:
 
 
 def bit_rows(adjacency: NDArray[np.bool_]) -> list[int]:
-    """Pack each row of an adjacency matrix into one integer, bit k for column k."""
+    """Pack each row of an adjacency matrix into an integer, with bit k for column k."""
     packed = np.packbits(adjacency, axis=1, bitorder="little")
     return [int.from_bytes(row.tobytes(), "little") for row in packed]
 
 
 @dataclass(frozen=True)
 class Evidence:
-    """Weight of evidence, from the variance per axis of both sets together, mm2."""
+    """Weight of evidence, from the combined variance per axis of both sets, mm2."""
 
     variance_mm2: float
 
     @property
     def nats_per_pair(self) -> float:
-        """Worth of each additional agreeing pair."""
+        """Score of each additional agreeing pair."""
         by_chance = LN_OUTLIER_VOLUME - 1.5 * math.log(2.0 * math.pi * self.variance_mm2)
         return math.log(PAIR_ODDS) + by_chance
 
     def most_nats(self, pairs: int) -> float:
-        """Upper bound on the score of a candidate of this size."""
+        """Return the upper bound on the score of a candidate with this number of pairs."""
         return (pairs - 2) * self.nats_per_pair
 
 
 @lru_cache(maxsize=64)
 def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
-    """Limit on the residual chi-square of a rigid fit of this many pairs, valid for both noise models.
+    """Return the limit on the residual chi-square of a rigid fit of `pairs` pairs, for both noise models.
 
     If an error is normal on each axis, the residual is chi-square with 3k - 6 degrees of freedom. If its
     length is normal, in any direction, the variance is equal but the tail is longer: three times a chi-square
@@ -206,7 +206,7 @@ def gate(pairs: int, false_alarm: float = GATE_FALSE_ALARM) -> float:
 
 @dataclass(frozen=True)
 class Candidate:
-    """A pairing after its fit. `nodes` is a bit mask, `chi_square` the residual sum over the variance."""
+    """Fitted pairing. `nodes` is a bit mask, `chi_square` the residual sum over the variance."""
 
     nodes: int
     size: int
@@ -224,19 +224,19 @@ class Candidate:
 
     @property
     def mirror_excess(self) -> float:
-        """Chi-square that a mirror image would save; negative if the rotation fits better."""
+        """Excess of chi-square over that of a mirror image; negative if the rotation fits better."""
         return self.chi_square - self.mirrored_chi_square
 
     @property
     def passed_mirrored(self) -> bool:
-        """Whether a mirror image would pass where this rotation does not."""
+        """Whether a mirror image would pass although the rotation does not."""
         return not self.passed and not self.on_a_line and self.mirrored_chi_square < gate(self.size)
 
 
 def evaluate(
     masks: Sequence[int], image_mm: Array, physical_mm: Array, evidence: Evidence
 ) -> list[Candidate]:
-    """Fit and score pairings that all have the same number of pairs."""
+    """Fit and score pairings of equal size."""
     if not masks:
         return []
     nodes = np.array([bits(mask) for mask in masks])
@@ -266,7 +266,7 @@ def evaluate(
 
 
 def leave_one_out(masks: Sequence[int]) -> list[int]:
-    """List all pairings with one pair dropped, without repeats.
+    """List all pairings that result from dropping one pair, without duplicates.
 
     Dropping only the worst pair would leave swapped pairs behind.
     """
@@ -274,7 +274,7 @@ def leave_one_out(masks: Sequence[int]) -> list[int]:
 
 
 def as_hypothesis(one: Candidate, physical_count: int) -> Hypothesis:
-    """Convert a candidate to pairs of indices, transform and score."""
+    """Convert a candidate to a hypothesis with index pairs, transform and score."""
     pairs = np.stack(np.divmod(np.array(bits(one.nodes), dtype=np.intp), physical_count), axis=1)
     transform = as_transform(one.rotation, one.translation_mm)
     return Hypothesis(pairs, transform, one.chi_square, gate(one.size), one.score_nats)

@@ -1,4 +1,4 @@
-"""Register paired points: transform, residuals, and the predicted error at a target."""
+"""Rigid registration of paired points: transform, residuals, and predicted target error."""
 
 from __future__ import annotations
 
@@ -43,7 +43,7 @@ ILL_POSED_MARGIN = 0.05  # third over second singular value; this near 1, a mirr
 
 
 class Caveat(StrEnum):
-    """An objection to a registration that does not show in its FRE."""
+    """Defect of a registration that does not show in its FRE."""
 
     NEARLY_COLLINEAR = "nearly collinear"
     MIRRORED = "a mirror image fits better than any rotation"
@@ -67,7 +67,7 @@ class TargetError:
 
 @dataclass(frozen=True)
 class Registration:
-    """A rigid registration physical <- image with residuals and predicted error.
+    """Rigid registration physical <- image with residuals and predicted error.
 
     `residuals_mm` (n, 3) is measured minus mapped, in the physical frame. `chi_square` is the residual sum
     weighted by the covariances (None without). `fre_mm` is a residual, never an accuracy.
@@ -89,7 +89,7 @@ class Registration:
 
     @cached_property
     def leave_one_out_mm(self) -> tuple[float | None, ...]:
-        """Distance of each measured position from the one that the other pairs predict.
+        """Distance of each measured position from its prediction by the other pairs.
 
         None if the others do not determine a transform. Raises REG-006 if their fit does not converge. Costs
         as many fits as there are pairs, when it is first read.
@@ -98,23 +98,23 @@ class Registration:
 
     @property
     def fle_mm(self) -> float:
-        """3-D rms localization error of both spaces: from stated covariances, else from FRE by eq. 36."""
+        """3-D rms localization error of both spaces, from stated covariances or else from FRE by eq. 36."""
         if self.covariance_mm2 is not None:
             return math.sqrt(float(np.trace(self.covariance_mm2, axis1=1, axis2=2).mean()))
         return fle_from_fre_mm(self.fre_mm, self.pairs)
 
     def between(self, target: Frame, source: Frame) -> Transform:
-        """Return the transform with named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
+        """Return the transform between named frames, for example `between(Frame.ROBOT, Frame.CT)`."""
         return Transform(target, source, self.transform)
 
     def require_sound(self) -> None:
-        """Raise REG-009 when the fit is mirrored or ill-posed; such a transform must not be used."""
+        """Raise REG-009 if the fit is mirrored or ill-posed; such a transform must not be used."""
         bad = [caveat for caveat in self.caveats if caveat is not Caveat.NEARLY_COLLINEAR]
         if bad:
             raise UnsoundRegistration(f"the registration is not sound: {', '.join(bad)}")
 
     def gate(self, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE) -> FreGate:
-        """Gate the residual by chi-square: for a known FLE (mm), or by default for the stated covariances.
+        """Judge the residual by chi-square, for a known FLE in mm or, by default, for the stated covariances.
 
         An FLE estimated from the same FRE cannot judge it: raises REG-007 when neither is given.
         """
@@ -129,13 +129,13 @@ class Registration:
         return FreGate(self.fre_mm, self.chi_square, limit, confidence)
 
     def predict_tre_mm(self, points: ArrayLike, *, fle_mm: float | None = None) -> Array:
-        """Predict the rms error (m,) mm at image points (m, 3) or (3,) mm; see `predict_tre`."""
+        """Predict the rms error (m,) in mm at image points (m, 3) or (3,) mm; see `predict_tre`."""
         return self.predict_tre(points, fle_mm=fle_mm).rms_mm
 
     def predict_tre(
         self, points: ArrayLike, *, fle_mm: float | None = None, confidence: float = DEFAULT_CONFIDENCE
     ) -> TargetError:
-        """Predict the error at image points (m, 3) or (3,) in mm, with its confidence.
+        """Predict the error at image points (m, 3) or (3,) in mm, with its confidence limit.
 
         With covariances: their propagation through the weighted fit. Without: eq. 39 with `fle_mm` (3-D rms
         of both spaces together), or with the FLE that eq. 36 estimates from FRE; the limit then also carries
@@ -169,7 +169,7 @@ class Registration:
 def register(
     image_mm: ArrayLike, physical_mm: ArrayLike, *, covariance_mm2: ArrayLike | None = None
 ) -> Registration:
-    """Register paired points (n, 3) in mm, n >= 3, rigidly: physical <- image.
+    """Register paired points (n, 3) in mm, n >= 3, by a rigid transform physical <- image.
 
     `covariance_mm2` (n, 3, 3) is the total error of each pair in the physical frame; with it the fit is
     weighted. Raises REG-001 to REG-006 (all also ValueError): shape, NaN or unequal counts, fewer than three,
@@ -218,7 +218,7 @@ def _fit(image: Array, physical: Array, covariance: Array | None) -> tuple[Array
 
 
 def _leave_one_out(image: Array, physical: Array, covariance: Array | None) -> tuple[float | None, ...]:
-    """Distance of each pair's measured position from the one that the other pairs predict, mm."""
+    """Return the distance of each measured position from its prediction by the other pairs, mm."""
     distances: list[float | None] = []
     for index in range(len(image)):
         keep = np.arange(len(image)) != index

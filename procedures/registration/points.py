@@ -1,4 +1,4 @@
-"""Validation of point sets and covariances before any arithmetic."""
+"""Validation of point sets and covariances before any computation."""
 
 from __future__ import annotations
 
@@ -48,7 +48,7 @@ def validate_targets(points_mm: ArrayLike) -> Array:
 
 
 def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, Array]:
-    """Return two sets with matching rows, at least three, no repeats. Raises REG-001, 002, 004."""
+    """Return two sets of equal length, at least three points, no duplicates. Raises REG-001, 002, 004."""
     image, physical = validate_points(image_mm, "image"), validate_points(physical_mm, "physical")
     if len(image) != len(physical):
         raise BadPoints(f"{len(image)} image points but {len(physical)} physical points")
@@ -60,7 +60,7 @@ def validate_pairs(image_mm: ArrayLike, physical_mm: ArrayLike) -> tuple[Array, 
 
 
 def refuse_duplicates(points: Array, name: str) -> None:
-    """Raise REG-004 when two points of a set are closer than two spheres can be."""
+    """Raise REG-004 if two points of a set are closer than two spheres can be."""
     distances = np.linalg.norm(points[:, None] - points[None, :], axis=-1)
     np.fill_diagonal(distances, np.inf)
     if distances.min() < NEAREST_SPHERES_MM:
@@ -97,7 +97,7 @@ def validate_covariances(covariance_mm2: ArrayLike, count: int) -> Array:
 
 
 def _validate_numbers(numbers: ArrayLike, what: str, mistake: type[BadPoints] | type[BadCovariance]) -> Array:
-    """Return a new float array; refuse complex numbers, booleans, strings and objects."""
+    """Return a new float array; reject complex numbers, booleans, strings and objects."""
     try:
         given = np.asarray(numbers)
     except (TypeError, ValueError) as error:

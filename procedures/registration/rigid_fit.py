@@ -1,4 +1,4 @@
-"""Rigid transform between two point sets: least squares, or weighted by each pair's error ellipsoid.
+"""Rigid transform between two point sets: least squares, or weighted by the error ellipsoid of each pair.
 
 The closed form (singular value decomposition) works on stacks of point sets, because a correspondence search
 fits hundreds of candidates. Arun, Huang, Blostein 1987 with the determinant guard of Umeyama 1991: never a
@@ -28,7 +28,7 @@ SETTLED = 1e-12  # radians, and mm per mm of coordinate: near rounding, far belo
 
 @dataclass(frozen=True)
 class RigidFit:
-    """Fits of a stack of sets; every field has the leading axes of the stack.
+    """Rigid fits of a stack of point sets; every field has the leading axes of the stack.
 
     `rotation` (..., 3, 3) is proper, `translation_mm` (..., 3). `spread_mm2` (..., 3) are the singular
     values of the cross-covariance sum, largest first: the set's extent along its three principal axes.
@@ -57,7 +57,7 @@ def fit_rigid(image_mm: Array, physical_mm: Array) -> RigidFit:
 
 
 def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
-    """Convert one fit, (3, 3) and (3,), without normalizing: a product of singular vectors is orthogonal.
+    """Convert a fit, (3, 3) and (3,), without normalizing: products of singular vectors are orthogonal.
 
     Normalizing would cost as much as the fit.
     """
@@ -67,13 +67,13 @@ def as_transform(rotation: Array, translation_mm: Array) -> RigidTransform:
 
 
 def residuals(fit: RigidFit, image_mm: Array, physical_mm: Array) -> Array:
-    """Measured minus mapped, (..., n, 3) mm in the physical frame."""
+    """Return the residuals, measured minus mapped, (..., n, 3) mm in the physical frame."""
     mapped = image_mm @ np.swapaxes(fit.rotation, -1, -2) + fit.translation_mm[..., None, :]
     return np.asarray(physical_mm - mapped)
 
 
 def reflection_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
-    """Squared residual sum of the best reflection, given the best rotation's `squared_sum_mm2`.
+    """Return the squared residual sum of the best reflection, given that of the best rotation.
 
     Flipping the sign of the smallest axis changes the sum by four times its singular value.
     """
@@ -82,7 +82,7 @@ def reflection_sum_mm2(fit: RigidFit, squared_sum_mm2: Array) -> Array:
 
 
 def pose_jacobian(points_mm: Array, centre_mm: Array) -> Array:
-    """Derivative of points (..., 3) by a small rotation about `centre_mm` and a translation: (..., 3, 6).
+    """Return the derivative (..., 3, 6) of points (..., 3) by a rotation about `centre_mm` and a translation.
 
     The first three columns are per radian about x, y, z of the physical frame, the last three per mm.
     """

@@ -1,4 +1,4 @@
-"""Evidence of the room about a pose physical <- image: gravity, the patient's body, the line of sight.
+"""Evidence from the room about a pose physical <- image: gravity, the patient's body, lines of sight.
 
 Distances do not change when an image is mirrored. The fit of a mirrored flat set is the true head reflected
 in the plane of the spheres: on the wrong side of them. Where the room does not exclude a mirrored image, a
@@ -55,7 +55,7 @@ READING_LIMIT_MM = 40.0
 
 @dataclass(frozen=True, eq=False)
 class HeadSight:
-    """The head's ellipsoid in the image, and the tracker's sensors (n, 3) in the room, mm.
+    """Head ellipsoid in the image, and tracker sensors (n, 3) in the room, mm.
 
     The tracker cannot have seen a sphere through the head.
     """
@@ -65,7 +65,7 @@ class HeadSight:
     eyes_mm: Array
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """Count the points (k, 3) that the head would hide in this pose; empty if none."""
+        """State how many of the points (k, 3) the head would hide in this pose; return '' for none."""
         eyes, points = (
             ((places - translation_mm) @ rotation - self.centre_mm) / self.semi_axes_mm
             for places in (self.eyes_mm[:, None], physical_mm)
@@ -77,13 +77,13 @@ class HeadSight:
         return f"the head would hide {hidden} of the spheres that the tracker sees" if hidden else ""
 
     def mirrored(self) -> HeadSight:
-        """Mirror the head."""
+        """Return the sight with the head mirrored."""
         return replace(self, centre_mm=self.centre_mm * MIRROR)
 
 
 @dataclass(frozen=True, eq=False)
 class RoomPrior:
-    """Poses of the head that gravity, the patient's body and the tracker's line of sight allow.
+    """Head poses that gravity, the patient's body and the tracker's line of sight allow.
 
     `lying_up` (3,) is the patient's side that is up when lying flat; `recline_deg` is the range by which the
     upper body is raised from there, `tolerance_deg` how far the head may be turned or tilted beyond it. The
@@ -96,13 +96,13 @@ class RoomPrior:
     sight: HeadSight
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """State the first evidence against this pose; empty if there is none."""
+        """State the first evidence against this pose; return '' if there is none."""
         middle_mm = rotation @ self.sight.centre_mm + translation_mm
         sight_objection = self.sight.objection(rotation, translation_mm, physical_mm)
         return self.check_position(rotation, middle_mm) or sight_objection
 
     def check_position(self, rotation: Array, middle_mm: Array) -> str:
-        """State evidence against the patient's position, from orientation and middle of the head."""
+        """State evidence against the patient's position, given orientation and centre of the head."""
         return self._check_gravity(rotation) or self._check_body(rotation, middle_mm)
 
     def _check_gravity(self, rotation: Array) -> str:
@@ -129,7 +129,7 @@ class RoomPrior:
 
 @dataclass(frozen=True, eq=False)
 class Landmark:
-    """A point of the head in the room: its matched position, and those of mirror images (n, 3)."""
+    """Landmark of the head in the room: matched position, and positions in mirror images (n, 3)."""
 
     name: str
     direction: tuple[float, float, float]
@@ -138,19 +138,19 @@ class Landmark:
 
     @property
     def apart_mm(self) -> float:
-        """Distance of the nearest mirror image."""
+        """Distance to the nearest mirror image."""
         return float(np.linalg.norm(self.mirrored_mm - self.matched_mm, axis=1).min())
 
     @property
     def limit_mm(self) -> float:
-        """Largest distance of a reading from the match: beyond half the distance a mirror image is nearer."""
+        """Largest accepted distance of a reading from the match, at most half that of a mirror image."""
         return min(READING_LIMIT_MM, 0.5 * self.apart_mm)
 
 
 def choose_landmark(
     matched: RigidTransform, mirrored: Iterable[RigidTransform], prior: RoomPrior
 ) -> Landmark | None:
-    """Choose the landmark that best tells a match from its mirror images; None if no landmark does.
+    """Choose the landmark that best distinguishes a match from its mirror images; return None without one.
 
     Landmarks on the patient's underside are left out. `mirrored` are the poses physical <- image * MIRROR
     that fit the same spheres in view of the tracker; of each, the orientations count that the prior does not

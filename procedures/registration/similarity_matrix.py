@@ -1,4 +1,4 @@
-"""The thesis' correspondence by similarity matrix and its validation: a baseline, not for clinical use.
+"""Correspondence by similarity matrix as in the thesis, with validation: a baseline, not for clinical use.
 
 Cell (i, j) counts the distances from image point i that equal one from physical point j within e. Points
 whose best cell is lowest are dropped one by one until all remaining points agree with each other, or too few
@@ -36,7 +36,7 @@ REFUSED_SHARE = 1e-3  # of the correct pairings; our choice, the thesis gives no
 
 @dataclass(frozen=True)
 class SimilarityPairs:
-    """Outcome of one reading: pairs (k, 2) when UNIQUE, else none."""
+    """Result for one reading: pairs (k, 2) if UNIQUE, else none."""
 
     status: MatchStatus
     pairs: Indices
@@ -45,7 +45,7 @@ class SimilarityPairs:
 def match_many_by_similarity(
     image_mm: Array, physical_mm: Array, tolerance_mm: Array
 ) -> tuple[SimilarityPairs, ...]:
-    """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the thesis' rule.
+    """Pair image points (b, n, 3) with physical points (b, m, 3), in mm, by the rule of the thesis.
 
     Each reading has its own e (b,), mm; n and m are at least 3. UNIQUE when every remaining point has exactly
     one partner, AMBIGUOUS when some have several, else INCONSISTENT.
@@ -61,7 +61,7 @@ def match_many_by_similarity(
 
 
 def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: Array) -> Indices:
-    """Fill matrices (b, n, m) from sorted distances of image (b, n, k) and physical (b, m, l) points, e (b,).
+    """Return matrices (b, n, m) from sorted image (b, n, k) and physical distances (b, m, l), limits e (b,).
 
     All cells walk along their two sorted rows in parallel; of two distances that differ by more than e, the
     shorter is skipped.
@@ -92,7 +92,7 @@ def similarity(within_image_mm: Array, within_physical_mm: Array, tolerance_mm: 
 
 @dataclass
 class _Readings:
-    """Readings with equally many points left: `index` (k,), `rows` (k, r), `columns` (k, c)."""
+    """Readings with the same numbers of remaining points: `index` (k,), `rows` (k, r), `columns` (k, c)."""
 
     index: Indices
     rows: Indices
@@ -101,11 +101,11 @@ class _Readings:
 
     @property
     def size(self) -> tuple[int, int]:
-        """Numbers of image and physical points left."""
+        """Numbers of remaining image and physical points."""
         return self.rows.shape[1], self.columns.shape[1]
 
     def settle(self, matrix: Indices) -> dict[int, SimilarityPairs]:
-        """Return outcomes of settled and of too small readings; drop a point of the others."""
+        """Return results of settled and of too small readings; drop one point from all others."""
         r, c = self.size
         settled: dict[int, SimilarityPairs] = {}
         complete = matrix == r - 1 if r == c else np.zeros(matrix.shape, dtype=bool)
@@ -143,7 +143,7 @@ class _Readings:
 
 
 def _iterate_groups(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
-    """Yield readings in groups of equal size, largest first, until none waits."""
+    """Yield readings in groups of equal size, largest first, until none remains."""
     batch, n, m = len(image_mm), image_mm.shape[1], physical_mm.shape[1]
     waiting: list[_Readings] = []
     everything = np.arange(batch)
@@ -162,7 +162,7 @@ def _iterate_groups(image_mm: Array, physical_mm: Array) -> Iterator[_Readings]:
 
 
 def _find_worst(matrix: Indices) -> tuple[Indices, Indices]:
-    """Find the row whose best cell is lowest, in a tie the one with the smallest sum, and that cell."""
+    """Find the row whose best cell is lowest, by row sum in a tie; return the row and that cell."""
     best = matrix.max(axis=2)
     most = matrix.shape[1] * matrix.shape[2] ** 2 + 1  # above any row sum
     worst = (best * most + matrix.sum(axis=2)).argmin(axis=1)
@@ -170,7 +170,7 @@ def _find_worst(matrix: Indices) -> tuple[Indices, Indices]:
 
 
 def _drop_position(kept: Indices, position: Indices) -> Indices:
-    """Drop the element at the given position from each row of (k, r)."""
+    """Drop the element at the given position from each row of `kept` (k, r)."""
     keep = np.arange(kept.shape[1]) != position[:, None]
     return np.asarray(kept[keep].reshape(len(kept), -1))
 
@@ -180,7 +180,7 @@ def _distances(points: Array) -> Array:
 
 
 def _sort_rows(distances: Array, kept: Indices) -> Array:
-    """Distances from each kept point to the other kept ones, ascending."""
+    """Return the ascending distances from each kept point to the other kept points."""
     chosen = np.take_along_axis(distances, kept[:, :, None], axis=1)
     chosen = np.take_along_axis(chosen, kept[:, None, :], axis=2)
     return np.asarray(np.sort(chosen, axis=2)[:, :, 1:])  # the first is the distance to itself
@@ -197,7 +197,7 @@ def validate_many(
     variance_mm2: float,
     refused_share: float = REFUSED_SHARE,
 ) -> tuple[SimilarityPairs, ...]:
-    """Check pairings of image points (b, n, 3) with physical points (b, m, 3), mm, against the stated errors.
+    """Check pairings of image (b, n, 3) and physical points (b, m, 3), mm, against the stated errors.
 
     `variance_mm2` is the stated variance per axis of both sets together. A UNIQUE pairing whose residuals
     are larger than those of all but `refused_share` of the correct ones becomes INCONSISTENT; the others are

@@ -1,4 +1,4 @@
-"""Predict the error at a target from errors shared by localizations and target, and from independent ones.
+"""Prediction of the target error from errors shared by all poses and from independent errors.
 
 An error of the arm (a link too long, a wrong tool frame) displaces the tool at every sphere and again at the
 target. The first corrupts what the registration recorded, the second what the arm then reaches; through the
@@ -45,7 +45,7 @@ GOLDEN_ANGLE_RAD = np.pi * (3.0 - 5.0**0.5)
 
 @dataclass(frozen=True)
 class SharedErrors:
-    """Errors of one source that act at all poses, `k` independent ones of one standard deviation each.
+    """Errors of one source that act at all poses: `k` independent errors of one standard deviation each.
 
     Displacement of the true tool from its assumed position, mm in the frame of the targets.
     """
@@ -57,7 +57,7 @@ class SharedErrors:
 
 @dataclass(frozen=True)
 class IndependentErrors:
-    """Errors of one source that are independent between poses: covariances, mm2."""
+    """Errors of one source that are independent between poses, as covariances in mm2."""
 
     source: str
     at_spheres_mm2: Array  # (n, 3, 3) of a recorded sphere
@@ -66,7 +66,7 @@ class IndependentErrors:
 
 @dataclass(frozen=True)
 class TargetPrediction:
-    """Covariance (3, 3) mm2 of the error at one target, by source; sources are independent."""
+    """Covariance (3, 3) mm2 of the error at one target for each source; sources are independent."""
 
     by_source_mm2: dict[str, Array]
 
@@ -82,17 +82,17 @@ class TargetPrediction:
 
     @property
     def budget_mm(self) -> dict[str, float]:
-        """Contribution of each source, rms; the squares add up to the square of the total."""
+        """Rms contribution of each source; their squares add up to the square of the total."""
         return {name: float(np.sqrt(np.trace(part))) for name, part in self.by_source_mm2.items()}
 
     def limit_mm(self, confidence: float = DEFAULT_CONFIDENCE) -> float:
-        """Radius that contains the error with this probability. Raises REG-007."""
+        """Return the radius in mm that contains the error with this probability. Raises REG-007."""
         return float(error_limit_mm(self.covariance_mm2, confidence))
 
     def mark_contained(
         self, errors_mm: ArrayLike, confidence: float = DEFAULT_CONFIDENCE
     ) -> NDArray[np.bool_]:
-        """Mark the errors (..., 3) inside the ellipsoid that contains them with this probability."""
+        """Mark the errors (..., 3) inside the ellipsoid of this probability."""
         errors = np.asarray(errors_mm, dtype=float)
         weighted = np.linalg.solve(self.covariance_mm2, errors.reshape(-1, AXES).T).T.reshape(errors.shape)
         return np.asarray((errors * weighted).sum(axis=-1) <= chi_square_limit(AXES, confidence))
@@ -104,7 +104,7 @@ def predict_target_error(
     sources: Sequence[SharedErrors | IndependentErrors],
     weights: ArrayLike | None = None,
 ) -> TargetPrediction:
-    """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, in one frame.
+    """Predict the error at a target (3,) mm registered by spheres (n, 3) mm, all in one frame.
 
     `weights` (n, 3, 3) are those of the fit, the inverse covariances of the pairs; None for an unweighted
     fit.
@@ -124,7 +124,7 @@ def predict_target_error(
 
 
 def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike | None = None) -> Array:
-    """Shift (n, 3, 3) of the mapped target per shift of each recorded sphere; they add up to the identity."""
+    """Return the shift (n, 3, 3) of the mapped target per shift of each sphere; the sum is the identity."""
     centre = spheres_mm.mean(axis=0)
     jacobian = pose_jacobian(spheres_mm, centre)
     projected = np.swapaxes(jacobian, -1, -2)
@@ -137,7 +137,7 @@ def influence_of_spheres(spheres_mm: Array, target_mm: Array, weights: ArrayLike
 def chi_square_of_shared(
     residuals_mm: Array, fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array
 ) -> float:
-    """Chi-square, with 3n - 6 degrees of freedom, of the residuals (n, 3) mm of a rigid fit with any weights.
+    """Return chi-square of residuals (n, 3) mm of a rigid fit with any weights, 3n - 6 degrees of freedom.
 
     `fiducials_mm` (n, 3) are the mapped points, `covariance_mm2` (n, 3, 3) is the independent part,
     `shared_mm` (n, 3, k) the displacement of every point by each of k unit errors. What a rigid motion can
@@ -149,7 +149,7 @@ def chi_square_of_shared(
 
 @dataclass(frozen=True)
 class UnnoticedPoint:
-    """The point that, displaced alone, puts a target off furthest before the gate notices it."""
+    """Point whose undetected displacement would shift a target most."""
 
     index: int
     displaced_mm: float
@@ -165,7 +165,7 @@ def find_unnoticed_point(
     gate: FreGate,
     largest_mm: float,
 ) -> UnnoticedPoint:
-    """Find the worst single displacement, of at most `largest_mm`, that the gate passes every other time.
+    """Find the worst displacement of one point, up to `largest_mm`, that the gate passes half of the time.
 
     Arguments as in `chi_square_of_shared`; `weights` (n, 3, 3) are those of the fit. The expected chi-square
     is then the limit: freedom plus what the displacement alone adds. Every direction is tried.
@@ -185,7 +185,7 @@ def find_unnoticed_point(
 
 
 def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -> Array:
-    """Inverse covariance (3n, 3n) of residuals, without the part that a rigid motion explains."""
+    """Return the inverse covariance (3n, 3n) of residuals, without the part explained by rigid motions."""
     columns = shared_mm.reshape(-1, shared_mm.shape[-1])
     weight = np.linalg.inv(block_diag(*covariance_mm2) + columns @ columns.T)
     pose = pose_jacobian(fiducials_mm, fiducials_mm.mean(axis=0)).reshape(-1, 6)
@@ -194,7 +194,7 @@ def _information(fiducials_mm: Array, covariance_mm2: Array, shared_mm: Array) -
 
 
 def _directions() -> Array:
-    """Directions (k, 3) evenly over a half sphere, by the golden angle."""
+    """Return directions (k, 3), uniform over a half sphere by the golden angle."""
     number = np.arange(DIRECTIONS)
     height = (number + 0.5) / DIRECTIONS
     turn = number * GOLDEN_ANGLE_RAD

@@ -1,4 +1,4 @@
-"""Known layouts of spheres: pairing through a rigid template, and a layout's spheres found in a scan.
+"""Known layouts of spheres: pairing through a rigid template, and finding a layout in a scan.
 
 Each side is matched to the template separately, so that the template's distances decide rather than those
 between noisy points; points without a counterpart in the template are ignored on both sides.
@@ -32,13 +32,13 @@ TOO_MANY = "Check --diameter-mm; or list the spheres of the layout in a file for
 
 @dataclass(frozen=True)
 class _TemplatePrior:
-    """A prior of the image, applied to the template as found in the image."""
+    """Prior for the image, applied to the template as found in the image."""
 
     prior: PosePrior
     image_from_template: RigidTransform
 
     def objection(self, rotation: Array, translation_mm: Array, physical_mm: Array) -> str:
-        """Object on the pose physical <- image that follows from physical <- template."""
+        """State the objection to the pose physical <- image implied by the pose physical <- template."""
         turned = rotation @ self.image_from_template.rotation.as_matrix().T
         moved_mm = translation_mm - turned @ self.image_from_template.translation
         return self.prior.objection(turned, moved_mm, physical_mm)
@@ -54,7 +54,7 @@ def match_by_template(
     sigma_template_mm: float = TEMPLATE_SIGMA_MM,
     prior: PosePrior | Rotation | None = None,
 ) -> Match:
-    """Pair image points (n, 3) with physical points (m, 3) by a template (k, 3), k at least 3, all in mm.
+    """Pair image points (n, 3) with physical points (m, 3) through a template (k, 3), k >= 3, all in mm.
 
     UNIQUE only when all k template points are found on both sides, in exactly one way each, and the sides
     agree. The reason for a failure names the side; its runner-up then pairs template points with those of
@@ -107,7 +107,7 @@ def _answer_failure(found: Match, side: str, image: Array, physical: Array) -> M
 
 @dataclass(frozen=True, eq=False)
 class FoundLayout:
-    """A layout as found: `order` (k,) is, for each of its spheres, the index of the scan's sphere."""
+    """Layout found in a scan: `order` (k,) holds the scan index of each sphere of the layout."""
 
     order: NDArray[np.intp]
     scan_from_layout: RigidTransform
@@ -116,7 +116,7 @@ class FoundLayout:
 
 
 def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
-    """Find a layout (k, 3), k at least 3, among the spheres (n, 3) of a scan, both in mm.
+    """Find a layout (k, 3), k >= 3, among the spheres (n, 3) of a scan, both in mm.
 
     Every sphere of the layout must be present, in exactly one way, each where the others predict it to within
     the scanner's accuracy. Raises REG-012, REG-001.
@@ -153,5 +153,5 @@ def find_layout(layout_mm: ArrayLike, spheres_mm: ArrayLike) -> FoundLayout:
 
 
 def _width_mm(points_mm: NDArray[np.float64]) -> float:
-    """Largest distance between two points; a wrong unit shows at a glance."""
+    """Return the largest distance between two points, which reveals a wrong unit."""
     return float(pdist(points_mm).max(initial=0.0))

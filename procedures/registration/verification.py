@@ -1,4 +1,4 @@
-"""Verify a registration both ways, CT -> room and room -> CT: one row per fiducial and per reading.
+"""Two-way verification of a registration, CT -> room and room -> CT, by fiducial and by reading.
 
 Every fiducial of the CT is looked up in the room and every reading of the room in the CT, each with its own
 evidence: agreement of the two CT estimators, tracker residual, stereo residual, leave-one-out residual, and
@@ -32,7 +32,7 @@ class Instrument(StrEnum):
 
 
 class CtToRoomRow(Strict):
-    """One sphere of the CT and its measurements in the room; None where there is none."""
+    """One sphere of the CT and its measurements in the room; None where it was not measured."""
 
     fiducial: int = Field(description="Index in the CT.")
     ct_disagreement_mm: float | None = Field(description="Distance between the two estimates of its centre.")
@@ -54,7 +54,7 @@ class RoomToCtRow(Strict):
 
 
 class TwoWayTable(Strict):
-    """Both directions, with the unmatched points of either side."""
+    """Table of both directions, with the unmatched points on either side."""
 
     ct_to_room: tuple[CtToRoomRow, ...] = Field(description="A row for each sphere of the CT.")
     room_to_ct: tuple[RoomToCtRow, ...] = Field(description="A row for each measured point.")
@@ -65,7 +65,7 @@ class TwoWayTable(Strict):
 
 @dataclass(frozen=True)
 class RoomPoint:
-    """A stereo measurement of one known fiducial, in the target frame of the fine transform, mm."""
+    """Stereo measurement of a known fiducial, in the target frame of the fine transform, mm."""
 
     fiducial: int
     position_mm: tuple[float, float, float]
@@ -81,7 +81,7 @@ def verify_two_way(
     stereo: Sequence[RoomPoint] = (),
     ct_disagreement_mm: Mapping[int, float] | None = None,
 ) -> TwoWayTable:
-    """Build the table.
+    """Build the two-way table.
 
     `image_mm` (n, 3) are all fiducials of the CT, `tracker_mm` (m, 3) all averaged stray markers, `pairs` (k,
     2) their correspondence with `coarse` tracker <- CT. `stereo` are the fine measurements in the order in

@@ -1,4 +1,4 @@
-"""First guess of the sphere's outline: circles through edge points of a reduced image.
+"""Initial guess of a sphere's outline: circles through edge points of a reduced image.
 
 Three edge points define a circle; it counts only if the gradients at the points face its centre, as at the
 rim of a bright disc. This rules out straight occluders, stains and posts. The random choice has a fixed seed,
@@ -50,7 +50,7 @@ SCORE_SHARE = 0.3  # ... this share of the best
 
 @dataclass(frozen=True)
 class Circle:
-    """Centre and radius in pixels, and the share of the rim with edges."""
+    """Circle with centre and radius in pixels, and the share of its rim that has edges."""
 
     centre_px: tuple[float, float]
     radius_px: float
@@ -84,7 +84,7 @@ def find_circles(edges: EdgePoints, smallest_px: float, largest_px: float) -> li
 
 @dataclass(frozen=True)
 class EdgePoints:
-    """Edge pixels of a reduced image: (n, 2) positions x, y and (n, 2) unit gradients (towards bright)."""
+    """Edge pixels of a reduced image: positions x, y (n, 2) and unit gradients (n, 2), towards bright."""
 
     position_px: NDArray[np.float64]
     direction: NDArray[np.float64]
@@ -126,7 +126,7 @@ def find_edges(image: GreyImage, dark: float, bright: float) -> EdgePoints:
 
 @contextmanager
 def _single_threaded() -> Iterator[None]:
-    """Keep OpenCV to one thread: on images this small its busy-waiting workers cost more than they save."""
+    """Limit OpenCV to one thread: on small images its busy-waiting workers cost more than they save."""
     threads = cv2.getNumThreads()
     cv2.setNumThreads(1)
     try:
@@ -145,7 +145,7 @@ def _edge_threshold(slope_x: NDArray[np.int16], slope_y: NDArray[np.int16]) -> f
 
 
 def _draw_hypotheses(edges: EdgePoints, smallest_px: float, largest_px: float) -> tuple[Array, Array]:
-    """Fit circles within the limits through point triples: centres (k, 2), radii (k,)."""
+    """Draw point triples and fit circles within the limits: centres (k, 2), radii (k,)."""
     triples = np.random.default_rng(SEED).integers(0, len(edges.position_px), (TRIPLES, 3))
     centres, radii = np.empty((0, 2)), np.empty(0)
     for portion in np.split(triples, PORTIONS):
@@ -186,7 +186,7 @@ def _score_circles(edges: EdgePoints, centres: Array, radii: Array) -> Array:
 
 
 def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
-    """Fit a least-squares circle to the points on it; None when too little rim remains."""
+    """Fit a least-squares circle to its edge points; return None if too little rim remains."""
     coverage = 0.0
     for tolerance in REFINED_TOLERANCE_PX:
         inward = centre - edges.position_px
@@ -207,7 +207,7 @@ def _refine(edges: EdgePoints, centre: Array, radius: float) -> Circle | None:
 
 
 def _mark_same(centres: Array, radii: Array, circle: Circle) -> NDArray[np.bool_]:
-    """Mark the circles (k,) that are the same as `circle`."""
+    """Mark the circles (k,) that coincide with `circle`."""
     apart = np.hypot(centres[:, 0] - circle.centre_px[0], centres[:, 1] - circle.centre_px[1])
     limit = 0.25 * np.minimum(radii, circle.radius_px)
     return np.asarray((apart < limit) & (np.abs(radii - circle.radius_px) < limit))

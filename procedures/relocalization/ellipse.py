@@ -29,7 +29,7 @@ LEAST_POINTS = 10
 
 @dataclass(frozen=True)
 class Ellipse:
-    """`centre_px` x, y; `shape` is S of |S (x - c)| = 1, in 1/px."""
+    """Ellipse |S (x - c)| = 1 with centre c = `centre_px` (x, y) and S from `shape`, in 1/px."""
 
     centre_px: tuple[float, float]
     shape: tuple[float, float, float]  # S_xx, S_xy, S_yy
@@ -46,18 +46,18 @@ class Ellipse:
         return np.array([[xx, xy], [xy, yy]])
 
     def radius_at(self, angle_rad: Array) -> Array:
-        """Distance from the centre to the rim in the directions `angle_rad`."""
+        """Return the distance in px from the centre to the rim in the directions `angle_rad`."""
         direction = np.stack([np.cos(angle_rad), np.sin(angle_rad)])
         return np.asarray(1.0 / np.linalg.norm(self.matrix @ direction, axis=0))
 
     def distance_px(self, points_px: Array) -> Array:
-        """Signed first-order distance of points (n, 2) from the rim, positive outside."""
+        """Return the signed first-order distance of points (n, 2) from the rim in px, positive outside."""
         return _residuals(np.array([*self.centre_px, *self.shape]), points_px)[0]
 
 
 @dataclass(frozen=True)
 class EllipseFit:
-    """The ellipse, the weights (n,) of its points, their scatter, and the covariance of its centre."""
+    """Fitted ellipse, weights (n,) and scatter of its points, and covariance of its centre."""
 
     ellipse: Ellipse
     weights: Array
@@ -66,12 +66,12 @@ class EllipseFit:
 
 
 def circle_as_ellipse(centre_px: tuple[float, float], radius_px: float) -> Ellipse:
-    """Convert a circle to a starting ellipse."""
+    """Convert a circle to an ellipse."""
     return Ellipse(centre_px, (1.0 / radius_px, 0.0, 1.0 / radius_px))
 
 
 def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -> EllipseFit | None:
-    """Fit to points (n, 2) from a start within a few pixels; None if the points define no ellipse.
+    """Fit an ellipse to points (n, 2) from a start within a few pixels; return None if undefined.
 
     With `rough_start` false, the start is on the rim to within its noise and the consensus search is skipped.
     """
@@ -108,7 +108,7 @@ def fit_ellipse(points_px: Array, start: Ellipse, *, rough_start: bool = True) -
 
 
 def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
-    """Distances (n,) and their derivatives (n, 5) with respect to centre and shape."""
+    """Return distances (n,) and their derivatives (n, 5) by centre and shape."""
     x = points_px[:, 0] - parameters[0]
     y = points_px[:, 1] - parameters[1]
     xx, xy, yy = parameters[2:]
@@ -124,7 +124,7 @@ def _residuals(parameters: Array, points_px: Array) -> tuple[Array, Array]:
 
 
 def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
-    """Mark the points near the three-point circle with the largest consensus."""
+    """Mark the points near the circle through three points with the largest consensus."""
     triples = np.random.default_rng(SEED).integers(0, len(points_px), (CIRCLES, 3))
     a, b, c = (points_px[triples[:, corner]] for corner in range(3))
     offset = circumcentre_offsets(b - a, c - a, least_area=1e-6)
@@ -135,7 +135,7 @@ def _mark_agreeing(points_px: Array) -> NDArray[np.bool_]:
 
 
 def circumcentre_offsets(ab: Array, ac: Array, least_area: float) -> Array:
-    """Centres (n, 2) of the circles through a, b and c, relative to a; 0 for nearly collinear points."""
+    """Return centres (n, 2) of the circles through a, b, c, relative to a; 0 for nearly collinear points."""
     doubled_area = 2.0 * (ab[:, 0] * ac[:, 1] - ab[:, 1] * ac[:, 0])
     doubled_area = np.where(np.abs(doubled_area) < least_area, np.inf, doubled_area)
     square_ab, square_ac = (ab**2).sum(axis=1), (ac**2).sum(axis=1)

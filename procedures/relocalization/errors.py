@@ -1,4 +1,4 @@
-"""Errors between image and sphere position, STE-001 to STE-014; data errors are also `ValueError`s."""
+"""Errors of stereo-head measurements, STE-001 to STE-014; data errors are also `ValueError`s."""
 
 from __future__ import annotations
 
@@ -6,14 +6,14 @@ from ronna_hw.errors import EXIT_REFUSED, DataError, RefusedError
 
 
 class BadImage(DataError):
-    """The input is not one grey image of 8 or 12 bits."""
+    """The input is not a single grey image of 8 or 12 bits."""
 
     code = "STE-001"
     action = "Give a 2-D array of uint8, or of uint16 with 12-bit values, at least 48 pixels on each side."
 
 
 class NoContrast(DataError):
-    """The image is dark or uniform: it shows no structure."""
+    """The image is dark or uniform and shows no structure."""
 
     code = "STE-002"
     action = "Bring a lit sphere into view; check lens caps and lights, then lengthen the exposure."
@@ -84,14 +84,14 @@ class Saturated(DataError):
 
 
 class PairNotUsable(DataError):
-    """Images are repeatedly incomplete, missing or old, or left and right come from different triggers."""
+    """Images are repeatedly incomplete, missing or outdated, or left and right have different triggers."""
 
     code = "STE-012"
     action = "Check both cameras with ronna-procedure doctor; check cables, trigger and network load."
 
 
 class NotTrusted(DataError):
-    """A sphere is in view, but not enough of it, or not clearly enough, for a reliable centre."""
+    """A sphere is in view, but not completely or clearly enough for a reliable centre."""
 
     code = "STE-013"
     action = (

@@ -1,4 +1,4 @@
-"""Control law that brings the tool centre point onto a sphere, and the pattern to search for one.
+"""Control law that moves the tool centre point onto a sphere, and the search pattern for spheres.
 
 The residual is the sphere's centre in the tool frame; the law leads from a measured residual to the next
 pose. The loop that moves the arm and takes the images is in the workcell; it keeps a `ServoState` and queries
@@ -44,7 +44,7 @@ class ServoSettings:
 
 @dataclass(frozen=True)
 class ServoState:
-    """Measurements so far, oldest first: residuals, mm, and implied sphere positions, robot frame, mm."""
+    """Measurements so far, oldest first: residuals in mm, and implied sphere positions in robot mm."""
 
     settings: ServoSettings = ServoSettings()
     residuals_mm: tuple[float, ...] = field(default=())
@@ -61,7 +61,7 @@ class ServoState:
         return max(0, len(self.residuals_mm) - 1)
 
     def with_measurement(self, tool_pose: Transform, residual_mm: ArrayLike) -> ServoState:
-        """Add one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
+        """Return the state with one more residual (3,) in the tool frame, measured at the pose ROBOT <- TOOL.
 
         Raises STE-007 when the residuals do not shrink, STE-008 when no steps are left.
         """
@@ -83,7 +83,7 @@ class ServoState:
         return state
 
     def next_pose(self, tool_pose: Transform) -> Transform:
-        """Return the next pose ROBOT <- TOOL: tool centre on the mean of all measurements, orientation kept.
+        """Return the next pose ROBOT <- TOOL: same orientation, tool centre on the mean of all measurements.
 
         Near the sphere, most of the residual is the arm's repeatability. Following the last measurement alone
         would answer each random error with another, so every measurement counts, weighted by its uncertainty.
@@ -118,7 +118,7 @@ class ServoState:
 
 
 def recorded_point(tool_pose: Transform, residual_mm: ArrayLike) -> Array:
-    """Sphere centre in the robot frame, (3,) mm: nominal tool pose applied to the last residual.
+    """Return the sphere centre in the robot frame, (3,) mm: the nominal tool pose applied to the residual.
 
     Since the residual is added rather than driven to zero, the end condition costs no accuracy.
     """
@@ -139,7 +139,7 @@ def _require_tool_pose(pose: Transform) -> None:
 
 
 def search_offsets_mm() -> Array:
-    """Offsets (n, 3) mm of the search pattern in the tool frame: rings across the tool axis, near to far.
+    """Return the search offsets (n, 3) mm in the tool frame: rings across the tool axis, near to far.
 
     The first pose itself is left out. Each ring starts where the previous one ended, so the head moves in a
     spiral.
@@ -156,7 +156,7 @@ def search_offsets_mm() -> Array:
 
 
 def search_pose(start: Transform, look_number: int) -> Transform:
-    """Return pose number `look_number` (from 0), oriented like `start`. Raises STE-009 when none is left."""
+    """Return search pose `look_number` (from 0), oriented like `start`. Raises STE-009 after the last."""
     offsets = search_offsets_mm()
     if look_number >= len(offsets):
         raise SphereNotInView(

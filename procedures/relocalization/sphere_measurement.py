@@ -1,4 +1,4 @@
-"""Measure a retro-reflective sphere in one image or in both images of a pair: centre, semi-axes, quality.
+"""Measure a retro-reflective sphere in one image or in an image pair: centre, semi-axes, quality.
 
 The image is reduced, circles are guessed from edges, then refined and judged on the full image, best first.
 Glare or a second sphere can look like the sphere in one image. The lines of sight to two different objects do
@@ -78,14 +78,14 @@ def measure_spheres(
     *,
     radius_range_px: tuple[float, float] | None = None,
 ) -> tuple[SphereImage, ...]:
-    """Measure every disc that may be a sphere, most visible rim first; empty if there is none."""
+    """Measure every disc that may be a sphere, most visible rim first; return an empty tuple if none."""
     return tuple(sphere for sphere in _iterate_spheres(image, radius_range_px) if sphere is not None)
 
 
 def _iterate_spheres(
     image: NDArray[np.uint8] | NDArray[np.uint16], radius_range_px: tuple[float, float] | None
 ) -> Iterator[SphereImage | None]:
-    """Yield each round shape, measured lazily; None if it is not a disc."""
+    """Yield the measurement of each round shape, lazily; None for shapes that are no disc."""
     grey = _validate_image(image)
     halvings = max(0, math.ceil(0.5 * math.log2(grey.size / REDUCED_PIXELS)))
     factor, reduced = 2**halvings, halve_image(grey, halvings)
@@ -146,7 +146,7 @@ class AreaImage:
 
 @dataclass(frozen=True)
 class Sighting:
-    """Outlines in both images, in full-sensor pixels; the point if both are reliable."""
+    """Outlines in both images, in full-sensor pixels, and the point if both are reliable."""
 
     left: SphereImage
     right: SphereImage
@@ -154,7 +154,7 @@ class Sighting:
 
     @property
     def doubt(self) -> str:
-        """Reason, per camera, why there is no point; empty if there is one."""
+        """Reason why there is no point, for each camera; empty if there is one."""
         sides = zip(SIDES, (self.left, self.right), strict=True)
         return "; ".join(f"{side} camera: {one.doubt}" for side, one in sides if one.doubt)
 
@@ -166,7 +166,7 @@ def locate_sphere(
     *,
     sphere_diameter_mm: float = SPHERE_DIAMETER_MM,
 ) -> Sighting:
-    """Locate the sphere seen by both cameras; without a point if one of them sees too little of it.
+    """Locate the sphere seen by both cameras; without a point if a camera sees too little of the sphere.
 
     Raises the errors of `measure_sphere` with the camera's name, and STE-005 or STE-006 when no two round
     shapes match.
@@ -189,7 +189,7 @@ def locate_sphere(
 
 
 def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tuple[float, float]:
-    """Smallest and largest radius, px, of a sphere near the tool centre point in the image."""
+    """Return the smallest and largest image radius, px, of a sphere near the tool centre point."""
     distance_mm = float(np.linalg.norm(Camera(camera).translation_mm))
     radius = math.sqrt(math.prod(camera.focal_px)) * sphere_diameter_mm / 2.0 / distance_mm
     return (1.0 - RADIUS_TOLERANCE) * radius, (1.0 + RADIUS_TOLERANCE) * radius
@@ -198,7 +198,7 @@ def radius_range_px(camera: CameraCalibration, sphere_diameter_mm: float) -> tup
 def _measure_outlines(
     images: tuple[AreaImage, AreaImage], ranges: tuple[tuple[float, float], ...]
 ) -> list[SphereImage]:
-    """Measure the best outline in each image, full-sensor pixels."""
+    """Measure the best outline in each image, in full-sensor pixels."""
     found: list[SphereImage] = []
     problems: dict[str, DataError] = {}
     for side, image, limits in zip(SIDES, images, ranges, strict=True):
@@ -229,7 +229,7 @@ def _find_agreeing(
     calibration: StereoHeadCalibration,
     sphere_diameter_mm: float,
 ) -> Sighting | None:
-    """Find the reliable outlines with the smallest gap between lines of sight; None if there are none."""
+    """Find the reliable outlines with the smallest gap between lines of sight; return None without any."""
     found: list[list[SphereImage]] = []
     for image, limits in zip(images, ranges, strict=True):
         shapes = measure_spheres(image.pixels, radius_range_px=limits)

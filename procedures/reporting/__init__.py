@@ -1,1 +1,1 @@
-"""The report of a run, its tables and pictures."""
+"""Report of a run, with its tables and pictures."""

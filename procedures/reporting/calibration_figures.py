@@ -1,4 +1,4 @@
-"""Figures of a calibration, a check or a measurement, and `result.json`, which holds what `--json` prints.
+"""Figures of a calibration, check or measurement, and `result.json`, which holds the `--json` output.
 
 The kind of the figures is recognized by a key that no other kind has. A key `kind` would be new in the output
 of `--json`, and files written before it would still have to be recognized by their content.
@@ -29,7 +29,7 @@ RESULT_FILE = "result.json"  # in the folder of the run
 
 
 class Figure(NamedTuple):
-    """A line of the table; `spread` is the standard error, in the unit of the value."""
+    """Line of the table; `spread` is the standard error, in the unit of the value."""
 
     name: str
     value: str
@@ -38,13 +38,13 @@ class Figure(NamedTuple):
 
 
 class Numbers(BaseModel):
-    """Numbers of a result; its fields are the keys of `--json`, in their order."""
+    """Numbers of a result; the fields are the keys of `--json`, in the same order."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False, from_attributes=True)
 
 
 class Figures(Numbers, ABC):
-    """All figures of one result."""
+    """All figures of a result."""
 
     def as_json(self) -> dict[str, Any]:
         """Return the object that `--json` prints."""
@@ -52,11 +52,11 @@ class Figures(Numbers, ABC):
 
     @abstractmethod
     def table(self) -> Iterator[Figure]:
-        """The figures that an operator reads."""
+        """Yield the figures shown to the operator."""
 
 
 class RecordFigures(Figures):
-    """Figures of a calibration that made a dated record."""
+    """Figures of a calibration that created a dated record."""
 
     calibration: str
     created: str
@@ -67,23 +67,23 @@ class RecordFigures(Figures):
         """Yield the measurements and the accuracy of the record."""
 
     def table(self) -> Iterator[Figure]:
-        """Yield the quality of the record and its validity."""
+        """Yield the figures of quality and validity of the record."""
         yield from self.quality()
         yield Figure("made", self.created[:16].replace("T", " "))
         yield Figure("valid until", self.expires[:16].replace("T", " "))
 
     def warnings(self) -> Iterator[str]:
-        """Yield warnings for the operator before the record is used."""
+        """Yield warnings for the operator, to be read before the record is used."""
         yield from ()
 
 
 def expected_mm(value_mm: float, predicted_mm: float) -> str:
-    """Format an rms error next to its prediction, in millimetres."""
+    """Format an rms error with its predicted value, in millimetres."""
     return f"{millimetres(value_mm)}, expected {millimetres(predicted_mm)}"
 
 
 class HeadFigures(RecordFigures):
-    """A calibration: both cameras, and the tool frame on the flange."""
+    """Figures of a head calibration: both cameras, and the tool frame on the flange."""
 
     serials: tuple[str, str] = Field(description="Of the left and the right camera.")
     poses: int
@@ -108,7 +108,7 @@ class HeadFigures(RecordFigures):
 
     @property
     def looks_px(self) -> tuple[tuple[float, bool], ...]:
-        """Rms residual of each view, and whether it was used."""
+        """Rms residual of each view in px, and whether the view was used."""
         return tuple(
             (math.sqrt(sum(value**2 for value in one) / len(one)), number not in self.outliers)
             for number, one in enumerate(self.residuals_px)
@@ -157,7 +157,7 @@ class HeadFigures(RecordFigures):
 
 
 class SignFigures(Numbers):
-    """A sign of a change: its value with standard error, and its chi-square statistic."""
+    """Sign of a change: value with standard error, and chi-square statistic."""
 
     name: str
     unit: str
@@ -169,7 +169,7 @@ class SignFigures(Numbers):
 
 
 class HeadCheckFigures(Figures):
-    """A check against the baseline of a calibration."""
+    """Figures of a head check against the baseline of its calibration."""
 
     calibration: str
     baseline_created: str
@@ -195,14 +195,14 @@ class HeadCheckFigures(Figures):
 
 
 class ParameterFigures(Numbers):
-    """A parameter of the arm model, in units of an uncalibrated arm's spread."""
+    """Parameter of the arm model, in units of its spread among uncalibrated arms."""
 
     value: float
     standard_error: float
 
 
 class ArmFigures(RecordFigures):
-    """A calibration."""
+    """Figures of an arm calibration."""
 
     arm: str = Field(description="Name of the arm's kinematic model.")
     looks: int
@@ -229,7 +229,7 @@ class ArmFigures(RecordFigures):
 
 
 class ArmCheckFigures(Figures):
-    """A check of a calibration."""
+    """Figures of an arm check."""
 
     calibration: str
     passed: bool
@@ -250,7 +250,7 @@ class ArmCheckFigures(Figures):
 
 
 class FrameFigures(RecordFigures):
-    """A calibration of the reference frame."""
+    """Figures of a reference frame calibration."""
 
     frame: str
     poses: int
@@ -291,7 +291,7 @@ class FrameFigures(RecordFigures):
 
 
 class TipFigures(RecordFigures):
-    """A calibration of the guide's tip."""
+    """Figures of a tip calibration of the guide."""
 
     tool_number: int
     readings: int
@@ -324,7 +324,7 @@ class TipFigures(RecordFigures):
 
 
 class OutlineFigures(Numbers):
-    """The ball's outline in one image, full-sensor pixels, major semi-axis first."""
+    """Outline of the ball in one image, full-sensor pixels, major semi-axis first."""
 
     centre_px: Numbers2
     axes_px: Numbers2
@@ -336,7 +336,7 @@ class OutlineFigures(Numbers):
 
 
 class BallFigures(Figures):
-    """The ball in the tool frame and in both images."""
+    """Figures of the ball in the tool frame and in both images."""
 
     position_mm: Numbers3
     covariance_mm2: Matrix3
@@ -365,13 +365,13 @@ KINDS: dict[str, type[Figures]] = {
 
 
 def write_figures(figures: Figures, folder: Path) -> None:
-    """Write the figures for the report."""
+    """Write the figures to a run folder for the report."""
     content = json.dumps(figures.as_json(), indent=1, allow_nan=False)
     write_atomically(folder / RESULT_FILE, content.encode())
 
 
 def read_figures(folder: Path) -> Figures:
-    """Read the figures in a run folder. Raises OSError, and ValueError for other content."""
+    """Read the figures in a run folder. Raises OSError, or ValueError if there are none."""
     content = read_json_bytes(folder / RESULT_FILE)
     found = parse_json(content)
     for key, kind in KINDS.items():
@@ -381,7 +381,7 @@ def read_figures(folder: Path) -> Figures:
 
 
 def load_figures(folder: Path) -> Figures | None:
-    """Read the figures in a run folder; None if missing or unreadable."""
+    """Read the figures in a run folder; return None if missing or unreadable."""
     try:
         return read_figures(folder)
     except (OSError, ValueError):

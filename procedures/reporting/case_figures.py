@@ -32,7 +32,7 @@ R = TypeVar("R", bound=StepResult)
 
 @dataclass(frozen=True)
 class SphereFigure:
-    """A sphere of the CT, and its position by each instrument, mm; None if unknown."""
+    """Sphere of the CT, and its positions by each instrument, mm; None if unknown."""
 
     number: int  # counts from 1
     ct_mm: Point | None  # by the registration
@@ -42,7 +42,7 @@ class SphereFigure:
 
 @dataclass(frozen=True)
 class TrajectoryFigure:
-    """A planned trajectory mapped by its registration, mm."""
+    """Planned trajectory mapped by its registration, mm."""
 
     name: str
     entry_mm: Point
@@ -51,7 +51,7 @@ class TrajectoryFigure:
 
 @dataclass(frozen=True)
 class PredictionFigure:
-    """The predicted error at a target."""
+    """Predicted error at a target."""
 
     target: str
     rms_mm: float
@@ -62,7 +62,7 @@ class PredictionFigure:
 
 @dataclass(frozen=True)
 class CaseFigures:
-    """All figures known so far."""
+    """All figures of a case known so far."""
 
     robot_from_ct: Transform | None = None
     robot_from_tracker: Transform | None = None
@@ -77,7 +77,7 @@ class CaseFigures:
 
 
 def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
-    """Read a run; raises nothing that its content can cause.
+    """Read the figures of a run. Damaged files never raise errors.
 
     Without `every_file` only journal and records are compared: the others change while it runs.
     """
@@ -113,7 +113,7 @@ def read_case_figures(folder: Path, *, every_file: bool = False) -> CaseFigures:
 
 
 def _currently_valid(reading: RunReading, model: type[R]) -> list[R]:
-    """Return valid results, without those of targets finished before something moved."""
+    """Return the valid results, without those of targets finished before something moved."""
     past = reading.run.past
     return [one.result for one in reading.standing(model) if one.record.identifier not in past]
 

@@ -1,4 +1,4 @@
-"""The ending of a run, from its journal."""
+"""How a run ended, according to its journal."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ ENDS_A_STEP = (*ENDS_OF_A_STEP, Entry.REFUSED)
 
 @dataclass(frozen=True)
 class Ending:
-    """`word` is one of done, in doubt, failed, refused, aborted, interrupted, left, killed, not begun.
+    """Ending: `word` is done, in doubt, failed, refused, aborted, interrupted, left, killed or not begun.
 
     `list` and `show` say running for killed while a program holds the run.
     """
@@ -29,7 +29,7 @@ class Ending:
 
 
 def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending:
-    """Return the ending according to the journal; `error` is the command line's, if known."""
+    """Return the ending according to the journal; `error` is that of the command line, if known."""
     opened = next((line for line in journal if line["entry"] == Entry.OPENED), None)
     lines = reversed(journal)
     ended = next((line for line in lines if line["entry"] in (Entry.CLOSED, Entry.RESTARTED)), None)
@@ -51,7 +51,7 @@ def run_ending(journal: Sequence[Line], error: RunError | None = None) -> Ending
 def _describe_closed_run(
     journal: Sequence[Line], closed: Line, last: Line | None, error: RunError | None
 ) -> tuple[str, str, str]:
-    """Return word, sentence and code of a closed run whose last step ended with the line `last`."""
+    """Return word, sentence and code of a closed run; `last` is the line that ended its last step."""
     outcome = closed.get("outcome")
     if outcome == "done" and error is not None:  # computed after the steps
         return "failed", f"Every step was done, but {error.what}", error.code
@@ -85,7 +85,7 @@ def _describe_closed_run(
 
 
 def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
-    """Word who has acknowledged the fault named by a line since; empty while it stands."""
+    """Describe who has since acknowledged the fault in a line; return '' while it is not acknowledged."""
     place = next(number for number, line in enumerate(journal) if line is last)
     error_text = " ".join(str(last.get(field, "")) for field in ("code", "what", "unmet"))
     names = [
@@ -97,7 +97,7 @@ def _describe_acknowledgement(journal: Sequence[Line], last: Line) -> str:
 
 
 def _is_named(acknowledged: Line, error_text: str) -> bool:
-    """Whether words name the fault that was acknowledged, or the device that had it."""
+    """Whether a text names the acknowledged fault or the device that had it."""
     code = str(acknowledged.get("fault", "")).partition(":")[0]
     return f"the {acknowledged.get('device')} is in fault" in error_text or (
         code != "" and code in error_text
@@ -105,7 +105,7 @@ def _is_named(acknowledged: Line, error_text: str) -> bool:
 
 
 def _describe_incidents(journal: Sequence[Line]) -> str:
-    """Name the incidents of a finished case; empty if there were none."""
+    """List the incidents of a finished case in words; return '' if there were none."""
     failed = [line for line in journal if line["entry"] == Entry.FAILED and not _is_stop(line)]
     steps = [str(line.get("step", "")).partition(":")[0] for line in failed]
     paused = [line for line in journal if line["entry"] == Entry.RESTED and line.get("state") == PAUSED]
@@ -120,7 +120,7 @@ def _describe_incidents(journal: Sequence[Line]) -> str:
 
 
 def resumes(journal: Sequence[Line]) -> int:
-    """Count the resumptions of a run by another program."""
+    """Count how often another program resumed the run."""
     count, leaving = 0, False
     for line in journal:
         if line["entry"] == Entry.RESTARTED:
@@ -130,7 +130,7 @@ def resumes(journal: Sequence[Line]) -> int:
 
 
 def _count_emergency_stops(journal: Sequence[Line]) -> int:
-    """Count emergency stops: each is acknowledged once, however many steps fail meanwhile."""
+    """Count emergency stops. Each is acknowledged once, however many steps fail meanwhile."""
     count, is_standing = 0, False
     for line in journal:
         is_of_arm = line["entry"] == Entry.ACKNOWLEDGED and line.get("device") == ARM

@@ -29,7 +29,7 @@ PICTURE = "postoperative-"  # the trajectory's name follows
 
 
 def store_truth(run: Path, truth: Truth) -> Path:
-    """Store the theatre verifier's result in a run's folder."""
+    """Store the theatre verifier's result in the folder of a run."""
     (run / REPORT_FOLDER).mkdir(exist_ok=True)
     path = run / KEPT_TRUTH
     content = (truth.model_dump_json(indent=1) + "\n").encode()
@@ -41,7 +41,7 @@ def store_truth(run: Path, truth: Truth) -> Path:
 
 
 def drop_unconfirmed_truth(run: Path) -> bool:
-    """Remove the stored truth unless the seal confirms it: the next seal would cover it."""
+    """Remove the stored truth unless the seal confirms it, since the next seal would cover it."""
     found = inspect_run(run, every_file=False, files=(KEPT_TRUTH,))
     changed = any(problem.file == KEPT_TRUTH for problem in found.problems)
     if changed:
@@ -51,7 +51,7 @@ def drop_unconfirmed_truth(run: Path) -> bool:
 
 
 def load_truth(run: Path) -> Truth | None:
-    """Load the result stored by `store_truth`; None if missing or unreadable."""
+    """Load the result stored by `store_truth`; return None if missing or unreadable."""
     try:
         return Truth.model_validate_json(read_json_bytes(run / KEPT_TRUTH))
     except (OSError, ValueError):
@@ -59,7 +59,7 @@ def load_truth(run: Path) -> Truth | None:
 
 
 class ReportFiles:
-    """Writes into `OUT/report`, creating it if missing."""
+    """Writer of files in `OUT/report`; creates the folder if it is missing."""
 
     def __init__(self, out: Path) -> None:
         self._folder = out / REPORT_FOLDER
@@ -67,14 +67,14 @@ class ReportFiles:
         self.written: list[str] = []
 
     def text(self, name: str, text: str) -> Path:
-        """Write one file completely; returns its path."""
+        """Write one text file atomically; return its path."""
         path = self._folder / name
         write_atomically(path, text.encode())
         self.written.append(name)
         return path
 
     def targets(self, rows: Sequence[TargetRow]) -> None:
-        """Write error, prediction and its budget at each target, one column per source."""
+        """Write error, prediction and error budget for each target, with one column per source."""
         sources = list(dict.fromkeys(share.source for row in rows for share in row.predicted.budget))
         lines: list[dict[str, object]] = []
         for row in rows:
@@ -129,7 +129,7 @@ def _csv(rows: Sequence[Mapping[str, object]]) -> str:
 
 
 def load_picture(reading: RunReading, path: Path) -> bytes | None:
-    """Load a picture; None, with a note, if it is too large or cannot be read."""
+    """Load a picture; return None, with a note, if it is too large or cannot be read."""
     try:
         return read_bounded(path, LARGEST_PICTURE_BYTES, follow_links=False)
     except (OSError, InputRefused):
@@ -138,26 +138,26 @@ def load_picture(reading: RunReading, path: Path) -> bytes | None:
 
 
 def data_url(picture: bytes) -> str:
-    """Encode a PNG as the address of an image."""
+    """Encode a PNG as a data URL."""
     return "data:image/png;base64," + base64.b64encode(picture).decode()
 
 
 @dataclass(frozen=True)
 class PostoperativeResult:
-    """The findings, and a PNG per trajectory by its name."""
+    """Findings of a postoperative check, and one PNG for each trajectory name."""
 
     found: PostoperativeCheck
     pictures: Mapping[str, bytes] = field(default_factory=dict)
 
     @property
     def shown(self) -> list[tuple[str, str]]:
-        """Name and picture, as embedded in a page."""
+        """Name and embedded picture of each trajectory."""
         names = [one.id for one in self.found.trajectories]
         return [(name, data_url(self.pictures[name])) for name in names if name in self.pictures]
 
 
 def store_check(folder: Path, after: PostoperativeResult) -> None:
-    """Store the check in this folder, creating it if missing. Raises OSError."""
+    """Store the check in a folder, creating it if missing. Raises OSError."""
     folder.mkdir(parents=True, exist_ok=True)
     write_atomically(folder / SUMMARY_FILE, after.found.model_dump_json(by_alias=True, indent=1).encode())
     for name, picture in after.pictures.items():
@@ -165,7 +165,7 @@ def store_check(folder: Path, after: PostoperativeResult) -> None:
 
 
 def load_check(reading: RunReading) -> PostoperativeResult | None:
-    """Load a run's check; None without one, and with a note for one that cannot be read."""
+    """Load the check of a run; return None without a check, and add a note if it cannot be read."""
     folder = reading.folder / REPORT_FOLDER
     try:
         found = PostoperativeCheck.model_validate_json(read_json_bytes(folder / SUMMARY_FILE))

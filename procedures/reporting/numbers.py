@@ -1,4 +1,4 @@
-"""Formats of the numbers in a report: one per kind, never truncated."""
+"""Number formats of a report, one for each quantity, never truncated."""
 
 from __future__ import annotations
 
@@ -8,17 +8,17 @@ NOT_KNOWN = "–"
 
 
 def millimetres(value_mm: float | None) -> str:
-    """Format with three decimals: a micrometre."""
+    """Format a length in millimetres with three decimals."""
     return NOT_KNOWN if value_mm is None else f"{value_mm:.3f}"
 
 
 def degrees(value_rad: float) -> str:
-    """Format in degrees with three decimals: a fiftieth of a milliradian."""
+    """Format an angle in degrees with three decimals."""
     return f"{math.degrees(value_rad):.3f}"
 
 
 def tenths(value: float | None) -> str:
-    """Format with one decimal, for depths in mm and for micrometres."""
+    """Format a number with one decimal, for depths in mm and for micrometres."""
     return NOT_KNOWN if value is None else f"{value:.1f}"
 
 
@@ -28,5 +28,5 @@ def micrometres(value_mm: float | None) -> str:
 
 
 def seconds(value_s: float | None) -> str:
-    """Format with two decimals."""
+    """Format a time in seconds with two decimals."""
     return NOT_KNOWN if value_s is None else f"{value_s:.2f}"

@@ -1,4 +1,4 @@
-"""Outcome of a run. The JSON of these models is what `ronna-procedure run --json` prints: a contract."""
+"""Outcome of a run. The JSON of these models is the output of `ronna-procedure run --json`: a contract."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ from procedures.journal.results import Values
 
 
 class CtOutcome(Values):
-    """The spheres found in the CT, against the truth."""
+    """Spheres found in the CT, compared with the truth."""
 
     found: int
     missed: int
@@ -30,7 +30,7 @@ class TargetTruth(BaseModel):
 
 
 class Truth(BaseModel):
-    """The simulated theatre verifier's result for a run; nothing on real devices."""
+    """Result of the simulated theatre's verifier for a run; empty with real devices."""
 
     model_config = ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
 
@@ -39,14 +39,14 @@ class Truth(BaseModel):
 
 
 class RegistrationOutcome(Values):
-    """Matched fiducials, and the residual of each registration."""
+    """Number of matched fiducials, and the residual of each registration."""
 
     n: int
     fre_mm: tuple[float, ...]
 
 
 class TargetOutcome(Values):
-    """Result at a target; the application error is known only in a simulated theatre."""
+    """Result at a target. The application error is known only in a simulated theatre."""
 
     id: str
     depth_mm: float
@@ -58,7 +58,7 @@ class TargetOutcome(Values):
 
     @model_serializer(mode="wrap")
     def _only_what_was_measured(self, plain: SerializerFunctionWrapHandler) -> dict[str, Any]:
-        """Scripts find the same keys in every case, plus one if the targets were measured."""
+        """Omit the measured error if there is none, so that scripts find the same keys in every case."""
         values: dict[str, Any] = plain(self)
         if self.measured_error_mm is None:
             del values["measured_error_mm"]
@@ -66,7 +66,7 @@ class TargetOutcome(Values):
 
 
 class RunOutcome(Values):
-    """Figures that every run can report."""
+    """Outcome values that every run can report."""
 
     run: str
     outcome: str

@@ -64,7 +64,7 @@ VIEWS = (  # title, axis across, axis upwards, and which of the two are reversed
 
 
 class Canvas:
-    """Collects shapes from the top down; `svg` is the finished picture."""
+    """Canvas for shapes, with y growing downwards; `svg` is the finished picture."""
 
     def __init__(self, height: float, title: str) -> None:
         self._height = height
@@ -74,7 +74,7 @@ class Canvas:
     def rectangle(
         self, x: float, y: float, width: float, height: float, fill: str, *, title: str = ""
     ) -> None:
-        """A filled rectangle; `title` is shown on hover."""
+        """Add a filled rectangle; `title` is shown on hover."""
         inside = f"<title>{escape(title)}</title>" if title else ""
         self._shapes.append(
             f'<rect x="{x:.2f}" y="{y:.2f}" width="{max(width, 0.0):.2f}" height="{height:.2f}" '
@@ -89,12 +89,12 @@ class Canvas:
     def text(
         self, x: float, y: float, words: str, *, anchor: Literal["start", "middle", "end"] = "start"
     ) -> None:
-        """Text with its baseline at y."""
+        """Add text with its baseline at y."""
         self._shapes.append(f'<text x="{x:.2f}" y="{y:.2f}" text-anchor="{anchor}">{escape(words)}</text>')
 
     @property
     def svg(self) -> str:
-        """The picture, as a standalone file or embedded in a page."""
+        """Finished picture, as a standalone file or for embedding in a page."""
         return (
             f'<svg xmlns="http://www.w3.org/2000/svg" viewBox="0 0 {WIDTH:g} {self._height:g}" role="img" '
             f'font-family="system-ui, sans-serif" font-size="{TEXT_SIZE:g}">'
@@ -103,7 +103,7 @@ class Canvas:
 
 
 def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
-    """Draw bars with their numbers, in mm."""
+    """Draw the target errors as bars with their values, in mm."""
     bars: list[tuple[str, float, str]] = []
     for row in rows:
         if row.error_mm is not None:
@@ -122,7 +122,7 @@ def target_figure(rows: Sequence[TargetRow], simulated: bool) -> str:
 
 
 def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
-    """Draw two bars for each motion, mm."""
+    """Draw the clearances of each motion as two bars, in mm."""
     canvas = Canvas(MOTION_ROW * len(motions) + 4, f"Clearance of the motions of {trajectory}, mm")
     scale = (WIDTH - VALUE_ROOM) / LONGEST_MM
     for number, one in enumerate(motions):
@@ -139,7 +139,7 @@ def clearance_figure(trajectory: str, motions: Sequence[MotionRow]) -> str:
 
 
 def _motion_name(one: MotionRow) -> str:
-    """Name a motion for a reader; spheres count from 1."""
+    """Describe a motion for a reader, with spheres counted from 1."""
     if one.start == one.end:
         return f"{_place_name(one.end)}, along the axis"
     return f"{_place_name(one.start)} → {_place_name(one.end)}"
@@ -152,7 +152,7 @@ def _place_name(name: str) -> str:
 
 
 def timeline_figure(spans: Sequence[Span]) -> str:
-    """Draw steps light, motions dark, pauses amber, and abnormal ends red."""
+    """Draw the timeline: steps light, motions dark, pauses amber, abnormal ends red."""
     rows = list(dict.fromkeys(span.row for span in spans))
     begin_s = min(span.begin_s for span in spans)
     length_s = max(max(span.end_s for span in spans) - begin_s, 1e-3)
@@ -192,14 +192,14 @@ def _colour(span: Span) -> str:
 
 
 def _ticks(length_s: float) -> list[float]:
-    """Choose round times from zero, at most `MOST_TICKS`."""
+    """Return round times from zero, at most `MOST_TICKS`."""
     magnitude = 10.0 ** math.floor(math.log10(length_s / MOST_TICKS))
     step = next(f * magnitude for f in (1, 2, 5, 10, 20) if length_s / (f * magnitude) <= MOST_TICKS - 1)
     return [number * step for number in range(int(length_s / step) + 1)]
 
 
 def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int, int]]:
-    """Sum the bins (from us, to us, turnaround, jitter) of all streams, without empty ends."""
+    """Sum the histograms of all streams to rows (from us, to us, turnaround, jitter), without empty ends."""
     edges = links[0].histogram_edges_us
     alike = [link for link in links if link.histogram_edges_us == edges]
     bins = []
@@ -212,7 +212,7 @@ def sum_histograms(links: Sequence[LinkHealth]) -> list[tuple[float, float, int,
 
 
 def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
-    """Draw cycles over microseconds of host time: turnaround filled, jitter as a line."""
+    """Draw the number of cycles over microseconds of host time: turnaround filled, jitter as a line."""
     canvas = Canvas(TOP + HISTOGRAM_HEIGHT + 22, "Cycles of the robot link over turnaround and jitter")
     low, high = math.log10(max(bins[0][0], LEAST_SHOWN_US)), math.log10(bins[-1][1])
     highest = max(max(one[2], one[3]) for one in bins)
@@ -245,7 +245,7 @@ def link_figure(bins: Sequence[tuple[float, float, int, int]]) -> str:
 
 
 def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
-    """Draw the rms of each view, px; excluded views are red and cut at the picture's height."""
+    """Draw the rms of each view in px; excluded views are red and clipped at the picture's height."""
     canvas = Canvas(TOP + LOOKS_HEIGHT + 18, "Rms residual of each measurement, px")
     highest_px = max((value for value, used in looks_px if used), default=1.0)
     across, up = (WIDTH - LEFT) / len(looks_px), LOOKS_HEIGHT / max(highest_px, 1e-6)
@@ -272,7 +272,7 @@ def looks_figure(looks_px: Sequence[tuple[float, bool]]) -> str:
 def marker_picture(
     proposed: ProposedMarkers, head: HeadEllipsoid, trajectories: Sequence[Trajectory]
 ) -> bytes:
-    """PNG: the head's ellipsoid, numbered markers, and each trajectory. LPS, mm."""
+    """Draw a PNG of the head's ellipsoid, numbered markers and trajectories in LPS mm."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
     from matplotlib.patches import Ellipse

@@ -1,4 +1,4 @@
-"""`report.html`: one self-contained file that shows what a run did, how it ended, and its quality.
+"""The report `report.html`: one self-contained file on what a run did, how it ended, and its quality.
 
 Everything in it comes from the run's folder, however incomplete; only the truth of a simulated theatre comes
 from its verifier and is passed in.
@@ -87,7 +87,7 @@ def write_report(
     out: Path | None = None,
     after: PostoperativeResult | None = None,
 ) -> Path:
-    """Write the report of a run folder into it, or into `out`; returns its path.
+    """Write the report of a run into its folder, or into `out`; return the path of the report.
 
     `truth` is the theatre verifier's result, `after` the postoperative check; both default to what is stored
     in the folder. `error` is the command line's. Raises OSError when it cannot be written, and nothing that
@@ -180,7 +180,7 @@ def _findings(reading: RunReading) -> list[str]:
 
 
 def _plan(reading: RunReading, files: ReportFiles) -> dict[str, Any]:
-    """Tabulate the plan and draw each trajectory's clearance, also as files."""
+    """Return the rows of the plan and the clearance pictures of each trajectory; also write both as files."""
     rows = plan_rows(reading)
     pictures = []
     for row in rows:
@@ -233,7 +233,7 @@ def _figures(
 
 
 def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
-    """Result of a calibration, a check or a measurement; empty for a case."""
+    """Return the result of a calibration, a check or a measurement; without figures for a case."""
     found = load_figures(run)
     picture = ""
     if isinstance(found, HeadFigures) and found.looks_px:
@@ -246,7 +246,7 @@ def _calibration(run: Path, files: ReportFiles) -> dict[str, Any]:
 def _second_reading(
     reading: RunReading, files: ReportFiles, rows: tuple[TargetRow, ...], out: Path
 ) -> dict[str, Any]:
-    """The target figures computed a second way, and whether both agree."""
+    """Return the target figures computed a second way, and whether both agree."""
     if not rows:
         return {"second_text": "", "agree": True}
     try:
@@ -260,7 +260,7 @@ def _second_reading(
 
 
 def _links(reading: RunReading) -> list[tuple[str, LinkHealth]]:
-    """Health of the robot link, by stream, with the tool the arm carried."""
+    """Return the health of the robot link by stream, with the name of the mounted tool."""
     changes = [("stereo head", stored.result.link) for stored in reading.standing(MountedGuide)]
     retreats = (stored.result.link for stored in reading.standing(Retreated))
     looks = (stored.result.link for stored in reading.standing(ConfirmedTarget))
@@ -273,7 +273,7 @@ def _host_time(reading: RunReading, place: int) -> str:
 
 
 def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
-    """Return name and embedded picture, without those of superseded results."""
+    """Return names and embedded pictures, without those of superseded results."""
     gone = {
         name
         for line in reading.run.lines(Entry.RESULT)
@@ -288,7 +288,7 @@ def _pictures(reading: RunReading, prefix: str) -> list[tuple[str, str]]:
 
 
 def _without_controls(value: Any) -> Any:
-    """Make plain text safe for a page; text marked as safe is ours and stays unchanged."""
+    """Escape control characters in plain text; text marked as safe is ours and stays unchanged."""
     return "\n".join(map(escape_controls, value.split("\n"))) if type(value) is str else value
 
 

@@ -1,4 +1,4 @@
-"""A run read for its report: as far as it can be read, with a note of everything that cannot.
+"""Content of a run folder for its report: everything readable, with notes on everything unreadable.
 
 A report matters most for the run that went wrong; a truncated journal or a changed file is mentioned in it
 and does not prevent the rest from being shown.
@@ -43,12 +43,12 @@ class RunReading:
         return self.run.path
 
     def standing(self, model: type[R]) -> tuple[Stored[R], ...]:
-        """The valid and readable results of a step, in order."""
+        """Return the valid and readable results of a step, in order."""
         return self._readable(model, self.run.valid_records)
 
     @property
     def registrations(self) -> tuple[UsedRegistration, ...]:
-        """Return the readable registrations by which the targets were or will be reached."""
+        """Readable registrations by which the targets were or will be reached."""
         made = self._readable(RegisteredRobot, self.run.records)
         return find_used_registrations(made, self.run.records, self.run.superseded)
 
@@ -63,18 +63,18 @@ class RunReading:
         return tuple(found)
 
     def find(self, model: type[R]) -> R | None:
-        """The result of a step that is done once, if valid and readable."""
+        """Return the latest valid and readable result of a step, or None."""
         found = self.standing(model)
         return found[-1].result if found else None
 
     def note(self, problem: str) -> None:
-        """Note once something that cannot be relied on."""
+        """Add a note about something unreliable, once for each text."""
         if problem not in self.problems:
             self.problems.append(problem)
 
 
 def read_for_report(folder: Path, *, every_file: bool = True, files: Collection[str] = ()) -> RunReading:
-    """Read a run folder; raises nothing that its content can cause.
+    """Read a run folder for the report. Damaged files never raise errors.
 
     Without `every_file` only journal, records and `files` are compared, which takes milliseconds.
     """
@@ -112,19 +112,19 @@ def _log(folder: Path) -> tuple[Mapping[str, Any], ...]:
 
 @dataclass(frozen=True)
 class UsedRegistration:
-    """A registration, and the targets that it was or will be used for."""
+    """Registration with the targets for which it was or will be used."""
 
     stored: Stored[RegisteredRobot]
     targets: tuple[str, ...]
 
     @property
     def predictions(self) -> tuple[Prediction, ...]:
-        """Return the predictions at these targets."""
+        """Predictions at these targets."""
         return tuple(one for one in self.stored.result.predictions if one.target in self.targets)
 
     @property
     def result(self) -> RegisteredRobot:
-        """The registration with only these predictions."""
+        """The registration result, with only the predictions at these targets."""
         return self.stored.result.model_copy(update={"predictions": self.predictions})
 
 
@@ -157,7 +157,7 @@ def find_used_registrations(
 
 
 def registrations_of(case: Case) -> tuple[UsedRegistration, ...]:
-    """Find the registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
+    """Find the used registrations of a case. Raises REC-001, REC-003 for an unreadable record."""
     records, stands = case.records, {one.record.identifier for one in case.standing}
     made = [
         Stored(one, parse_record(one, RegisteredRobot)) for one in records if one.kind == RegisteredRobot.kind

@@ -1,4 +1,4 @@
-"""The target figures read a second time, independently: plain text from plain JSON.
+"""Independent second reading of the target figures: plain text from plain JSON.
 
 It shares neither models nor formatter with the report's table, so that a number wrong in either shows up as a
 difference. Rows are (target, depth, predicted, largest at its confidence, error) as text.
@@ -22,7 +22,7 @@ Row = tuple[str, ...]
 
 
 def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
-    """Read the rows from the record files and from the truth file, if there is one.
+    """Read the rows from the record files and, if it exists, the truth file.
 
     Files unlike those a run leaves raise one of `UNREADABLE`.
     """
@@ -56,7 +56,7 @@ def second_reading(run: Path, truth_file: Path) -> tuple[Row, ...]:
 
 
 def as_text(rows: tuple[Row, ...]) -> str:
-    """Format the rows in columns under their headings. Raises like `second_reading`."""
+    """Format the rows as columns with headings. Raises like `second_reading`."""
     table = [HEADINGS, *(tuple(map(printable, row)) for row in rows)]
     widths = [max(len(row[column]) for row in table) for column in range(len(HEADINGS))]
     return "".join(
@@ -65,7 +65,7 @@ def as_text(rows: tuple[Row, ...]) -> str:
 
 
 def _registrations(made: dict[str, Any], standing: dict[str, Any]) -> dict[str, str]:
-    """Map each target to its valid registration, or to the one that led the guide if the work is done."""
+    """Map each target to its valid registration, or to the one that led the guide if the target is done."""
     used = {
         one["target"]: name
         for name, record in standing.items()

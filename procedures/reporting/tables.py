@@ -1,4 +1,4 @@
-"""Rows of the report's tables: predicted and true errors at the targets, the plan and its checked motions."""
+"""Rows of the report's tables: predicted and true target errors, the plan, and its checked motions."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ from procedures.steps.clinical.target_measurement import MeasuredTarget
 
 @dataclass(frozen=True)
 class TargetRow:
-    """A target; its error is known only against a simulated truth, and only if the tip arrived."""
+    """Row of a target. The error is known only against a simulated truth, and only if the tip arrived."""
 
     target: str
     depth_mm: float | None
@@ -30,7 +30,7 @@ class TargetRow:
 
     @property
     def cells(self) -> tuple[str, ...]:
-        """Return the cells of the report's table: target, depth, prediction, limit, error.
+        """Cells of the report's table: target, depth, prediction, limit, error.
 
         `second_reading` computes each of them again; the template reads them by their number.
         """
@@ -69,7 +69,7 @@ def target_rows(reading: RunReading, truth: Truth) -> tuple[TargetRow, ...]:
 
 @dataclass(frozen=True)
 class MotionRow:
-    """A checked motion: its end points, and its clearance to the head and to anything else."""
+    """Checked motion: end points, and clearance to the head and to any other body."""
 
     start: str
     end: str
@@ -80,7 +80,7 @@ class MotionRow:
 
 @dataclass(frozen=True)
 class PlanRow:
-    """A trajectory: entry and target in LPS mm, angles about the axis, clearance of its motions.
+    """Row of a trajectory: entry and target in LPS mm, angles about the axis, clearance of the motions.
 
     What only the path check provides is None before it, and for a trajectory that was left out.
     """
@@ -97,13 +97,13 @@ class PlanRow:
 
     @property
     def nearest(self) -> MotionRow | None:
-        """The motion that comes closest to anything."""
+        """The motion with the smallest clearance."""
         known = [one for one in self.motions if one.closest is not None]
         return min(known, key=lambda one: one.closest.distance_mm if one.closest else math.inf, default=None)
 
     @property
     def nearest_head_mm(self) -> float | None:
-        """Least distance of anything moving to the head."""
+        """Smallest distance of any moving body to the head."""
         return min((one.head_mm for one in self.motions if one.head_mm is not None), default=None)
 
 
@@ -134,7 +134,7 @@ def _turn_deg(paths: CheckedPaths | None, trajectory: str) -> float | None:
 
 
 def _motion_rows(previews: Sequence[MotionPreview], trajectory: str) -> tuple[MotionRow, ...]:
-    """Select the motions of a trajectory in order; a line back clears whatever the line clears."""
+    """Return the motions of a trajectory in order, without retraced lines, which have the same clearance."""
     return tuple(
         MotionRow(one.start, one.end, one.kind, one.nearest_to_head_mm, one.closest)
         for one in previews

@@ -1,1 +1,1 @@
-"""DICOM files of a CT series: headers, geometry and pixels, each validated as it is read."""
+"""DICOM files of a CT series: headers, geometry and pixels, validated on reading."""

@@ -27,7 +27,7 @@ LARGEST_SLICE_BYTES = 20_000_000  # 2048 x 2048 pixels, with room for other scan
 
 
 def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDataset:
-    """Read one file as a data set; with `only`, just these attributes, without pixels. Raises CT-005."""
+    """Read a DICOM file; with `only`, just these attributes, without pixels. Raises CT-005."""
     import pydicom
 
     try:
@@ -66,24 +66,24 @@ def read_dicom(path: Path, *, only: tuple[str, ...] | None = None) -> FileDatase
 
 
 def _inflate(content: bytes, begin: int) -> bytes:
-    """Inflate the file's data set; pydicom would do so without a size limit."""
+    """Inflate the data set of a file with a size limit, which pydicom does not apply."""
     head = content[:begin].replace(DEFLATED, EXPLICIT)
     return head + inflate(content[begin:], LARGEST_SLICE_BYTES, raw=True)
 
 
 class DataSetDeflated(Exception):
-    """Raised where the deflated rest of a file begins."""
+    """Raised at the start of a deflated data set."""
 
     def __init__(self, begin: int) -> None:
         self.begin = begin
 
 
 class StartTooShort(Exception):
-    """Raised where more of a file is read than its start."""
+    """Raised when a read goes beyond the loaded start of a file."""
 
 
 class BoundedStream(io.BytesIO):
-    """Bytes of a file with limits on reads; with `is_start`, only the first of them.
+    """Byte stream with limits on reads; with `is_start`, it holds only the start of the file.
 
     Raises INP-001 for too many reads or too long a value, DataSetDeflated on an attempt to read all the rest.
     """
@@ -95,7 +95,7 @@ class BoundedStream(io.BytesIO):
         self._longest_value = longest_value
 
     def read(self, size: int | None = -1, /) -> bytes:
-        """Read `size` bytes; only a deflated data set is read to the end at once."""
+        """Read `size` bytes. Raises without a size, as in a deflated data set or a truncated start."""
         if size is None or size < 0:
             raise StartTooShort if self._start_bytes is not None else DataSetDeflated(self.tell())
         if self._start_bytes is not None and self.tell() + size > self._start_bytes:
@@ -113,7 +113,7 @@ if TYPE_CHECKING:
 
 
 def read_value(path: Path, header: Dataset, keyword: str) -> Any:
-    """Decode one attribute. pydicom decodes lazily, so a bad value fails here, with CT-012."""
+    """Decode one attribute. pydicom decodes lazily, so a bad value fails only here. Raises CT-012."""
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore")  # the caller checks what matters about the value

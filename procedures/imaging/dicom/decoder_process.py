@@ -20,7 +20,7 @@ SLICE_S = 5  # of processor time; a large slice takes a tenth of one
 
 
 def main(arguments: list[str]) -> int:
-    """Serve until end of input."""
+    """Serve requests until end of input."""
     import numpy as np
     import pydicom.pixels  # noqa: F401 - imported before memory is bounded
 

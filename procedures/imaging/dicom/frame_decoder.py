@@ -47,11 +47,11 @@ _RLE_HEADER = struct.Struct("<16I")
 
 
 class NotDecoded(Exception):
-    """The decoder's message, or how its process ended."""
+    """A slice was not decoded: the decoder's message, or how its process ended."""
 
 
 class FrameDecoder:
-    """Decoder of one series; its process starts with the first slice that needs it."""
+    """Decoder of one series. The process starts with the first compressed slice."""
 
     def __init__(self) -> None:
         self._process: subprocess.Popen[bytes] | None = None
@@ -124,7 +124,7 @@ class FrameDecoder:
         self._buffer += chunk
 
     def close(self) -> None:
-        """End the process; the next slice starts another."""
+        """End the process; the next slice starts a new one."""
         if self._process is None:
             return
         with contextlib.suppress(OSError):
@@ -137,7 +137,7 @@ class FrameDecoder:
 
 
 def check_frame(syntax: str, frame: bytes, shape: tuple[int, ...], pixel_bytes: int) -> None:
-    """Raise InputRefused unless the frame decodes to this shape (rows, columns) with one component.
+    """Raise InputRefused unless the frame declares this shape (rows, columns) and one component.
 
     Frames of other syntaxes pass: no decoder accepts them.
     """
@@ -163,7 +163,7 @@ def _check_size(size: tuple[int, int, int], shape: tuple[int, ...]) -> None:
 
 
 def _read_jpeg_size(frame: bytes) -> tuple[int, int, int]:
-    """Rows, columns, components of a JPEG or JPEG-LS frame (ITU T.81 B.2.2)."""
+    """Read rows, columns and components from a JPEG or JPEG-LS frame (ITU T.81 B.2.2)."""
     place = len(_START) if frame.startswith(_START) else len(frame)
     while True:
         mark, kind, length = struct.unpack_from(">BBH", frame, place)
@@ -176,7 +176,7 @@ def _read_jpeg_size(frame: bytes) -> tuple[int, int, int]:
 
 
 def _read_j2k_size(frame: bytes) -> tuple[int, int, int]:
-    """Rows, columns, components of a JPEG 2000 code stream (ITU T.800 A.5.1)."""
+    """Read rows, columns and components from a JPEG 2000 code stream (ITU T.800 A.5.1)."""
     if not frame.startswith(_J2K_START):
         raise InputRefused("a compressed frame is not JPEG 2000")
     _, _, x, y, x0, y0, tile_x, tile_y, _, _, components = _J2K_SIZE.unpack_from(frame, len(_J2K_START))
@@ -186,7 +186,7 @@ def _read_j2k_size(frame: bytes) -> tuple[int, int, int]:
 
 
 def _check_runs(frame: bytes, pixels: int, pixel_bytes: int) -> None:
-    """Check the segments of an RLE frame (PS3.5 annex G): one for each byte of a pixel."""
+    """Check the segments of an RLE frame, one per byte of a pixel (PS3.5 annex G)."""
     count, *offsets = _RLE_HEADER.unpack_from(frame)
     limits = [*offsets[:pixel_bytes], len(frame)]
     if count != pixel_bytes or limits[0] < _RLE_HEADER.size or limits != sorted(limits):

@@ -109,7 +109,7 @@ class SliceHeader:
 
 
 def read_headers(directory: Path, progress: Progress | None = None) -> tuple[SliceHeader, ...]:
-    """Read the headers of all CT slices directly in `directory`, ordered by file name.
+    """Read the headers of all CT slices directly in `directory`, in order of file names.
 
     Skips non-DICOM files and DICOM objects without an image. Raises CT-001 to CT-006, CT-012, CT-020, CT-021;
     the message names the offending file, series or frame of reference.
@@ -139,7 +139,7 @@ def read_images(
 def iterate_images(
     directory: Path, tags: tuple[str, ...], progress: Progress | None = None
 ) -> Iterator[tuple[Path, FileDataset]]:
-    """Yield the attributes of one image after the other; no image is not an error."""
+    """Yield path and attributes of each DICOM image directly in `directory`; there may be none."""
     files = _list_files(directory)
     for number, path in enumerate(files):
         header = read_dicom(path, only=_IMAGE_TAGS + tags) if _is_dicom(path) else None
@@ -150,7 +150,7 @@ def iterate_images(
 
 
 def list_dicom_files(directory: Path) -> list[Path]:
-    """List the DICOM files directly in a folder. Raises CT-001, CT-005."""
+    """List the DICOM files directly in `directory`. Raises CT-001, CT-005."""
     return [path for path in _list_files(directory) if _is_dicom(path)]
 
 
@@ -271,7 +271,7 @@ def _parse_slice_header(path: Path, header: FileDataset) -> SliceHeader:
 
 
 def _read_rescale(path: Path, header: FileDataset) -> tuple[float, float]:
-    """Return slope and intercept if plausible for a CT. Raises CT-012, CT-020."""
+    """Return slope and intercept of the rescaling to HU. Raises CT-012, CT-020."""
     slope = read_numbers(path, header, "RescaleSlope", 1)[0]
     intercept = read_numbers(path, header, "RescaleIntercept", 1)[0]
     low, high = SLOPE_LIMITS
@@ -308,7 +308,7 @@ def _read_image_type(path: Path, header: FileDataset) -> tuple[str, ...]:
 
 @dataclass(frozen=True, repr=False)  # keeps it out of logs
 class PatientIdentity:
-    """Statement of a series about its patient, verbatim; empty where it states nothing."""
+    """Patient data of a series, verbatim; attributes that it lacks are empty."""
 
     name: str
     identifier: str
@@ -316,11 +316,11 @@ class PatientIdentity:
     sex: str
 
     def as_dict(self) -> dict[str, str]:
-        """Return plain data for JSON."""
+        """Return the identity as plain data for JSON."""
         return asdict(self)
 
     def describe(self) -> str:
-        """Return one line for display."""
+        """Describe the patient in one line for display."""
         parts = [self.name or "no name", f"identifier {self.identifier or '(none)'}"]
         if self.birth_date:
             parts.append(f"born {self.birth_date}")
@@ -330,7 +330,7 @@ class PatientIdentity:
 
 
 def read_patient_identifier(directory: Path) -> str:
-    """Return the patient ID of the slices in `directory`, or an empty string. Raises CT-001, CT-005."""
+    """Return the first patient ID in the slices of `directory`, or an empty string. Raises CT-001, CT-005."""
     identifiers = (
         read_attribute_text(path, header, "PatientID")
         for path, header in iterate_images(directory, ("PatientID",))
@@ -339,7 +339,7 @@ def read_patient_identifier(directory: Path) -> str:
 
 
 def read_identity(directory: Path) -> PatientIdentity:
-    """Read the patient's identity from the first slice; reading the series checks that all slices agree.
+    """Read the patient identity from the first slice; reading the series checks that all slices agree.
 
     Raises CT-001, CT-002, CT-005, CT-012.
     """

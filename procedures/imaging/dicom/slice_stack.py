@@ -1,4 +1,4 @@
-"""Order and geometry of a series from slice positions alone; refuses anything but a straight, even stack.
+"""Order and geometry of a series from its slice positions; only straight, evenly spaced stacks are accepted.
 
 Slice thickness and instance numbers never determine the geometry (DICOM PS3.3 C.7.6.2.1.1). Only numbers can
 tell that slices are missing at an end: positions cannot.
@@ -110,7 +110,7 @@ def _warn_incomplete(slices: tuple[SliceHeader, ...]) -> Iterator[str]:
 
 
 def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
-    """Raise CT-025 for slices seen from the head; scanners store them as seen from the feet.
+    """Raise CT-025 for slices viewed from the head; scanners store them as viewed from the feet.
 
     A patient who lies feet first is exempt.
     """
@@ -124,7 +124,7 @@ def _refuse_mirrored(one: SliceHeader, normal: Array) -> None:
 
 
 def _warn_unusual_orientation(slices: tuple[SliceHeader, ...], normal: Array) -> Iterator[str]:
-    """Warn of orientations that mirrored or reordered series have; sound ones may have them too."""
+    """Yield warnings about orientations of mirrored or reordered series; sound series may have them too."""
     if abs(normal[2]) < AXIAL_COSINE:
         yield "the slices are not axial: check left and right by eye"
     elif normal[2] < 0.0:

@@ -1,1 +1,1 @@
-"""Estimators of one sphere's centre: its edge along rays, and a blurred ball without or with its streaks."""
+"""Estimators of a sphere's centre: edge points along rays, and a blurred ball with or without streaks."""

@@ -1,4 +1,4 @@
-"""Model of a scanned ball on an uneven background, its stretch, and a robust fit to chosen voxels.
+"""Model of a scanned ball on an uneven background, its stretch, and a robust fit to selected voxels.
 
 Near the surface of a ball of radius R, blurred by a Gaussian of covariance S = diag(sz², sxy², sxy²),
 
@@ -63,7 +63,7 @@ START_BLUR_MM = 0.42  # sigma of a typical reconstruction kernel
 
 
 def polynomial(places: Array, degrees: Iterable[int]) -> Array:
-    """Products (n, m) of `degrees` coordinates of `places` (n, 3), degree by degree."""
+    """Return all products (n, m) of the coordinates of `places` (n, 3) of the given degrees."""
     chosen = [one for degree in degrees for one in combinations_with_replacement(range(3), degree)]
     columns = np.empty((len(places), len(chosen)))
     for number, axes in enumerate(chosen):
@@ -74,7 +74,7 @@ def polynomial(places: Array, degrees: Iterable[int]) -> Array:
 
 
 def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[Array, Array]:
-    """Intensities (n,) HU at points (n, 3) grid mm, and their derivatives (n, 8 + m) by the parameters.
+    """Return intensities (n,) HU at points (n, 3) grid mm and their derivatives (n, 8 + m) by the parameters.
 
     `background` (n, m) are the polynomial's terms at the points. The derivatives neglect that the blur varies
     with the direction from the centre and shifts the edge: both effects are small, and fits converge without
@@ -107,7 +107,7 @@ def intensities(points_mm: Array, unknowns: Array, background: Array) -> tuple[A
 
 @dataclass(frozen=True, eq=False)
 class Stretch:
-    """Distance of a body's surface from a ball's along each direction n: n' terms n, in mm.
+    """Deviation of a body's surface from a ball along each unit direction n: n' terms n, in mm.
 
     `terms_mm` (3, 3) along slice, row and column; `deviation_mm` is the standard deviation of a term.
     """
@@ -128,26 +128,26 @@ class Stretch:
 
 
 def add_stretch_derivatives(points_mm: Array, unknowns: Array, derivatives: Array) -> Array:
-    """Append to a ball's derivatives (n, m) at points (n, 3) those by its stretch terms, (n, m + 5)."""
+    """Append the derivatives by the five stretch terms to a ball's derivatives (n, m): (n, m + 5)."""
     directions = points_mm - unknowns[:3]
     directions /= np.maximum(np.linalg.norm(directions, axis=1, keepdims=True), 1e-6)
     return np.column_stack((derivatives, derivatives[:, RADIUS, None] * stretch_terms(directions)))
 
 
 def stretch_terms(directions: Array) -> Array:
-    """The five terms (n, 5) of a stretch along unit directions (n, 3)."""
+    """Return the five terms (n, 5) of a stretch along unit directions (n, 3)."""
     x, y, z = directions.T
     return np.column_stack((x * x - z * z, y * y - z * z, x * y, x * z, y * z))
 
 
 def stretch_matrix(terms: Array) -> Array:
-    """The symmetric matrix (3, 3) without trace of five stretch terms."""
+    """Return the symmetric, traceless matrix (3, 3) of five stretch terms."""
     a, b, c, d, e = terms.tolist()
     return np.array([[a, c / 2, d / 2], [c / 2, b, e / 2], [d / 2, e / 2, -a - b]])
 
 
 def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array], Array]) -> Array | None:
-    """Fit `values` (n,) by Gauss-Newton with Cauchy weights and adaptive damping; None without convergence.
+    """Fit `values` (n,) by damped Gauss-Newton with Cauchy weights; return None without convergence.
 
     The first three parameters are a position in mm; `limits` keeps all of them in range.
     """
@@ -183,12 +183,12 @@ def minimise(model: Model, values: Array, start: Array, limits: Callable[[Array]
 
 
 def scale(residuals: Array) -> float:
-    """Robust standard deviation of the residuals."""
+    """Return the robust standard deviation of the residuals in HU, at least the minimum noise."""
     return max(robust_sigma(residuals), MIN_NOISE_HU)
 
 
 def flat_weights(residuals: Array, noise: float) -> Array:
-    """Weights (n,) of 1 for whatever noise explains, and almost zero for outliers.
+    """Return weights (n,): about 1 for residuals within the noise, almost 0 for outliers.
 
     Cauchy weights distort the noise itself, which raises the high end of its spectrum: half the gain from
     whitening would be lost.
@@ -197,17 +197,17 @@ def flat_weights(residuals: Array, noise: float) -> Array:
 
 
 def cauchy_growth(weights: Array) -> float:
-    """Mean growth of the weighted residual w·r with r, relative to the weight, for Cauchy weights."""
+    """Return the mean derivative of w·r by r for Cauchy weights, relative to the mean weight."""
     return _growth(2.0 * weights**2 - weights, weights)
 
 
 def flat_growth(weights: Array) -> float:
-    """Mean growth of the weighted residual w·r with r, relative to the weight, for flat weights."""
+    """Return the mean derivative of w·r by r for flat weights, relative to the mean weight."""
     return _growth(4.0 * weights**2 - 3.0 * weights, weights)
 
 
 def _growth(by_residual: Array, weights: Array) -> float:
-    """Mean growth, given the derivatives (n,) of w·r by r."""
+    """Return the mean derivative (n,) of w·r by r, at least a minimum, relative to the mean weight."""
     return max(float(np.mean(by_residual)), MIN_GROWTH) / float(np.mean(weights))
 
 
@@ -240,7 +240,7 @@ class BallVoxels:
     def of(
         cls, region: Region, usable: NDArray[np.bool_], radius_mm: float, *, covered: bool = False
     ) -> Self:
-        """Take the usable voxels of a region around a ball of about this radius."""
+        """Select the usable voxels of a region around a ball of about this radius."""
         voxel_index = np.argwhere(usable)
         points_mm = (voxel_index + region.start) * region.spacing_mm
         places = (points_mm - points_mm.mean(axis=0)) / radius_mm
@@ -251,7 +251,7 @@ class BallVoxels:
         )
 
     def fit_robustly(self, ball: Array) -> Array | None:
-        """Fit all parameters from those of the ball alone; None if the fit does not converge nearby.
+        """Fit all parameters from those of the ball; return None if the fit does not converge nearby.
 
         A linear background comes first, since it converges from farther away, then the full polynomial.
         """
@@ -277,7 +277,7 @@ class BallVoxels:
         return settled
 
     def without_outliers(self, unknowns: Array) -> BallVoxels:
-        """Drop voxels that do not belong to the fitted ball, such as its post, and their blur."""
+        """Return the voxels without outliers, such as the ball's post and its blur."""
         modelled, _ = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         outlying = np.abs(residuals) > OUTLIER * scale(residuals)
@@ -298,11 +298,11 @@ class BallVoxels:
         )
 
     def distance_outside_mm(self, unknowns: Array) -> Array:
-        """Distance (n,) of each voxel outside a ball."""
+        """Return the distance (n,) of each voxel from the ball's surface, positive outside."""
         return np.asarray(np.linalg.norm(self.points_mm - unknowns[:3], axis=1) - unknowns[RADIUS])
 
     def stretch(self, unknowns: Array, clear: NDArray[np.bool_]) -> Stretch:
-        """Stretch of a fitted ball, from the voxels (n,) that are clear of other objects."""
+        """Estimate the stretch of a fitted ball from the voxels (n,) that are clear of other objects."""
         places = self.points_mm[clear]
         modelled, derivatives = intensities(places, unknowns, self.background[clear])
         derivatives = add_stretch_derivatives(places, unknowns, derivatives)
@@ -317,14 +317,14 @@ class BallVoxels:
         return Stretch.from_last_terms(step, CORRELATED * scale(remaining) ** 2 * np.asarray(answer))
 
     def evaluate(self, unknowns: Array) -> tuple[Array, Array, Array]:
-        """Derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
+        """Return derivatives (n, m), weighted residuals w·r (n,) and weights (n,) at these parameters."""
         modelled, derivatives = intensities(self.points_mm, unknowns, self.background)
         residuals = self.values - modelled
         weights = (cauchy_weights if self.covered else flat_weights)(residuals, scale(residuals))
         return derivatives, weights * residuals, weights
 
     def growth(self, weights: Array) -> float:
-        """Mean growth of the weighted residual with the residual, relative to its weight."""
+        """Return the mean derivative of the weighted residual by the residual, over the mean weight."""
         return (cauchy_growth if self.covered else flat_growth)(weights)
 
 
@@ -356,7 +356,7 @@ def select_ball_voxels(
 def guess_ball(
     region: Region, centre_mm: Array, radius_mm: float, inside_hu: float, outside_hu: float
 ) -> Array:
-    """Guess the eight parameters of a ball from its surface."""
+    """Return start values for the eight parameters of a ball from its surface."""
     slab_mm = float(np.hypot(START_BLUR_MM, region.spacing_mm[0] / np.sqrt(12.0)))
     return np.array([*centre_mm, outside_hu, inside_hu, slab_mm, START_BLUR_MM, radius_mm])
 
@@ -369,7 +369,7 @@ def _mark_far_from_metal(region: Region) -> NDArray[np.bool_]:
 
 
 def mark_directions(offsets_mm: Array, directions: Array, considered: NDArray[np.bool_]) -> NDArray[np.bool_]:
-    """Mark the `considered` voxels (n, 3), relative to the centre, that lie in one of these directions."""
+    """Mark the `considered` voxels (n, 3), relative to the centre, that lie along one of these directions."""
     found = np.zeros(len(considered), dtype=bool)
     if len(directions) == 0:
         return found

@@ -66,7 +66,7 @@ MIN_VARIANCE_MM2 = 1e-8  # 0.1 µm: keeps the result positive definite on noise-
 
 @dataclass(frozen=True, eq=False)
 class BlurredBall:
-    """A fitted ball. Centre and covariance in grid mm (slice, row, column), intensities in HU."""
+    """Fitted ball. Centre and covariance in grid mm (slice, row, column), intensities in HU."""
 
     centre_mm: Array
     covariance_mm2: Array
@@ -86,7 +86,7 @@ def fit_rough_ball(
     *,
     hidden_directions: Array | None = None,
 ) -> RoughBall | None:
-    """Fit from a centre within about 0.3 mm; None if too few voxels are usable or nothing converges.
+    """Fit from a centre within about 0.3 mm; return None with too few usable voxels or without convergence.
 
     In `hidden_directions` (n, 3) from the centre, the surface borders on something other than the outside;
     voxels near and beyond the surface there are excluded.
@@ -103,7 +103,7 @@ def fit_rough_ball(
 
 @dataclass(frozen=True, eq=False)
 class RoughBall:
-    """Result of the robust fit: the voxels used, and all parameters."""
+    """Result of the robust fit: the voxels used and all parameters."""
 
     voxels: BallVoxels
     unknowns: Array
@@ -116,11 +116,11 @@ class RoughBall:
 
     @property
     def background_unevenness(self) -> float:
-        """Slope and bend of the background over a radius, as a share of the contrast."""
+        """Norm of the background's slope and bend terms over one radius, relative to the contrast."""
         return float(np.linalg.norm(self.unknowns[BALL:])) / self.contrast_hu
 
     def refined(self, hidden_directions: Array, *, most_streaks: float = np.inf) -> BlurredBall | None:
-        """Refine the fit; None without one nearby, or if streaks bend it by more than `most_streaks`.
+        """Refine the fit; return None without a solution nearby or if streaks exceed `most_streaks`.
 
         `most_streaks` is relative to the contrast.
 
@@ -149,7 +149,7 @@ class RoughBall:
 
 @dataclass(frozen=True, eq=False)
 class WhitenedBall:
-    """All parameters, the covariance of the centre in grid mm, and the typical background bend in HU."""
+    """Refined parameters, covariance of the centre in grid mm², and typical background bend in HU."""
 
     unknowns: Array
     covariance_mm2: Array
@@ -157,7 +157,7 @@ class WhitenedBall:
 
 
 def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np.inf) -> WhitenedBall | None:
-    """Refine a robust fit; None without a fit nearby, or if streaks bend more than `most_streak_hu`."""
+    """Refine a robust fit; return None without a solution nearby or if the bend exceeds `most_streak_hu`."""
     derivatives, pull, weights = voxels.evaluate(start)
     derivatives *= weights[:, None]
     smooth = np.ones(len(start), dtype=bool)
@@ -197,7 +197,7 @@ def fit_whitened(voxels: BallVoxels, start: Array, *, most_streak_hu: float = np
 
 @dataclass(frozen=True)
 class StreakPrior:
-    """Typical size of the background terms, HU² at a radius from the centre.
+    """Typical variance of the background terms one radius from the centre, HU².
 
     The terms are shrunk according to `bent_hu2` and `slope_hu2` (None: not known yet); the true bend may be
     larger by `uncertainty_hu2`, the standard error of the estimate.
@@ -209,7 +209,7 @@ class StreakPrior:
 
     @classmethod
     def from_bends(cls, found: Array, covariance: Array) -> Self:
-        """Estimate the size from bend terms (k,) found with a noise `covariance`.
+        """Estimate the variance from bend terms (k,) found with a noise `covariance`.
 
         The moment estimate: with covariance V + v·1, the square over V is k + v·tr V⁻¹ on average, and
         scatters by √(2 k).
@@ -218,17 +218,17 @@ class StreakPrior:
         return cls(max(0.0, square - len(found)) / trace, float(np.sqrt(2.0 * len(found))) / trace)
 
     def with_slopes(self, found: Array, covariance: Array) -> StreakPrior:
-        """Add the size of slopes (3,), found likewise. Their noise is kept: so few can be 0 by chance."""
+        """Add the variance of slopes (3,), noise included: three terms can be 0 by chance."""
         square, trace = _mahalanobis_square(found, covariance)
         return replace(self, slope_hu2=max(square / trace, LEAST_SLOPE**2 * self.bent_hu2))
 
     @property
     def streak_hu(self) -> float:
-        """Typical size of a bend term, a radius from the centre."""
+        """Typical bend term one radius from the centre."""
         return float(np.sqrt(self.bent_hu2))
 
     def stiffness(self, unknowns: int) -> Array:
-        """Strength with which each parameter is shrunk towards 0: 1 over its variance, HU⁻²."""
+        """Return the shrinkage of each parameter towards 0: inverse variance in HU⁻²."""
         shrinkage = np.zeros(unknowns)
         shrinkage[BENT] = 1.0 / max(self.bent_hu2, LEAST_VARIANCE_HU2)
         if self.slope_hu2 is not None:
@@ -236,7 +236,7 @@ class StreakPrior:
         return shrinkage
 
     def covariance_mm2(self, answer: Array, influence: Array, weights: Array, places: Array) -> Array:
-        """Remaining effect of streaks on the centre, (3, 3): through shrunk terms and through higher ones.
+        """Return the remaining effect (3, 3) of streaks on the centre, by shrunk and by unmodelled terms.
 
         `answer` (m, m) is the response of the parameters to the normal equations, `influence` (n, 3) that of
         the centre to each voxel; `places` (n, 3) are in radii from the centre.
@@ -253,6 +253,6 @@ class StreakPrior:
 
 
 def _mahalanobis_square(found: Array, covariance: Array) -> tuple[float, float]:
-    """Square of `found` over its covariance, and the trace of that covariance's inverse."""
+    """Return the squared Mahalanobis norm of `found`, and the trace of the inverse covariance."""
     precision = np.linalg.pinv(covariance, hermitian=True)
     return float(found @ precision @ found), float(np.trace(precision))

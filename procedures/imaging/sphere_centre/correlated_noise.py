@@ -1,4 +1,4 @@
-"""Weight every spatial frequency of a fit's residuals by its noise.
+"""Weighting of a fit's residuals by the noise at each spatial frequency.
 
 CT noise has low frequencies: its spectrum falls off where that of a sharp edge still carries information.
 Equal weights for all voxels therefore lose accuracy and understate the error two- to threefold. Generalized
@@ -39,7 +39,7 @@ MOST_MOVED_MM = 0.5  # the previous fit cannot have been off by more
 
 @dataclass(frozen=True, eq=False)
 class VoxelGrid:
-    """Voxels at `index` of a grid of shape `padded`, which leaves room for lags up to a limit.
+    """Voxels at `index` of a grid zero-padded to shape `padded`, which leaves room for lags up to a limit.
 
     Converts values at the voxels to spectra and back, zero elsewhere. Spectra are half spectra; `share` is
     the contribution of each coefficient to a sum over the grid.
@@ -52,7 +52,7 @@ class VoxelGrid:
 
     @classmethod
     def from_indices(cls, voxel_index: NDArray[np.int64], largest_lag_mm: float, spacing_mm: Array) -> Self:
-        """Place voxel indices (n, 3) with this spacing on a grid."""
+        """Build a padded grid from voxel indices (n, 3) with this spacing."""
         index = tuple((voxel_index - voxel_index.min(axis=0)).T)
         lags = np.ceil(largest_lag_mm / spacing_mm).astype(int)
         padded = tuple(
@@ -62,7 +62,7 @@ class VoxelGrid:
         return cls(index, padded, spacing_mm, _multiplicity(padded) / float(np.prod(padded)))
 
     def spectra(self, columns: Array) -> Spectrum:
-        """Spectra (k, ...) of values (n, k) at the voxels."""
+        """Return the spectra (k, ...) of values (n, k) at the voxels."""
         spectra = []
         for column in columns.T:
             grid = np.zeros(self.padded)
@@ -71,15 +71,15 @@ class VoxelGrid:
         return np.array(spectra)
 
     def values(self, spectra: Spectrum) -> Array:
-        """Values (n, k) at the voxels, from spectra (k, ...)."""
+        """Return the values (n, k) at the voxels from spectra (k, ...)."""
         return np.column_stack([fft.irfftn(one, s=self.padded)[self.index] for one in spectra])
 
     def products(self, one: Spectrum, other: Spectrum, filtered: Array | float = 1.0) -> Array:
-        """Scalar products (k, m) of the values behind spectra (k, ...) and (m, ...), one side filtered."""
+        """Return scalar products (k, m) of values with spectra (k, ...) and (m, ...), one side filtered."""
         return products(_parts(one).T, _parts(other * (filtered * self.share)).T)
 
     def measure_absorbed_power(self, spectra: Spectrum) -> Array:
-        """Part of white noise of power 1 in the space of the values behind spectra (k, ...)."""
+        """Return the power that unit white noise has in the space spanned by spectra (k, ...)."""
         values, vectors = np.linalg.eigh(self.products(spectra, spectra))
         kept = values > SAME_SPACE * values[-1]
         modes = (vectors[:, kept] / np.sqrt(values[kept])).T @ _parts(spectra)
@@ -87,7 +87,7 @@ class VoxelGrid:
         return np.asarray((power[0::2] + power[1::2]).reshape(spectra.shape[1:]))
 
     def squared_lags_mm2(self) -> Array:
-        """Squared distance of each lag, over the grid."""
+        """Return the squared length of each lag over the grid."""
         squared = np.zeros(self.padded)
         for axis, (count, step_mm) in enumerate(zip(self.padded, self.spacing_mm, strict=True)):
             lag_mm = np.minimum(np.arange(count), count - np.arange(count)) * step_mm
@@ -96,12 +96,12 @@ class VoxelGrid:
 
 
 def _parts(spectra: Spectrum) -> Array:
-    """Real and imaginary parts (k, 2 n), alternating."""
+    """Return alternating real and imaginary parts (k, 2 n)."""
     return np.ascontiguousarray(spectra.reshape(len(spectra), -1)).view(np.float64)
 
 
 def _multiplicity(shape: tuple[int, ...]) -> Array:
-    """Number of coefficients of the full spectrum that each one of the half spectrum represents."""
+    """Return how many coefficients of the full spectrum each coefficient of the half spectrum represents."""
     counts = np.full(shape[2] // 2 + 1, 2.0)
     counts[0] = 1.0
     if shape[2] % 2 == 0:
@@ -111,7 +111,7 @@ def _multiplicity(shape: tuple[int, ...]) -> Array:
 
 @dataclass(frozen=True, eq=False)
 class CorrelatedNoise:
-    """Stationary noise, correlated between neighbours.
+    """Stationary noise with correlation between neighbouring voxels.
 
     `power` is its spectrum, HU² per voxel, over the half spectrum of the grid.
     """
@@ -121,7 +121,7 @@ class CorrelatedNoise:
 
     @classmethod
     def from_fit(cls, grid: VoxelGrid, pull: Array, derivative_spectra: Spectrum, least: float) -> Self:
-        """Measure the noise on a fit's weighted residuals (n,) and derivatives' spectra `derivative_spectra`.
+        """Estimate the noise from a fit's weighted residuals (n,) and the spectra of its derivatives.
 
         No frequency counts as less noisy than `least`, relative to the variance.
         """
@@ -137,31 +137,31 @@ class CorrelatedNoise:
         return cls(grid, power)
 
     def with_white_noise(self, power_hu2: float) -> CorrelatedNoise:
-        """Add white noise of this power."""
+        """Return the noise with white noise of this power added."""
         return replace(self, power=self.power + power_hu2)
 
     @property
     def slow_power(self) -> float:
-        """Power of noise that is correlated over many voxels."""
+        """Power of noise correlated over many voxels."""
         return float(self.power[0, 0, 0])
 
 
 def _symmetrize(correlation: Array) -> Array:
-    """Mean over both directions along each axis: scan noise has no handedness."""
+    """Average over both directions along each axis, since scan noise has no handedness."""
     for axis in range(3):
         correlation = 0.5 * (correlation + np.roll(np.flip(correlation, axis), 1, axis))
     return correlation
 
 
 def _taper(grid: VoxelGrid) -> Array:
-    """Weights of the lags: one up to half the window, then falling to zero."""
+    """Return the weights of the lags: 1 up to half the window, then falling to 0."""
     past_half = np.clip(2.0 * np.sqrt(grid.squared_lags_mm2()) / WINDOW_MM - 1.0, 0.0, 1.0)
     return np.asarray(0.5 * (1.0 + np.cos(np.pi * past_half)))
 
 
 @dataclass(frozen=True, eq=False)
 class WhitenedStep:
-    """Estimating equations for parameters (m,), the first three a position in mm, from n voxels.
+    """Estimating equations for parameters (m,) from n voxels; the first three are a position in mm.
 
     Each of the `instruments` (n, m) times the weighted residuals must vanish or, for a parameter shrunk
     towards 0 with `stiffness` (m,), equal the restoring term. `response` (m, m) is the derivative of these
@@ -182,7 +182,7 @@ class WhitenedStep:
         growth: float,
         smooth: NDArray[np.bool_],
     ) -> Self:
-        """Set up the equations from weighted derivatives (n, m) at a robust fit; nothing is shrunk.
+        """Set up the equations from weighted derivatives (n, m) at a robust fit, without shrinkage.
 
         `growth` is the growth of the weighted residual with the residual, relative to its weight; `smooth`
         (m,) marks the derivatives that are smooth where the voxels end.
@@ -199,12 +199,12 @@ class WhitenedStep:
         )
 
     def with_stiffness(self, stiffness: Array) -> WhitenedStep:
-        """Shrink parameters towards 0."""
+        """Return the equations with parameters shrunk towards 0."""
         return replace(self, stiffness=stiffness)
 
     @cached_property
     def answer(self) -> Array:
-        """Response (m, m) of the parameters to the sums."""
+        """Response (m, m) of the parameters to the sums over the voxels."""
         return np.asarray(np.linalg.pinv(self.response + np.diag(self.stiffness)))
 
     @property
@@ -214,11 +214,11 @@ class WhitenedStep:
 
     @property
     def influence(self) -> Array:
-        """Shift (n, 3) mm of the centre per HU of weighted residual at each voxel."""
+        """Shift (n, 3) of the centre, in mm per HU of weighted residual at each voxel."""
         return np.asarray(self.instruments @ self.answer[:3].T)
 
     def settle(self, unknowns: Array, pull: Pull) -> Array | None:
-        """Solve the equations near given parameters; None if the solution is somewhere else."""
+        """Solve the equations near given parameters; return None if the solution is not nearby."""
         settled = unknowns
         for _ in range(STEPS):
             sums = self.instruments.T @ pull(settled)

@@ -43,7 +43,7 @@ MIN_RAYS = 24
 
 @dataclass(frozen=True, eq=False)
 class RadialEdge:
-    """A sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
+    """Sphere fitted to edge points. Centre and covariance in grid mm (slice, row, column).
 
     `surface_share` is the fraction of all rays with their edge on the sphere, `unscanned_share` the fraction
     that leave the scanned volume somewhere, `cut_share` the fraction that do so before passing the sphere's
@@ -68,7 +68,7 @@ class RadialEdge:
 
 @cache
 def ray_directions() -> Array:
-    """Unit directions (RAYS, 3) of the rays, nearly uniform on a golden-angle spiral."""
+    """Return the unit directions (RAYS, 3) of the rays, nearly uniform on a golden-angle spiral."""
     number = np.arange(RAYS) + 0.5
     height = 1.0 - 2.0 * number / RAYS
     angle_rad = number * np.pi * (3.0 - np.sqrt(5.0))
@@ -79,14 +79,14 @@ def ray_directions() -> Array:
 
 
 def is_polymer(edge: RadialEdge) -> bool:
-    """Whether the level inside is that of a polymer without streaks."""
+    """Whether the intensity inside is that of a polymer without streaks."""
     return POLYMER_HU[0] < edge.inside_hu < POLYMER_HU[1]
 
 
 def fit_radial_edge(
     region: Region, start_mm: Array, nominal_radius_mm: float, *, refine: bool = False
 ) -> RadialEdge | None:
-    """Fit from a rough centre (within a third of the radius); None if there is no such surface.
+    """Fit from a rough centre (within a third of the radius); return None without such a surface.
 
     With `refine` the start is already good, and the volume is interpolated smoothly.
     """
@@ -155,7 +155,7 @@ def _fit_profiles(
 
 
 def _find_open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
-    """Level of the open surroundings, and whether something else covers most of the sphere."""
+    """Return the level of the open surroundings, and whether another body covers most of the sphere."""
     least_hu = float(np.quantile(darker_hu, OPEN_AT_LEAST))
     is_open = darker_hu < least_hu + SAME_LEVEL * (inside_hu - least_hu)
     is_covered = bool(is_open.mean() < OPEN_SHARE)
@@ -163,7 +163,7 @@ def _find_open_level(darker_hu: Array, inside_hu: float) -> tuple[float, bool]:
 
 
 def _measure_covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> float:
-    """Median fall from just inside the sphere to just outside it."""
+    """Return the median fall in HU from just inside to just outside the sphere."""
     share = radii_mm / radius_mm
     inner_hu = rays[:, (share > STEP_INSIDE[0]) & (share < STEP_INSIDE[1])]
     outer_hu = rays[:, (share > STEP_OUTSIDE[0]) & (share < STEP_OUTSIDE[1])]
@@ -173,14 +173,14 @@ def _measure_covered_step(rays: Array, radii_mm: Array, radius_mm: float) -> flo
 
 
 def _level_by_direction(middle_hu: Array, directions: Array, usable: NDArray[np.bool_]) -> Array:
-    """Midpoint level of each ray: a constant plus a slope, since streaks add one across the sphere."""
+    """Return the midpoint level of each ray, a constant plus the slope that streaks add across the sphere."""
     design = np.column_stack([np.ones(len(directions)), directions])
     solution, *_ = np.linalg.lstsq(design[usable], middle_hu[usable], rcond=None)
     return np.asarray(design @ solution)
 
 
 def _find_crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Array, NDArray[np.bool_]]:
-    """First radius at which each ray falls through its level, and whether it does."""
+    """Return the first radius at which each ray falls through its level, and whether it does."""
     level_hu = level_hu[:, None]
     falls = (rays[:, :-1] >= level_hu) & (rays[:, 1:] < level_hu)
     first = np.argmax(falls, axis=1)
@@ -193,7 +193,7 @@ def _find_crossings(rays: Array, radii_mm: Array, level_hu: Array) -> tuple[Arra
 
 
 def _fit_sphere(points_mm: Array, start_mm: Array) -> tuple[Array, float, Array, Array]:
-    """Cauchy-weighted geometric sphere fit: centre, radius, covariance of the centre, residuals."""
+    """Fit a sphere with Cauchy weights: centre, radius, covariance of the centre, residuals."""
     centre_mm = start_mm
     radius_mm = float(np.median(np.linalg.norm(points_mm - centre_mm, axis=1)))
     for _ in range(FIT_STEPS):

@@ -1,4 +1,4 @@
-"""A ball under strong streaks, fitted together with a random field of streaks in each slice.
+"""Fit of a ball under strong streaks, together with a random streak field in each slice.
 
 Two things defeat other fits of a ball under streaks. A band across it bends more than a polynomial can
 follow; here each slice has its own field, whose size is estimated from the image (empirical Bayes). And dark
@@ -71,7 +71,7 @@ MOST_PULL = 30.0  # deviations; beyond this the normal tail is replaced by its l
 
 @dataclass(frozen=True, eq=False)
 class StreakedBall:
-    """A fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
+    """Fitted ball. Centre and covariance in grid mm; `cleaned` is the region without the streaks."""
 
     centre_mm: Array
     covariance_mm2: Array
@@ -83,7 +83,7 @@ class StreakedBall:
 
 
 def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
-    """Fit from a sphere of edge points; None if too few voxels are usable or it does not converge nearby.
+    """Fit from a sphere of edge points; return None with too few usable voxels or without convergence nearby.
 
     Directions in which the edge is not on that sphere are excluded.
     """
@@ -161,7 +161,7 @@ def fit_streaked_ball(region: Region, edge: RadialEdge) -> StreakedBall | None:
 
 @dataclass(frozen=True, eq=False)
 class Waves:
-    """Cosines over a square of `side_mm` around `middle_mm` (row, column): wave numbers (m, 2)."""
+    """Cosine waves over a square of `side_mm` around `middle_mm` (row, column), with wave numbers (m, 2)."""
 
     middle_mm: Array
     side_mm: float
@@ -169,7 +169,7 @@ class Waves:
 
     @classmethod
     def from_band(cls, middle_mm: Array, side_mm: float, lowest: float, highest: float) -> Self:
-        """Take all waves from `lowest` to `highest` cycles per mm."""
+        """Select all waves from `lowest` to `highest` cycles per mm."""
         count = int(2.0 * side_mm * highest) + 1
         numbers = np.array([(row, column) for row in range(count) for column in range(count)])
         cycles = np.hypot(*numbers.T) / (2.0 * side_mm)
@@ -181,12 +181,12 @@ class Waves:
         return np.asarray(np.hypot(*self.numbers.T) / (2.0 * self.side_mm))
 
     def evaluate(self, rows_mm: Array, columns_mm: Array) -> Array:
-        """Values (n, m) of the waves at positions (n,) in the slice."""
+        """Return the values (n, m) of the waves at positions (n,) in the slice."""
         row, column = self._cosines_along(rows_mm, 0), self._cosines_along(columns_mm, 1)
         return np.asarray(row[:, self.numbers[:, 0]] * column[:, self.numbers[:, 1]])
 
     def sum_over_grid(self, coefficients: Array, rows_mm: Array, columns_mm: Array) -> Array:
-        """Sum of the waves over a whole grid (rows, columns); 0 beyond the square."""
+        """Return the sum of the waves over a grid (rows, columns); 0 outside the square."""
         table = np.zeros(self.numbers.max(axis=0) + 1)
         table[tuple(self.numbers.T)] = coefficients
         field = self._cosines_along(rows_mm, 0) @ table @ self._cosines_along(columns_mm, 1).T
@@ -203,21 +203,21 @@ class Waves:
 
 @dataclass(frozen=True, eq=False)
 class NoiseModes:
-    """Patterns (k, m) over k voxels of a slice, whose indices among all voxels are `rows` (k,)."""
+    """Noise patterns (k, m) over k voxels of a slice, whose indices among all voxels are `rows` (k,)."""
 
     rows: NDArray[np.intp]
     patterns: Array
 
 
 def noise_power(modes: tuple[NoiseModes, ...], residuals: Array) -> float:
-    """Mean square of residuals (n,) along the modes, HU² per voxel."""
+    """Return the mean square of residuals (n,) along the modes, HU² per voxel."""
     squares = sum(float(((residuals[one.rows] @ one.patterns) ** 2).sum()) for one in modes)
     return float(squares / max(sum(one.patterns.shape[1] for one in modes), 1))
 
 
 @dataclass(frozen=True, eq=False)
 class SliceField:
-    """Streak field over the voxels of a fit: the voxels of each slice, and its waves there (n, m).
+    """Streak field over the voxels of a fit: the voxels of each slice, and the wave values (n, m) at them.
 
     The variance of a coefficient is that of the slice's field.
     """
@@ -231,7 +231,7 @@ class SliceField:
 
     @classmethod
     def from_points(cls, points_mm: Array, radius_mm: float) -> Self:
-        """Set up the field for voxels (n, 3) grid mm within this radius of their centroid."""
+        """Set up the field for voxels (n, 3) in grid mm within this radius of their centroid."""
         middle_mm = 0.5 * (points_mm.min(axis=0) + points_mm.max(axis=0))[1:]
         side_mm = 2.0 * (radius_mm + ROOM_MM)
         waves = Waves.from_band(middle_mm, side_mm, 0.0, HIGHEST)
@@ -248,7 +248,7 @@ class SliceField:
         )
 
     def noise_modes(self, clear: NDArray[np.bool_]) -> tuple[NoiseModes, ...]:
-        """Combinations of waves in the noise band, orthonormal over a slice's clear voxels (n,)."""
+        """Return combinations of noise-band waves that are orthonormal over a slice's clear voxels (n,)."""
         modes = []
         for one, waves in zip(self.slices, self.noise_terms, strict=True):
             seen = clear[one]
@@ -260,7 +260,7 @@ class SliceField:
         return tuple(modes)
 
     def fill_region(self, region: Region, coefficients: tuple[Array, ...]) -> Array:
-        """Field over all voxels of a region (slices, rows, columns); 0 where nothing was fitted."""
+        """Return the field over a region's voxels (slices, rows, columns); 0 where nothing was fitted."""
         z, y, x = region.axes_mm()
         field = np.zeros(region.values.shape)
         for height_mm, found in zip(self.heights_mm, coefficients, strict=True):
@@ -271,7 +271,7 @@ class SliceField:
 
 @dataclass(frozen=True, eq=False)
 class _StepResult:
-    """Result of one step: the update of the parameters, their covariance, and each slice's field."""
+    """Result of one step: parameter update, covariance, and the field of each slice."""
 
     step: Array
     covariance: Array
@@ -290,7 +290,7 @@ def _is_evident(
     streaks_hu: Array,
     noise_hu: float,
 ) -> bool:
-    """Whether the streaks explain the residual image in the core and in the open, away from the edge.
+    """Whether the streaks explain the residual image away from the edge, inside and outside the ball.
 
     A surface that is not where a ball's would be merely looks like a streak.
     """
@@ -304,7 +304,7 @@ def _is_evident(
 
 
 def _floor_hu(region: Region) -> float | None:
-    """Lowest value that the scanner stores, if values were clipped there."""
+    """Return the lowest value that the scanner stores if values were clipped; else None."""
     known = region.values[np.isfinite(region.values)]
     lowest = float(known.min())
     return lowest if float((known == lowest).mean()) > FLOOR_SHARE else None
@@ -380,7 +380,7 @@ def _solve(
 
 
 def _remove_streaks(region: Region, streaks: Array, floor_hu: float | None, outside_hu: float) -> Region:
-    """Remove the streaks; voxels at the floor count as surroundings."""
+    """Subtract the streaks; voxels at the scanner's floor become surroundings."""
     values = region.values - streaks
     if floor_hu is not None:
         values[region.values <= floor_hu] = outside_hu
