@@ -200,7 +200,7 @@ class Dated(Strict):
 
     @property
     def _renewing(self) -> str | None:
-        """Return the advice for an expired record, if it differs from that for a calibration."""
+        """Advice for an expired record, if it differs from that for a calibration."""
         return None
 
 

@@ -60,7 +60,7 @@ class BodyConfig(Strict):
 
     @property
     def capsule(self) -> Capsule:
-        """Return the capsule as plain numbers."""
+        """Capsule as plain numbers."""
         return Capsule(self.start_mm, self.end_mm, self.radius_mm)
 
 

@@ -177,12 +177,12 @@ class Calibrations(Strict):
 
     @property
     def tip_in_head(self) -> TipInHead:
-        """Return the pose of the guide's tip in the frame of the stereo head."""
+        """Pose of the guide's tip in the frame of the stereo head."""
         return TipInHead.of(self.stereo_head.flange_from_tool, self.tool_tip.flange_from_tool)
 
     @property
     def records(self) -> dict[str, DatedRecord]:
-        """Return the existing records by name."""
+        """Existing records by name."""
         found = {name: getattr(self, name) for name in type(self).model_fields}
         return {name: record for name, record in found.items() if record is not None}
 
@@ -318,7 +318,7 @@ class TheatreFile(Strict):
 
     @property
     def cell_with_tools(self) -> CollisionConfig:
-        """Return the bodies around the arm, including those in the tool records."""
+        """Bodies around the arm, including those in the tool records."""
         own: dict[str, object] = {
             name: tool.bodies
             for name, tool in self.tools.items()
@@ -328,7 +328,7 @@ class TheatreFile(Strict):
 
     @property
     def addresses(self) -> dict[str, tuple[str, ...]]:
-        """Return the addresses of each device by its name."""
+        """Addresses of each device by its name."""
         return {
             name: (*one.endpoints.values(), *([one.endpoint] if one.endpoint else []))
             for name, one in self.devices.items()

@@ -49,7 +49,7 @@ class StampedReading(Protocol):
 
     @property
     def stamp(self) -> Stamp:
-        """Return the time stamp of the reading."""
+        """Time stamp of the reading."""
         ...
 
     @property

@@ -77,7 +77,7 @@ class ConfirmedStart(Protocol):
 
     @property
     def to_confirm(self) -> str | None:
-        """Return the question to confirm before the next `activate`; None if there is none.
+        """Question to confirm before the next `activate`; None if there is none.
 
         Passive: uses only the controller's last report; allowed in every state.
         """

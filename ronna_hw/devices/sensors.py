@@ -49,7 +49,7 @@ class BoundedTracker(Protocol):
 
     @property
     def volume_sections_mm(self) -> tuple[tuple[float, float, float], ...]:
-        """Return cross-sections of the volume, near to far, in the tracker frame: z, half x, half y.
+        """Cross-sections of the volume, near to far, in the tracker frame: z, half x, half y.
 
         Empty before `configure`, and if the unit does not report it. Faces are flat between two of them.
         """
@@ -62,7 +62,7 @@ class TimedTracker(Protocol):
 
     @property
     def replies_s(self) -> tuple[float, ...]:
-        """Return the times from request to reply of recent frames, without transfer, newest last.
+        """Times from request to reply of recent frames, without transfer, newest last.
 
         Host time, or theatre time if that is less: neither a computer that stalls nor a theatre whose time
         runs ahead makes a reply late. From any thread; an earlier run of tracking counts as well.

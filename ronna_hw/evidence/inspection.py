@@ -248,7 +248,7 @@ def _find_mismatches(
 
 
 def _check_files(folder: Path, chain: Chain, manifest: Manifest) -> Iterator[Problem]:
-    """Problems with the request, pictures, truth, and every file named by the journal's end and the seal."""
+    """Find problems with the request, pictures, truth, and files named by the journal's end or the seal."""
     closed, named = chain.is_closed, manifest.files
     yield from compare_files(folder, manifest.request | manifest.pictures)
     yield from (Problem(name, what) for name, what in manifest.find_truth_problems(folder))

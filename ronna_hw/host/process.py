@@ -50,7 +50,7 @@ class ParentProcess(NamedTuple):
 
     @property
     def is_gone(self) -> bool:
-        """Return whether the parent has died, possibly before it was noted; init adopts orphans."""
+        """Whether the parent has died, possibly before it was noted; init adopts orphans."""
         return self.gone_at_start or os.getppid() != self.pid
 
 
