@@ -56,7 +56,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Return a remark on where a line is tested, or what its cases omit; empty without one."""
+        """Note where a line is tested, or what its cases leave out; empty without a remark."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
@@ -78,7 +78,7 @@ class ProtocolCases:
 
 
 def load_protocol(wire_protocol: str) -> ProtocolCases:
-    """Load the cases of installed packages for a wire protocol; empty without any."""
+    """Load the cases that installed packages provide for a wire protocol, if any."""
     for point in entry_points(group=GROUP, name=wire_protocol):
         found: ProtocolCases = point.load()
         return found

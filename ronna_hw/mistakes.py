@@ -70,7 +70,7 @@ def _format_place(parts: tuple[int | str, ...]) -> str:
 
 
 def list_known_keys(model: type[BaseModel], place: tuple[int | str, ...]) -> tuple[str, ...]:
-    """List the keys of a model, or of the model nested at a place; none without a model."""
+    """Return the keys of a model, or of the model nested at a place; an empty tuple without a model."""
     here: Any = model
     for part in place:
         names = {field.alias or name: field.annotation for name, field in _fields(here).items()}

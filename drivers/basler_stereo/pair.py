@@ -71,7 +71,9 @@ class BaslerStereoPair(PairDevice[Camera]):
         return left.counters, right.counters
 
     def readiness(self, timeout_s: float = 1.0) -> tuple[Fact, ...]:
-        """Report lost packets of the current streams, and temperatures; empty before they start.
+        """Report lost packets of the current streams, and temperatures.
+
+        Nothing is reported before they start.
 
         No published temperature limit is known, so it is reported without being judged.
         """

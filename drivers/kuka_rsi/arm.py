@@ -376,7 +376,7 @@ class KukaRsiArm:
         return self._readings.from_stream(self._follower.follow(clear_plan, stop_count, timeout_s))
 
     def _enter_active(self, stop_count: int) -> None:
-        """Enter ACTIVE, or HOLD if a stop was ordered during the start: more than `stop_count` are known."""
+        """Enter ACTIVE, or HOLD if a stop was ordered during the start (more than `stop_count` known)."""
         self._guard.enter(Lifecycle.ACTIVE, mode=self._watch.mode)
         if self.connections.link.stop_number != stop_count:
             self._guard.exchange(Lifecycle.ACTIVE, Lifecycle.HOLD)

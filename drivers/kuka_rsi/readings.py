@@ -84,7 +84,7 @@ class ArmReadings:
 
 
 def controller_facts(state: ControllerState | None) -> Iterator[Fact]:
-    """List the settings that the controller reports unsolicited; empty before its first report.
+    """Yield the settings that the controller reports unsolicited; nothing before its first report.
 
     Drives that are off are no objection: `activate` switches them on.
     """

@@ -139,7 +139,7 @@ def endpoints_of(config: DeviceConfig) -> tuple[Endpoint, ...]:
 
 
 def explain_unreachable(endpoint: Endpoint) -> str:
-    """Explain why a TCP endpoint accepts no connection; empty if it does, or for other endpoints."""
+    """Explain why a TCP endpoint accepts no connection; returns an empty text if it does, or is not TCP."""
     if endpoint.scheme != "tcp":
         return ""
     try:

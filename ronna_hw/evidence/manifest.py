@@ -60,7 +60,7 @@ LARGEST_TRUTH_BYTES = 10_000_000  # ten times what the verifier reads
 
 
 def read_hashes(line: Line, field: str) -> dict[str, str]:
-    """Read file names and hashes from a field of a journal line; empty without the field."""
+    """Return the file names and hashes in a field of a journal line; an empty dict without the field."""
     found = line.get(field)
     return cast("dict[str, str]", dict(found)) if isinstance(found, Mapping) else {}
 
@@ -172,7 +172,7 @@ class Manifest:
                     yield name, what
 
     def describe_truth_difference(self, name: str, content: bytes) -> str:
-        """Describe how a truth file differs from the journal; empty if it matches or is not named."""
+        """Describe how a truth file differs from the journal; an empty text if it matches or is not named."""
         if name not in self.truth:
             return ""
         size, sha256, step_begun = self.truth[name]
@@ -276,7 +276,7 @@ def hash_inputs(folder: Path, files: Iterable[Path]) -> dict[str, str]:
 
 
 def hash_truth_files(folder: Path) -> dict[str, JournalValue]:
-    """Build the journal field with length and hash of the truth files; empty without a simulated theatre."""
+    """Build the journal field with length and hash of the truth files. A real theatre has none."""
     known: dict[str, JournalValue] = {}
     for name in TRUTH_FILES:
         with suppress(OSError), open_regular(folder / name) as file:

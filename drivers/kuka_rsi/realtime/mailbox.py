@@ -89,7 +89,7 @@ _KEPT_HEAD = RowCodec(KeptHead)
 
 
 class KeptCycle(NamedTuple):
-    """Telegram and its reply, empty if there was none. Times are host monotonic."""
+    """Telegram and its reply, which is empty if none was sent. Times are host monotonic."""
 
     received_ns: int
     sent_ns: int
