@@ -56,7 +56,7 @@ class Checklist:
         }
 
     def remark(self, line: int) -> str:
-        """Note where a line is tested, or what its cases leave out; empty without a remark."""
+        """Return a remark on where a line is tested, or what its cases omit; an empty text if none."""
         return self.elsewhere.get(line) or self.remarks.get(line, "")
 
 
